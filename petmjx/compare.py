@@ -352,7 +352,8 @@ def _differences_table(title: str, differences: pd.DataFrame) -> Table:
     for header in ("n", "median", "95 %", "largest"):
         table.add_column(header, justify="right")
     table.add_column("unit")
-    table.add_column("where (plan / variant / box)")
+    key = [column for column in BOX_KEY if column in differences]
+    table.add_column("at " + "/".join(column.removesuffix("_id") for column in key))
     table.add_column("a", justify="right")
     table.add_column("b", justify="right")
     for row in differences.to_dict("records"):
@@ -360,7 +361,8 @@ def _differences_table(title: str, differences: pd.DataFrame) -> Table:
             continue
         relative = row["metric"].endswith(" relative")
         factor, unit = (100.0, "%") if relative else (1.0, "" if row["unit"] == "1" else row["unit"])
-        place = escape(" / ".join(str(row[column]) for column in BOX_KEY if column in row))
+        differs = row["largest"] > 0
+        place = escape("/".join(str(row[column]) for column in key)) if differs else ""
         table.add_row(
             row["metric"],
             row["group"],
@@ -368,7 +370,6 @@ def _differences_table(title: str, differences: pd.DataFrame) -> Table:
             *(_number(row[name], factor) for name in ("median", "p95", "largest")),
             unit,
             place,
-            _number(row["a"]),
-            _number(row["b"]),
+            *(_number(row[side]) if differs else "" for side in "ab"),
         )
     return table

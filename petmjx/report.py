@@ -1,0 +1,159 @@
+"""What the command line shows of a run: progress while it works, tables when it is through."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+from rich.console import Console, Group, RenderableType
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+from rich.table import Table
+from rich.text import Text
+
+from petmjx.outcome import Verdict
+
+FEW_PLANS: Final = 40
+"""Up to so many worlds a table with a row for each is shown."""
+
+_STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
+
+
+def summary_table(info: Mapping[str, Any], out_dir: str | Path | None = None, what: str = "plans") -> RenderableType:
+    """The short table of a run.
+
+    Args:
+        info: ``run.json``, or ``RunWriter.info``.
+        out_dir: the run's folder, to say where the results are.
+        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
+    """
+    counts = info.get("counts", {})
+    worlds = int(counts.get("worlds", 0))
+    table = Table(show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    table.add_column(justify="right")
+
+    def add(label: str, count: int, style: str = "") -> None:
+        share = f"{100 * count / worlds:.1f} %" if worlds else ""
+        table.add_row(label, f"{count:,}", share, style=style if count else "dim")
+
+    table.add_row(what, f"{worlds:,}", "")
+    for verdict in Verdict:
+        add(verdict.value, int(counts.get(verdict.value, 0)), _STYLES[verdict.value])
+        for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
+            add(f"  {reason}", int(count))
+    expected = info.get("expected_worlds")
+    if expected is not None and expected > worlds:
+        table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
+    if skipped := counts.get("skipped_plans"):
+        table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
+    if retried := counts.get("retried"):
+        table.add_row("run more than once", f"{retried:,}", "")
+    table.add_section()
+    seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
+    if seconds > 0:
+        table.add_row(f"{what}/s", _rate(worlds / seconds), f"{seconds:,.1f} s")
+    # below the table and not in it: a long path would be broken up
+    return table if out_dir is None else Group(table, Text(f"results in {out_dir}", overflow="fold"))
+
+
+def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> Table:
+    """A row a world: what became of it, which box went first and when, and its largest metrics.
+
+    Args:
+        worlds, boxes: the tables of a run, as :func:`petmjx.store.load_run` reads them.
+    """
+    table = Table()
+    with_variants = bool(len(worlds)) and int(worlds["variant"].nunique()) > 1
+    table.add_column("plan")
+    if with_variants:
+        table.add_column("variant", justify="right")
+    table.add_column("boxes", justify="right")
+    for header in ("verdict", "reason", "first box"):
+        table.add_column(header)
+    for header in ("at s", "shift mm", "tilt °", "rest force N"):
+        table.add_column(header, justify="right")
+    culprits = worlds.loc[worlds["culprit"].notna(), ["plan_id", "variant", "culprit"]]
+    named = culprits.astype({"culprit": "int32"}).merge(
+        boxes[["plan_id", "variant", "box", "article"]],
+        left_on=["plan_id", "variant", "culprit"],
+        right_on=["plan_id", "variant", "box"],
+    )
+    articles = {(row["plan_id"], row["variant"]): f"{row['box']} {row['article']}" for row in named.to_dict("records")}
+    for row in worlds.to_dict("records"):
+        verdict = str(row["verdict"])
+        placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
+        table.add_row(
+            escape(str(row["plan_id"])),
+            *([str(row["variant"])] if with_variants else []),
+            f"{placed}{row['n_boxes']}",
+            Text(verdict, style=_STYLES.get(verdict, "")),
+            escape(str(row["reason"])),
+            escape(articles.get((row["plan_id"], row["variant"]), "")),
+            _value(row["first_sign_s"], ".2f"),
+            _value(row["max_shift_m"], ".1f", 1000.0),
+            _value(row["max_tilt_deg"], ".1f"),
+            _value(row["rest_top_force_n"], ".1f"),
+        )
+    return table
+
+
+class ProgressBar:
+    """Handle of a running bar, made by :func:`progress`."""
+
+    def __init__(self, bar: RichProgress, task: TaskID) -> None:
+        self._bar = bar
+        self._task = task
+
+    def update(self, done: int, message: str = "") -> None:
+        """Show that ``done`` worlds are finished; ``message`` stands beside the bar (compiling, retrying)."""
+        self._bar.update(self._task, completed=done, message=escape(message))
+
+
+class _RateColumn(ProgressColumn):
+    """Finished worlds a second, over the whole run so far."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__()
+        self._what = what
+
+    def render(self, task: Task) -> Text:
+        elapsed_s = task.finished_time if task.finished else task.elapsed
+        if not elapsed_s or not task.completed:
+            return Text(f"- {self._what}/s")
+        return Text(f"{_rate(task.completed / elapsed_s)} {self._what}/s")
+
+
+@contextmanager
+def progress(total: int | None, what: str = "plans", console: Console | None = None) -> Iterator[ProgressBar]:
+    """A progress bar with worlds a second, time left and a message.
+
+    Args:
+        total: worlds there will be; None where that is not known.
+        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
+        console: where it is shown; standard error by default, so that standard output holds results alone.
+    """
+    bar = RichProgress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _RateColumn(what),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[message]}"),
+        console=console or Console(stderr=True),
+    )
+    with bar:
+        yield ProgressBar(bar, bar.add_task(what, total=total, message=""))
+
+
+def _rate(per_s: float) -> str:
+    return f"{per_s:,.0f}" if per_s >= 100 else f"{per_s:.3g}"
+
+
+def _value(value: Any, form: str, factor: float = 1.0) -> str:
+    return "-" if pd.isna(value) else format(factor * float(value), form)
