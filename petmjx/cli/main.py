@@ -1,0 +1,107 @@
+"""The application, and what becomes of errors: one line on standard error and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Annotated
+
+import typer
+
+from petmjx import __version__
+from petmjx.cli import score, tools
+from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+
+
+class ExitCode(IntEnum):
+    """What the command's exit code says. Verdicts do not matter for it."""
+
+    OK = 0
+    FAILURE = 1
+    UNUSABLE = 2
+    INTERRUPTED = 130
+
+
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
+"""Click's UsageError, wherever this version of typer keeps it."""
+
+_DEBUG_VARIABLE = "PETMJX_DEBUG"
+
+app = typer.Typer(
+    name="petmjx",
+    help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
+    epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["--help", "-h"]},
+)
+app.command("score")(score.score)
+app.command("compare")(tools.compare)
+app.command("samples")(tools.samples)
+app.command("export")(tools.export)
+app.command("doctor")(tools.doctor)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"petmjx {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", envvar=_DEBUG_VARIABLE, help="Show the traceback of an error.")
+    ] = False,
+) -> None:
+    """Options before the command."""
+    if debug:
+        os.environ[_DEBUG_VARIABLE] = "1"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Args:
+        arguments: without the program's name; None: the process's own.
+    """
+    try:
+        result = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+        return int(result or ExitCode.OK)
+    except KeyboardInterrupt as interrupt:
+        return _report(f"interrupted{_detail(interrupt)}", ExitCode.INTERRUPTED)
+    except (InputError, EngineUnavailable) as error:
+        return _report(str(error), ExitCode.UNUSABLE)
+    except PetmjxError as error:
+        return _report(str(error), ExitCode.FAILURE)
+    except _USAGE_ERROR as error:
+        message = getattr(error, "format_message", error.__str__)()
+        return _report(f"{message} (petmjx --help tells the options)" if message else "", ExitCode.UNUSABLE)
+    except BrokenPipeError:
+        # the reader of a pipe has gone (petmjx … | head); what Python flushes at exit must not complain again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.OK
+    except Exception as error:
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        return _report(f"failure inside petmjx: {text}; petmjx --debug … shows where", ExitCode.FAILURE)
+
+
+def _report(message: str, code: ExitCode) -> int:
+    """Print one line to standard error (the traceback before it with --debug)."""
+    if os.environ.get(_DEBUG_VARIABLE) == "1" and code is not ExitCode.INTERRUPTED:
+        import traceback
+
+        traceback.print_exc()
+    if message:
+        print(f"petmjx: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def _detail(interrupt: KeyboardInterrupt) -> str:
+    return f": {interrupt.args[0]}" if interrupt.args else ""

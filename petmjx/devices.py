@@ -1,0 +1,82 @@
+"""What this machine has: CPU threads, CUDA devices, package versions. Nothing here imports jax at module level."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import importlib.metadata
+import importlib.util
+import os
+import platform
+from pathlib import Path
+
+PACKAGES = ("petmjx", "mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
+"""Packages whose versions are written beside every result."""
+
+_NAME_BYTES = 128
+
+
+def cpu_threads() -> int:
+    """Threads this process may use at once (its CPU affinity, where the system tells)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def cpu_name() -> str:
+    """The processor's marketing name, or the architecture where the system does not tell."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+@functools.cache
+def cuda_devices() -> tuple[str, ...]:
+    """Names of the CUDA devices, asked of the driver itself: takes milliseconds, allocates nothing on them."""
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return ()
+    count = ctypes.c_int(0)
+    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0:
+        return ()
+    names = []
+    for ordinal in range(count.value):
+        device = ctypes.c_int(0)
+        name = ctypes.create_string_buffer(_NAME_BYTES)
+        if driver.cuDeviceGet(ctypes.byref(device), ordinal) == 0:
+            driver.cuDeviceGetName(name, _NAME_BYTES, device)
+        names.append(name.value.decode(errors="replace") or "unknown CUDA device")
+    return tuple(names)
+
+
+def package_versions() -> dict[str, str]:
+    """Package → version of what results depend on; packages that are not installed are left out."""
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def why_no_warp() -> str | None:
+    """Why mjx-warp cannot run here, cheapest check first; None where it can.
+
+    Imports jax only where a CUDA device and Warp are present.
+    """
+    if not cuda_devices():
+        return "no CUDA device (or no driver) on this machine"
+    if importlib.util.find_spec("warp") is None:
+        return "Warp is not installed: pip install 'petmjx[cuda]'"
+    import jax
+
+    try:
+        jax.devices("cuda")
+    except RuntimeError as error:
+        return f"jax sees no CUDA device: {' '.join(str(error).split())}; pip install 'petmjx[cuda]'"
+    return None

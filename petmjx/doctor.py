@@ -1,0 +1,123 @@
+"""What ``petmjx doctor`` reports: versions, devices, which engines work here and why not, where caches are."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from petmjx.config import SimConfig
+from petmjx.devices import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
+from petmjx.errors import EngineUnavailable
+from petmjx.outcome import Job, Verdict
+from petmjx.plans import Plan
+from petmjx.scene import build_scene
+from petmjx.select import ENGINES, make_engine
+
+
+@dataclass(frozen=True)
+class EngineReport:
+    """Whether an engine works here, and in one line what it runs on or why it does not."""
+
+    name: str
+    works: bool
+    detail: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything the doctor found.
+
+    Attributes:
+        versions: package → version; petmjx's and its dependencies', Python first.
+        devices: CPU and GPUs, one line each.
+        engines: one report each.
+        caches: what is cached → folder, and whether it is there.
+    """
+
+    versions: dict[str, str]
+    devices: tuple[str, ...]
+    engines: tuple[EngineReport, ...]
+    caches: dict[str, str]
+
+
+def examine() -> Report:
+    """Look at this machine. The ``mujoco`` engine scores a one-box plan, which takes milliseconds."""
+    return Report(
+        versions={
+            "python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})",
+            **package_versions(),
+        },
+        devices=(f"CPU: {cpu_name()}, {cpu_threads()} threads", *(f"GPU: {name}" for name in cuda_devices())),
+        engines=tuple(_examine_engine(name, check) for name, check in _CHECKS.items()),
+        caches={"JAX programs": _jax_cache(), "Warp kernels": _warp_cache()},
+    )
+
+
+def _examine_engine(name: str, check: Callable[[], str]) -> EngineReport:
+    try:
+        return EngineReport(name, True, check())
+    except (EngineUnavailable, ImportError, RuntimeError) as error:
+        return EngineReport(name, False, " ".join(str(error).split()))
+
+
+def _check_mujoco() -> str:
+    sim = SimConfig()
+    engine = make_engine("mujoco", threads=1)
+    [outcome] = engine.run([Job(build_scene(_one_box(), sim.physics))], sim)
+    if outcome.verdict is not Verdict.STABLE:
+        raise RuntimeError(f"a single box came out {outcome.verdict.value} {outcome.reason.value}")
+    return f"{cpu_threads()} CPU threads; a single box stands after {outcome.n_steps} steps"
+
+
+def _check_mjx_jax() -> str:
+    import jax
+
+    make_engine("mjx-jax")
+    devices = jax.devices()
+    return f"jax on {devices[0].platform}: {', '.join(sorted({d.device_kind for d in devices}))}"
+
+
+def _check_mjx_warp() -> str:
+    if problem := why_no_warp():
+        raise EngineUnavailable(problem)
+    make_engine("mjx-warp")
+    return f"Warp on {', '.join(cuda_devices())}"
+
+
+_CHECKS: dict[str, Callable[[], str]] = dict(
+    zip(ENGINES, (_check_mujoco, _check_mjx_jax, _check_mjx_warp), strict=True)
+)
+
+
+def _one_box() -> Plan:
+    return Plan(
+        plan_id="doctor",
+        source="doctor",
+        size_mm=np.array([[300.0, 200.0, 150.0]]),
+        corner_mm=np.zeros((1, 3)),
+        mass_kg=np.array([5.0]),
+        item_ids=("box",),
+        articles=("box",),
+        sequence=np.array([1], dtype=np.int64),
+    )
+
+
+def _jax_cache() -> str:
+    return _folder(os.environ.get("JAX_COMPILATION_CACHE_DIR"), "set JAX_COMPILATION_CACHE_DIR to have one")
+
+
+def _warp_cache() -> str:
+    default = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "warp"
+    return _folder(os.environ.get("WARP_CACHE_PATH", str(default)), "")
+
+
+def _folder(path: str | None, otherwise: str) -> str:
+    if not path:
+        return f"none; {otherwise}"
+    return path if Path(path).is_dir() else f"{path} (not there yet)"
