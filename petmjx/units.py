@@ -1,0 +1,44 @@
+"""The one place where units are converted. Inside petmjx everything is SI; plans come in millimetres."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MM_PER_M = 1000.0
+MICROMETRES_PER_M = 1_000_000.0
+
+STANDARD_GRAVITY = 9.81
+"""m/s², the value of the reference implementation; levels given in g are multiples of it."""
+
+
+def mm_to_m(value_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Millimetres → metres."""
+    return value_mm / MM_PER_M
+
+
+def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Round metres half-up to 1 µm, as the reference implementation writes its models.
+
+    The product is first rounded to a thousandth of a micrometre, so that a value such as 0.1234565 m,
+    whose float64 lies a hair below the half, still rounds up as its decimal notation says.
+    """
+    micrometres: NDArray[Any] = np.round(value_m * MICROMETRES_PER_M, 3)
+    return np.floor(micrometres + 0.5) / MICROMETRES_PER_M
+
+
+def seconds_to_steps(duration_s: float, timestep_s: float) -> int:
+    """Number of whole steps in a duration: ``int(duration / timestep)``, the reference's rule.
+
+    Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps; a run that
+    is to be compared with the reference to the last digit has to count the same way.
+    """
+    return int(duration_s / timestep_s)
+
+
+def deg_to_rad(angle_deg: float) -> float:
+    """Degrees → radians."""
+    return math.radians(angle_deg)
