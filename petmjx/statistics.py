@@ -1,0 +1,314 @@
+"""Answers from many worlds: shares with intervals, largest levels survived, and EUMOS's own limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from petmjx.outcome import BoxMetrics, FloatArray, Outcome, Reason, Verdict
+
+DEFAULT_CONFIDENCE = 0.95
+
+ALL_PLANS = "*"
+"""``plan_id`` of summary rows over all plans together."""
+
+SUMMARY_UNITS = {"n_worlds": "1", "n_standing": "1", "n_invalid": "1", "share": "1", "low": "1", "high": "1"}
+"""Units of the summary's number columns."""
+
+
+def wilson_interval(
+    successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
+) -> tuple[FloatArray, FloatArray]:
+    """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
+
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It stays inside [0, 1] and is honest at shares of
+    0 and 1, where the usual ± interval has no width.
+
+    Raises:
+        ValueError: successes outside 0 … n, or a confidence outside (0, 1).
+    """
+    k, total = np.broadcast_arrays(np.asarray(successes, dtype=np.float64), np.asarray(n, dtype=np.float64))
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence must be between 0 and 1, got {confidence}")
+    if np.any(k < 0) or np.any(k > total):
+        raise ValueError("successes must be between 0 and n")
+    z = NormalDist().inv_cdf(0.5 + confidence / 2)
+    known = np.maximum(total, 1.0)
+    share = k / known
+    centre = (share + z * z / (2 * known)) / (1 + z * z / known)
+    half = z / (1 + z * z / known) * np.sqrt(share * (1 - share) / known + z * z / (4 * known * known))
+    # At shares of 0 and 1 the bound is exactly that share; rounding must not move it.
+    low = np.where((total == 0) | (k == 0), 0.0, centre - half)
+    high = np.where((total == 0) | (k == total), 1.0, centre + half)
+    return low, high
+
+
+def share_standing(
+    worlds: pd.DataFrame, axes: Sequence[str], confidence: float = DEFAULT_CONFIDENCE, per_plan: bool = True
+) -> pd.DataFrame:
+    """The share of worlds that stand, for every value of every axis, with its Wilson interval.
+
+    Invalid worlds say nothing about the pallet: they are counted apart and left out of the share. Worlds
+    without a value on an axis (the nominal one) do not count there.
+
+    Args:
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis.
+        axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
+        per_plan: one row a plan too, beside the row over all plans (``plan_id`` "*").
+
+    Returns:
+        Columns plan_id, axis, value (text), n_worlds, n_standing, n_invalid, share, low, high; a row with
+        axis "" sums over everything.
+    """
+    frame = worlds.assign(
+        standing=worlds["verdict"].astype(str) == str(Verdict.STABLE),
+        invalid=worlds["verdict"].astype(str) == str(Verdict.INVALID),
+    )
+    scopes = [frame.assign(plan_id=ALL_PLANS)]
+    if per_plan:
+        scopes.append(frame)
+    rows = []
+    for scope in scopes:
+        for axis in ("", *axes):
+            keys = ["plan_id", axis] if axis else ["plan_id"]
+            for key, part in scope.groupby(keys, sort=True, observed=True):
+                row = {"plan_id": key[0], "axis": axis, "value": _text(key[1]) if axis else ""}
+                counts = {
+                    "n_worlds": len(part),
+                    "n_standing": part["standing"].sum(),
+                    "n_invalid": part["invalid"].sum(),
+                }
+                rows.append({**row, **counts})
+    columns = ["plan_id", "axis", "value", "n_worlds", "n_standing", "n_invalid"]
+    summary = pd.DataFrame(rows, columns=columns).astype(dict.fromkeys(columns[3:], "int64"))
+    judged = summary["n_worlds"] - summary["n_invalid"]
+    low, high = wilson_interval(summary["n_standing"].to_numpy(), judged.to_numpy(), confidence)
+    with np.errstate(invalid="ignore"):
+        share = summary["n_standing"].to_numpy() / np.where(judged > 0, judged, np.nan)
+    return summary.assign(share=share, low=low, high=high)
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
+"""Reason of an unstable world → how it failed, in words of a search's answer."""
+
+
+def failure_mode(outcome: Outcome) -> str:
+    """ "slide", "tilt" or "drop" for unstable worlds, the reason itself for invalid ones, "" for stable ones.
+
+    The reason is the gravest sign of the whole run (drop before tilt before shift). At the lowest level that
+    fails, which is where a search reads it, the gravest sign is as a rule also the first.
+    """
+    return MODES.get(outcome.reason, str(outcome.reason))
+
+
+class Bisection:
+    """Search for the largest level survived, for many items (placement × profile × direction) at once.
+
+    Levels lie on a common grid, so an answer is exact to the grid's step, and the same levels are tested
+    whatever the order of answers. Each round tests up to ``sections`` levels an item, evenly spread between
+    the largest survived and the smallest failed: a device likes fewer, larger rounds.
+
+    It takes for granted that what survives a level survives all lower ones. A pallet need not: a stronger
+    push may throw a box against its neighbour and jam it. Where a tested level survived above one that
+    failed, the answer is the largest level below every failure, and ``monotone`` is False for that item.
+
+    Args:
+        levels: (n_levels,) rising; g, or scale.
+        n_items: number of searches.
+        stands_at_rest: (n_items,) which items stood before any profile; the others are through at once,
+            with nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
+        sections: levels tested per item and round, ≥ 1; 1 is plain bisection.
+    """
+
+    def __init__(
+        self, levels: ArrayLike, n_items: int, stands_at_rest: ArrayLike | None = None, sections: int = 3
+    ) -> None:
+        self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
+        if self.levels.ndim != 1 or len(self.levels) < 1 or np.any(np.diff(self.levels) <= 0):
+            raise ValueError("levels must be a rising list of at least one level")
+        if sections < 1:
+            raise ValueError(f"sections must be ≥ 1, got {sections}")
+        stands = np.ones(n_items, dtype=bool) if stands_at_rest is None else np.asarray(stands_at_rest, dtype=bool)
+        if stands.shape != (n_items,):
+            raise ValueError(f"stands_at_rest must have one entry for each of {n_items} items")
+        self.sections = sections
+        known_survived = 0 if self.levels[0] == 0 else -1
+        self._stands = stands
+        self._survived: NDArray[np.int64] = np.where(stands, known_survived, -1).astype(np.int64)
+        self._failed: NDArray[np.int64] = np.where(stands, len(self.levels), 0).astype(np.int64)
+        self._best_seen = self._survived.copy()
+        self._mode = np.full(n_items, "", dtype=object)
+        self._box = np.full(n_items, -1, dtype=np.int64)
+        self._invalid = np.zeros(n_items, dtype=np.int64)
+        self._tests = np.zeros(n_items, dtype=np.int64)
+        self.rounds = 0
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """(n_items,) whose largest level survived is known to the grid's step."""
+        done: NDArray[np.bool_] = self._failed - self._survived <= 1
+        return done
+
+    @property
+    def done(self) -> bool:
+        return bool(self.converged.all())
+
+    def next_tests(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(items, level indices) of the next round, item by item; both empty when all have converged."""
+        items, indices = [], []
+        for item in np.flatnonzero(~self.converged):
+            low, high = int(self._survived[item]), int(self._failed[item])
+            open_levels = high - low - 1
+            count = min(self.sections, open_levels)
+            inner = low + np.round(np.arange(1, count + 1) * (open_levels + 1) / (count + 1)).astype(np.int64)
+            items.append(np.full(count, item))
+            indices.append(inner)
+        if not items:
+            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        return np.concatenate(items).astype(np.int64), np.concatenate(indices)
+
+    def record(
+        self,
+        items: ArrayLike,
+        level_indices: ArrayLike,
+        outcomes: Sequence[Outcome] | None = None,
+        *,
+        survived: ArrayLike | None = None,
+        modes: Sequence[str] | None = None,
+        boxes: ArrayLike | None = None,
+    ) -> None:
+        """What came of a round's tests, given as outcomes or as plain arrays (survived, failure modes, boxes).
+
+        A world without a verdict that can be believed has not survived: its mode is why it is invalid.
+        """
+        item_list = np.asarray(items, dtype=np.int64)
+        index_list = np.asarray(level_indices, dtype=np.int64)
+        if outcomes is not None:
+            survived = [outcome.verdict is Verdict.STABLE for outcome in outcomes]
+            modes = [failure_mode(outcome) for outcome in outcomes]
+            boxes = [outcome.culprit for outcome in outcomes]
+            np.add.at(self._invalid, item_list, [outcome.verdict is Verdict.INVALID for outcome in outcomes])
+        if survived is None:
+            raise ValueError("record needs outcomes or survived")
+        lived = np.asarray(survived, dtype=bool)
+        mode_list = list(modes) if modes is not None else [""] * len(item_list)
+        box_list = np.asarray(boxes if boxes is not None else np.full(len(item_list), -1), dtype=np.int64)
+        if not len(item_list) == len(index_list) == len(lived) == len(mode_list) == len(box_list):
+            raise ValueError("record needs one answer for each test")
+        np.add.at(self._tests, item_list, 1)
+        # Failures first: a survivor above a failure must not raise the answer.
+        for test in np.flatnonzero(~lived):
+            item = item_list[test]
+            if index_list[test] < self._failed[item]:
+                self._failed[item] = index_list[test]
+                self._mode[item], self._box[item] = mode_list[test], box_list[test]
+        np.maximum.at(self._best_seen, item_list[lived], index_list[lived])
+        below = lived & (index_list < self._failed[item_list])
+        np.maximum.at(self._survived, item_list[below], index_list[below])
+        self.rounds += 1
+
+    def result(self) -> pd.DataFrame:
+        """One row an item: stands_at_rest, largest_survived (NaN: none), first_failed (NaN: none up to the
+        highest level), box and mode of that failure, monotone, n_tests, n_invalid, converged."""
+        survived, failed = self._survived, self._failed
+        top = len(self.levels) - 1
+        has_failed = self._stands & (failed <= top)
+        return pd.DataFrame(
+            {
+                "stands_at_rest": self._stands,
+                "largest_survived": np.where(survived >= 0, self.levels[np.maximum(survived, 0)], np.nan),
+                "first_failed": np.where(has_failed, self.levels[np.minimum(failed, top)], np.nan),
+                "box": self._box,
+                "mode": self._mode.astype(str),
+                "monotone": self._best_seen <= failed,
+                "n_tests": self._tests,
+                "n_invalid": self._invalid,
+                "converged": self.converged,
+            }
+        )
+
+
+EUMOS_ELASTIC_SHARE = 0.10
+"""Largest displacement during the test as a share of the load's height."""
+EUMOS_PERMANENT_SHARE = 0.05
+"""Largest displacement left after the test as a share of the load's height."""
+EUMOS_FOOT_HEIGHT_M = 0.20
+EUMOS_FOOT_PERMANENT_M = 0.04
+"""Largest displacement left after the test in the lowest 20 cm."""
+
+
+@dataclass(frozen=True)
+class EumosAssessment:
+    """EUMOS 40509:2020's criteria for one world, beside petmjx's own thresholds.
+
+    Attributes:
+        load_height_m: top of the settled load above the carrier.
+        elastic_share: largest horizontal displacement of a box during the test ÷ load height; the part that
+            stays is included, as on film the two cannot be told apart until the end.
+        permanent_share: largest horizontal displacement left ÷ load height.
+        foot_permanent_m: the same in metres, among boxes that reach into the lowest 20 cm; 0 if there is none.
+        dropped: whether a box fell; no standard accepts that, however small the shares.
+    """
+
+    load_height_m: float
+    elastic_share: float
+    permanent_share: float
+    foot_permanent_m: float
+    dropped: bool
+
+    @property
+    def elastic_ok(self) -> bool:
+        return self.elastic_share <= EUMOS_ELASTIC_SHARE
+
+    @property
+    def permanent_ok(self) -> bool:
+        return self.permanent_share <= EUMOS_PERMANENT_SHARE and self.foot_permanent_m <= EUMOS_FOOT_PERMANENT_M
+
+    @property
+    def passed(self) -> bool:
+        """False too where a figure is NaN, because the profile never ran to its end."""
+        return self.elastic_ok and self.permanent_ok and not self.dropped
+
+    def columns(self) -> dict[str, Any]:
+        """As columns of a result table, units in the names."""
+        return {
+            "eumos_elastic_share": self.elastic_share,
+            "eumos_permanent_share": self.permanent_share,
+            "eumos_foot_permanent_m": self.foot_permanent_m,
+            "eumos_passed": self.passed,
+        }
+
+
+def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> EumosAssessment:
+    """Apply EUMOS 40509:2020's limits to one world that has been through the test.
+
+    Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
+    of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from where
+    they had settled; the load's height counts from the carrier's top, z = 0. Source: EUMOS 40509:2020,
+    criteria as published by ESTL, the laboratory behind the standard.
+
+    Args:
+        settled_pos: (n, 3) centres before the profile, m.
+        half_size: (n, 3) half extents, m.
+    """
+    bottom = settled_pos[:, 2] - half_size[:, 2]
+    height = float((settled_pos[:, 2] + half_size[:, 2]).max())
+    permanent = np.linalg.norm(boxes.pos[:, :2] - settled_pos[:, :2], axis=1)
+    foot = bottom < EUMOS_FOOT_HEIGHT_M
+    return EumosAssessment(
+        load_height_m=height,
+        elastic_share=float(np.max(boxes.max_sway_m)) / height,
+        permanent_share=float(permanent.max()) / height,
+        foot_permanent_m=float(permanent[foot].max(initial=0.0)),
+        dropped=bool(boxes.dropped.any()),
+    )
