@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated
 
@@ -27,7 +28,15 @@ class ExitCode(IntEnum):
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
 """Click's UsageError, wherever this version of typer keeps it."""
 
-_DEBUG_VARIABLE = "PETMJX_DEBUG"
+
+@dataclass
+class _Settings:
+    """What the options before the command ask for."""
+
+    debug: bool = False
+
+
+_SETTINGS = _Settings()
 
 app = typer.Typer(
     name="petmjx",
@@ -57,12 +66,11 @@ def options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
     debug: Annotated[
-        bool, typer.Option("--debug", envvar=_DEBUG_VARIABLE, help="Show the traceback of an error.")
+        bool, typer.Option("--debug", envvar="PETMJX_DEBUG", help="Show the traceback of an error.")
     ] = False,
 ) -> None:
     """Options before the command."""
-    if debug:
-        os.environ[_DEBUG_VARIABLE] = "1"
+    _SETTINGS.debug = debug
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -71,11 +79,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: without the program's name; None: the process's own.
     """
+    _SETTINGS.debug = False
     try:
         result = app(args=None if arguments is None else list(arguments), standalone_mode=False)
         return int(result or ExitCode.OK)
-    except KeyboardInterrupt as interrupt:
-        return _report(f"interrupted{_detail(interrupt)}", ExitCode.INTERRUPTED)
+    except KeyboardInterrupt:
+        return _report("interrupted", ExitCode.INTERRUPTED)
+    except score.Interrupted as interrupt:
+        return _report(f"interrupted: {interrupt}", ExitCode.INTERRUPTED)
     except (InputError, EngineUnavailable) as error:
         return _report(str(error), ExitCode.UNUSABLE)
     except PetmjxError as error:
@@ -94,14 +105,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _report(message: str, code: ExitCode) -> int:
     """Print one line to standard error (the traceback before it with --debug)."""
-    if os.environ.get(_DEBUG_VARIABLE) == "1" and code is not ExitCode.INTERRUPTED:
+    if _SETTINGS.debug and code is not ExitCode.INTERRUPTED:
         import traceback
 
         traceback.print_exc()
     if message:
         print(f"petmjx: {' '.join(message.split())}", file=sys.stderr)
     return code
-
-
-def _detail(interrupt: KeyboardInterrupt) -> str:
-    return f": {interrupt.args[0]}" if interrupt.args else ""

@@ -88,8 +88,12 @@ def score(
                 watcher=watcher,
             )
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(_how_far(folder, watcher.total)) from None
+        raise Interrupted(_how_far(folder, watcher.total)) from None
     _show(results, as_json)
+
+
+class Interrupted(Exception):
+    """Ctrl-C, with how far the run came. (A bare KeyboardInterrupt would end inside typer, without a word.)"""
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
