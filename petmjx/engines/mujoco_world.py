@@ -178,10 +178,7 @@ class WorldRun:
             if self._adaptive:
                 poll = self._sim.quiet.poll_steps
                 target = min(target, step + poll - step % poll)
-        if not self._driving:
-            target = min(target, self._drive_start)
-        else:
-            target = min(target, self._next_drive_change())
+        target = min(target, self._next_drive_change() if self._driving else self._drive_start)
         window = self._end - self._rest_steps
         return min(target, step + 1 if step >= window else window)
 
@@ -204,8 +201,9 @@ class WorldRun:
             self._metrics.add_rest(force)
         if not sampled:
             return True
-        pose, acc = live.pose[:k], live.qacc[:k]
-        sample = Sample(self._clock.time_s(step), pose[:, :3], pose[:, 3:], acc[:, :3], acc[:, 3:], force)
+        pos, quat = live.sampled_pose()
+        acc = live.qacc[:k]
+        sample = Sample(self._clock.time_s(step), pos, quat, acc[:, :3], acc[:, 3:], force)
         landed = step - self._last_placement >= self._sim.quiet.min_steps
         if self._metrics.add_sample(sample, explosions=landed and not self._driving):
             self._flags |= Flag.EXPLOSION

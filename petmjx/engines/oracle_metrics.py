@@ -73,7 +73,7 @@ def tilt_deg(quat: FloatArray) -> FloatArray:
     x, y = quat[:, 1], quat[:, 2]
     # The sine of the half angle is accurate near 0, where the cosine of the full angle is not.
     half_sine = np.sqrt(np.minimum((x * x + y * y) / np.einsum("ij,ij->i", quat, quat), 1.0))
-    return np.degrees(2.0 * np.arcsin(half_sine))
+    return np.asarray(np.degrees(2.0 * np.arcsin(half_sine)))
 
 
 def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:
@@ -86,7 +86,10 @@ def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatA
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What is looked at after one step: the k placed boxes' poses, accelerations and top forces."""
+    """What is looked at after one step: the k placed boxes' poses, accelerations and top forces.
+
+    All belong to the start of that step, where MuJoCo evaluates contacts and accelerations.
+    """
 
     time_s: float
     pos: FloatArray

@@ -1,0 +1,72 @@
+"""Which capacities the stages of a run have: chosen from the plans' sizes, not a fixed list."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+GRANULE = 4
+"""Capacities are multiples of this, so that runs over different plan files share compiled programs."""
+
+FIXED_COST_BOXES = 6.0
+"""A step at capacity C costs about as (C + this)²: the square of spec section 8's table plus what a step costs
+with no box at all."""
+
+
+def step_cost(capacity: int) -> float:
+    """Relative cost of one step of one lane at a capacity."""
+    return (capacity + FIXED_COST_BOXES) ** 2
+
+
+def growing_capacities(sizes: Sequence[int], max_stages: int) -> list[int]:
+    """Capacities of the stages through which every plan grows, smallest first; the last holds the largest plan.
+
+    The work below a capacity is the number of boxes, over all plans, that are placed by its end.
+
+    Args:
+        sizes: number of boxes of each plan.
+        max_stages: at most so many; each stage is one compiled program.
+    """
+    counts = np.asarray(sizes)
+    top = _round_up(int(counts.max()))
+    work = {capacity: int(np.minimum(counts, capacity).sum()) for capacity in range(0, top + 1, GRANULE)}
+    return _cheapest_chain(work, max_stages)
+
+
+def class_capacities(sizes: Sequence[int], max_classes: int) -> list[int]:
+    """Capacities for stages in which a world stays in its size class from begin to end (static, profiles).
+
+    The work below a capacity is the number of plans that fit into it.
+    """
+    counts = np.asarray(sizes)
+    work = {capacity: int((counts <= capacity).sum()) for capacity in {0, *map(_round_up, counts.tolist())}}
+    return _cheapest_chain(work, max_classes)
+
+
+def _cheapest_chain(work: dict[int, int], max_stages: int) -> list[int]:
+    """Capacities up to the largest that minimise Σ (work between two neighbours) × (cost of a step at the upper one).
+
+    Dynamic programming over (stages used, last capacity). ``work`` maps each candidate capacity, and 0, to the
+    cumulative work up to it.
+    """
+    ordered = sorted(work)
+    best: dict[int, tuple[float, list[int]]] = {ordered[0]: (0.0, [])}
+    finished: list[tuple[float, list[int]]] = []
+    for _ in range(max_stages):
+        best = {
+            upper: min(
+                (cost + (work[upper] - work[lower]) * step_cost(upper), [*chain, upper])
+                for lower, (cost, chain) in best.items()
+                if lower < upper
+            )
+            for upper in ordered
+            if any(lower < upper for lower in best)
+        }
+        if ordered[-1] in best:
+            finished.append(best[ordered[-1]])
+    return min(finished)[1]
+
+
+def _round_up(n: int) -> int:
+    return -(-n // GRANULE) * GRANULE

@@ -1,0 +1,91 @@
+"""Engine ``mjx-jax``: MJX in pure JAX. For tests and for machines where nothing else runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from jaxtyping import Array, Float, Int
+from mujoco import mjx
+
+from petmjx.config import Cone, Physics, Solver
+from petmjx.engines.mjx import MjxEngine
+from petmjx.engines.template import FIRST_BOX_GEOM, padded_template
+from petmjx.metrics.force import contact_force_z, pressed_box
+
+TOLERANCE = 1e-6
+"""Relative solver tolerance. MuJoCo's 1e-8 is below what float32 resolves, and would cost iterations for nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class JaxStepper:
+    """Steps lanes with ``mjx.step`` under ``vmap``. Contacts have fixed slots, so nothing can overflow."""
+
+    template: mujoco.MjModel
+    lanes: int
+    physics: Physics
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", mjx.put_model(self.template, impl="jax"))
+
+    model: Any = None
+
+    def scratch(self) -> Any:
+        one = mjx.make_data(self.template, impl="jax")
+        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (self.lanes, *jnp.shape(leaf))), one)
+
+    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: Any) -> Any:
+        def one_lane(fields: dict[str, jax.Array], data: Any) -> Any:
+            return mjx.step(self.model.tree_replace(fields), data)
+
+        return jax.vmap(one_lane)(overrides, scratch.replace(**inputs))
+
+    def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
+        contact = scratch._impl.contact
+        pyramidal = self.physics.cone is Cone.PYRAMIDAL
+        rows_per_contact = 4 if pyramidal else 3
+        geom = contact.geom[0]
+        # Every candidate contact owns the same rows in every lane; inactive ones carry no force.
+        row = jnp.asarray(contact.efc_address)[:, None] + jnp.arange(rows_per_contact)
+        rows = scratch._impl.efc_force[:, row]
+        rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))
+        force = contact_force_z(rows, contact.frame[..., 2], contact.friction[..., :2], pyramidal=pyramidal)
+        geom_z = scratch.geom_xpos[..., 2][:, geom]
+        geom = jnp.broadcast_to(geom, geom_z.shape)
+        box, sign, counts = pressed_box(geom, geom_z, contact.frame[..., 0, 2], FIRST_BOX_GEOM)
+        capacity = self.template.ngeom - FIRST_BOX_GEOM
+        lane = jnp.arange(self.lanes)[:, None]
+        return (
+            jnp.zeros((self.lanes, capacity))
+            .at[lane, jnp.where(counts, box, capacity)]
+            .add(jnp.where(counts, sign * force, 0.0), mode="drop")
+        )
+
+    def overflow(self, scratch: Any) -> Int[Array, " lane"]:
+        return jnp.zeros(self.lanes, jnp.int32)
+
+    def usage(self, scratch: Any) -> Int[Array, " 2"]:
+        return jnp.zeros(2, jnp.int32)
+
+
+class MjxJaxEngine(MjxEngine):
+    """Batched MJX in pure JAX, on whatever device JAX has."""
+
+    name = "mjx-jax"
+
+    def make_stepper(
+        self, capacity: int, lanes: int, physics: Physics, *, held: bool, solver: Solver, growth: int
+    ) -> JaxStepper:
+        template = padded_template(
+            capacity,
+            physics,
+            held=held,
+            solver=solver,
+            tolerance=TOLERANCE,
+            iterations=self.iterations,
+            native_ccd=True,
+        )
+        return JaxStepper(template, lanes, physics)

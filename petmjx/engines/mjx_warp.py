@@ -1,0 +1,117 @@
+"""Engine ``mjx-warp``: MJX stepping with NVIDIA Warp's kernels. The fast one; everything private to it is here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from jaxtyping import Array, Float, Int
+from mujoco import mjx
+
+from petmjx.config import Cone, Physics, Solver
+from petmjx.engines.mjx import MjxEngine
+from petmjx.engines.template import FIRST_BOX_GEOM, padded_template
+from petmjx.metrics.force import contact_force_z, pressed_box
+from petmjx.outcome import Flag
+
+TOLERANCE = {Cone.ELLIPTIC: 1e-6, Cone.PYRAMIDAL: 1e-2}
+"""Relative solver tolerance. With pyramidal cones float32 needs many iterations for digits no verdict depends on;
+1e-2 moves a settled full stack by 0.1 mm. With elliptic cones a looser one gains nothing (benchmarks/README.md)."""
+
+CONTACTS_PER_BOX = 8
+"""Contacts reserved per box, averaged over lanes (one pool serves all): full real pallets have 4.5."""
+
+ROWS_PER_BOX = {Cone.ELLIPTIC: 30, Cone.PYRAMIDAL: 40}
+"""Constraint rows reserved per box in each lane: full real pallets have 14 and 19; collapsing ones more."""
+
+# Bits of mujoco_warp's overflow mask (its OverflowType). Reaching an iteration limit is no truncation: the
+# accelerations are then less exact, not wrong, as in C MuJoCo.
+_ROWS = 0b1 | 0b10 | 1 << 7
+_CONTACTS = 1 << 2 | 1 << 3
+_LIMITS = 1 << 9 | 1 << 10
+
+
+@dataclass(frozen=True, eq=False)
+class WarpStepper:
+    """Steps lanes with MJX's Warp implementation. Contacts of all lanes share one pool.
+
+    Args:
+        contacts: size of the pool, all lanes together.
+        rows: constraint rows of one lane.
+    """
+
+    template: mujoco.MjModel
+    lanes: int
+    physics: Physics
+    contacts: int
+    rows: int
+    model: Any = None
+
+    def __post_init__(self) -> None:
+        model = mjx.put_model(self.template, impl="warp")
+        object.__setattr__(self, "model", model.tree_replace({"opt._impl.warn_overflow": 0}))
+
+    def scratch(self) -> Any:
+        one = mjx.make_data(self.template, impl="warp", naconmax=self.contacts, njmax=self.rows)
+        return jax.jit(jax.vmap(lambda _: one))(jnp.arange(self.lanes))
+
+    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: Any) -> Any:
+        def one_lane(fields: dict[str, jax.Array], data: Any) -> Any:
+            return mjx.step(self.model.tree_replace(fields), data)
+
+        clean = scratch.replace(**inputs).tree_replace({"_impl.overflow": jnp.zeros(self.lanes, jnp.int32)})
+        return jax.vmap(one_lane)(overrides, clean)
+
+    def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
+        pool = scratch._impl
+        pyramidal = self.physics.cone is Cone.PYRAMIDAL
+        address = pool.contact__efc_address[:, : 4 if pyramidal else 3]
+        used = (jnp.arange(self.contacts) < pool.nacon[0]) & (address[:, 0] >= 0)
+        lane = jnp.where(used, pool.contact__worldid, 0)
+        rows = pool.efc__force[lane[:, None], jnp.clip(address, 0, self.rows - 1)]
+        rows = jnp.pad(rows, ((0, 0), (0, 4 - address.shape[1])))
+        frame_z = pool.contact__frame[..., 2]
+        force = contact_force_z(rows, frame_z, pool.contact__friction[:, :2], pyramidal=pyramidal)
+        geom = jnp.where(used[:, None], pool.contact__geom, 0)
+        geom_z = scratch.geom_xpos[lane[:, None], geom, 2]
+        box, sign, counts = pressed_box(geom, geom_z, frame_z[:, 0], FIRST_BOX_GEOM)
+        counts = counts & used
+        capacity = self.template.ngeom - FIRST_BOX_GEOM
+        flat = jnp.where(counts, lane * capacity + box, self.lanes * capacity)
+        total = jax.ops.segment_sum(jnp.where(counts, sign * force, 0.0), flat, self.lanes * capacity + 1)
+        return total[:-1].reshape(self.lanes, capacity)
+
+    def overflow(self, scratch: Any) -> Int[Array, " lane"]:
+        mask = scratch._impl.overflow
+        flags = jnp.where(mask & _ROWS, int(Flag.CONSTRAINT_OVERFLOW), 0)
+        flags |= jnp.where(mask & _CONTACTS, int(Flag.CONTACT_OVERFLOW), 0)
+        other = mask & ~(_ROWS | _CONTACTS | _LIMITS)
+        return flags | jnp.where(other, int(Flag.OTHER_OVERFLOW), 0)
+
+    def usage(self, scratch: Any) -> Int[Array, " 2"]:
+        return jnp.stack([scratch._impl.nacon[0], scratch._impl.nefc.max()])
+
+
+class MjxWarpEngine(MjxEngine):
+    """Batched MJX on Warp's kernels: for CUDA devices (and, slowly, for tests on a CPU)."""
+
+    name = "mjx-warp"
+
+    def make_stepper(
+        self, capacity: int, lanes: int, physics: Physics, *, held: bool, solver: Solver, growth: int
+    ) -> WarpStepper:
+        template = padded_template(
+            capacity,
+            physics,
+            held=held,
+            solver=solver,
+            tolerance=TOLERANCE[physics.cone],
+            iterations=self.iterations,
+            native_ccd=False,
+        )
+        rows = ROWS_PER_BOX[physics.cone] * (capacity + 2) * growth
+        contacts = CONTACTS_PER_BOX * (capacity + 2) * lanes * growth
+        return WarpStepper(template, lanes, physics, contacts, rows)

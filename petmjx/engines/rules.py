@@ -1,0 +1,201 @@
+"""The rules of a run, one step of all lanes at a time: sampling, placing, resting, ending (spec, sections 4 and 5).
+
+Pure functions of states; nothing here knows how a step is taken. The C engine follows the same rules in its own
+words.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.config import Schedule, SimConfig
+from petmjx.engines.tables import NEVER, Metrics, State, Status, Worlds
+from petmjx.engines.template import parked_positions
+from petmjx.engines.timetable import Timetable
+from petmjx.metrics import motion
+from petmjx.outcome import Flag
+from petmjx.scene import IDENTITY_QUAT
+
+UNBELIEVABLE = 1e10
+"""MuJoCo calls positions and velocities beyond this bad (mjMAXVAL)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """The rules with their numbers. ``driven``: this stage shakes settled worlds instead of placing boxes."""
+
+    sim: SimConfig
+    timetable: Timetable
+    capacity: int
+    driven: bool
+
+    def parked_pose(self) -> Float[Array, "box 7"]:
+        """Poses of boxes that are not in play."""
+        quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
+        return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
+
+    def standing(self, state: State) -> Bool[Array, "lane box"]:
+        """Boxes in play: placed, in a world that runs."""
+        placed = jnp.arange(self.capacity) < state.placed[:, None]
+        return placed & state.running[:, None]
+
+    def park(self, state: State) -> State:
+        """Boxes that are not in play as the step is to see them: where they wait, at rest."""
+        standing = self.standing(state)[..., None]
+        return state._replace(
+            pose=jnp.where(standing, state.pose, self.parked_pose()),
+            vel=jnp.where(standing, state.vel, 0.0),
+            warm=jnp.where(standing, state.warm, 0.0),
+        )
+
+    def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " lane"]) -> State:
+        """Release the next box: at its release pose, at rest."""
+        chosen = ((jnp.arange(self.capacity) == state.placed[:, None]) & where[:, None])[..., None]
+        return state._replace(
+            pose=jnp.where(chosen, worlds.start, state.pose),
+            vel=jnp.where(chosen, 0.0, state.vel),
+            warm=jnp.where(chosen, 0.0, state.warm),
+            placed=state.placed + where,
+            last_placed_at=jnp.where(where, state.step, state.last_placed_at),
+            quiet_steps=jnp.where(where, 0, state.quiet_steps),
+        )
+
+    def enter(self, state: State, worlds: Worlds) -> State:
+        """Take up worlds that an earlier stage handed on."""
+        if self.driven:
+            begins = state.status == Status.SETTLED
+            end = state.driven_from + worlds.drive_steps
+            metrics = state.metrics
+            anchor = jnp.where(begins[:, None, None], state.pose[..., :2], metrics.sway_anchor)
+            return state._replace(
+                status=jnp.where(begins, Status.RUNNING, state.status),
+                end=jnp.where(begins, end, state.end),
+                rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
+                metrics=metrics._replace(sway_anchor=anchor),
+            )
+        waited = (state.status == Status.READY) & (state.placed < self.capacity)
+        return self.place_next(state._replace(status=jnp.where(waited, Status.RUNNING, state.status)), worlds, waited)
+
+    def wants_forces(self, state: State) -> Bool[Array, " lane"]:
+        """Lanes whose contact forces count after this step: at samples and in the rest window."""
+        counted = state.running & (state.step > 0)
+        sampled = state.step % self.timetable.sample_every == 0
+        return counted & (sampled | (state.step > state.rest_from))
+
+    def after_step(
+        self,
+        state: State,
+        worlds: Worlds,
+        acceleration: Float[Array, "lane box 6"],
+        top_force: Float[Array, "lane box"],
+        overflow: Int[Array, " lane"],
+    ) -> State:
+        """Everything that happens between two steps.
+
+        Args:
+            state: poses, velocities and step counters as the step left them.
+            acceleration: linear (m/s²) and angular (rad/s²) of each box in that step.
+            top_force: N; only looked at where ``wants_forces``.
+            overflow: non-zero where a buffer was too small for the step to be right.
+        """
+        before = state.running
+        values = jnp.concatenate([state.pose.reshape(len(before), -1), state.vel.reshape(len(before), -1)], -1)
+        nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
+        state = self._sample(state, worlds, acceleration, top_force, nonfinite)
+        overflowed = before & (overflow != 0)
+        state = state._replace(
+            steps_done=state.steps_done + (before & (state.step > 0)),
+            flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0) | jnp.where(overflowed, overflow, 0),
+            status=jnp.where(nonfinite, Status.FINISHED, state.status),
+        )
+        state = state._replace(status=jnp.where(overflowed, Status.OVERFLOWED, state.status))
+        return state if self.driven else self._proceed(state, worlds)
+
+    def _sample(
+        self,
+        state: State,
+        worlds: Worlds,
+        acceleration: Float[Array, "lane box 6"],
+        top_force: Float[Array, "lane box"],
+        nonfinite: Bool[Array, " lane"],
+    ) -> State:
+        limits, m = self.sim.thresholds, state.metrics
+        counted = state.running & (state.step > 0) & ~nonfinite
+        sample = counted & (state.step % self.timetable.sample_every == 0)
+        last = counted & (state.step >= state.end)
+        resting = counted & (state.step > state.rest_from)
+        standing = self.standing(state)
+        sampled = standing & sample[:, None]
+        looked = standing & (sample | last)[:, None]
+
+        pos, quat = state.pose[..., :3], state.pose[..., 3:]
+        tilt = motion.tilt_deg(quat)
+        dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
+        excess = motion.excess(motion.shift(pos, worlds.target, limits.shift_floor_m), tilt, dropped, limits)
+        excess = jnp.where(looked, excess, 0.0)
+        signs = (m.culprit < 0) & (excess.max(-1) > 1)
+        culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
+        lin = jnp.sqrt((acceleration[..., :3] ** 2).sum(-1))
+        ang = jnp.sqrt((acceleration[..., 3:] ** 2).sum(-1))
+        violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1)
+        exploded = violent & (culprit < 0) & (not self.driven)
+
+        def keep_max(old: Array, new: Array, where: Array) -> Array:
+            return jnp.where(where, jnp.maximum(old, new), old)
+
+        max_sway = m.max_sway
+        if self.driven:
+            sway = jnp.sqrt(((pos[..., :2] - m.sway_anchor) ** 2).sum(-1))
+            max_sway = keep_max(max_sway, sway, looked)
+        metrics = Metrics(
+            max_tilt=keep_max(m.max_tilt, tilt, looked),
+            max_lin_acc=keep_max(m.max_lin_acc, lin, sampled),
+            max_ang_acc=keep_max(m.max_ang_acc, ang, sampled),
+            max_top_force=keep_max(m.max_top_force, top_force, sampled),
+            rest_force_sum=m.rest_force_sum + jnp.where(standing & resting[:, None], top_force, 0.0),
+            rest_samples=m.rest_samples + resting,
+            drop_step=jnp.where(dropped & (m.drop_step < 0), state.step[:, None], m.drop_step),
+            max_sway=max_sway,
+            sway_anchor=m.sway_anchor,
+            culprit=culprit,
+            sign_step=jnp.where(signs, state.step, m.sign_step),
+        )
+        stopped = dropped.any(-1) & self.sim.early_stop & ~last
+        flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
+        return state._replace(
+            metrics=metrics,
+            flags=state.flags | flags,
+            status=jnp.where(last | stopped | exploded, Status.FINISHED, state.status),
+        )
+
+    def _proceed(self, state: State, worlds: Worlds) -> State:
+        """Place the next box, hand the world on, or let it come to rest."""
+        quiet, table = self.sim.quiet, self.timetable
+        counted = state.running & (state.step > 0)
+        poll = counted & (state.step % quiet.poll_steps == 0)
+        slow = (motion.is_slow(state.vel, quiet) | ~self.standing(state)).all(-1)
+        quiet_steps = jnp.where(poll, jnp.where(slow, state.quiet_steps + quiet.poll_steps, 0), state.quiet_steps)
+        state = state._replace(quiet_steps=quiet_steps)
+        more = state.placed < worlds.n_boxes
+        due = state.step >= jnp.asarray(table.due)[state.last_placed_at]
+        settled = state.step >= jnp.asarray(table.settled)[state.last_placed_at]
+        if self.sim.check == "static":
+            due = state.step >= table.static_end
+        due = jnp.where(~more & worlds.settles, settled, due)
+        if self.sim.schedule is Schedule.ADAPTIVE:
+            waited = state.step - state.last_placed_at >= quiet.min_steps
+            due = due | (poll & (quiet_steps >= quiet.steps) & waited)
+        go = counted & due
+        full = state.placed >= self.capacity
+        rests = go & ~more & ~worlds.settles & (state.end == NEVER)
+        settles = go & ~more & worlds.settles
+        state = state._replace(
+            rest_from=jnp.where(rests, state.step, state.rest_from),
+            end=jnp.where(rests, state.step + table.rest_steps, state.end),
+            driven_from=jnp.where(settles, state.step, state.driven_from),
+            status=jnp.where(go & more & full, Status.READY, jnp.where(settles, Status.SETTLED, state.status)),
+        )
+        return self.place_next(state, worlds, go & more & ~full)

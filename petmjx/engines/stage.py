@@ -1,0 +1,247 @@
+"""One stage: a compiled program of fixed shape that takes worlds with a state and hands on worlds with a state.
+
+A stage has lanes; worlds take lanes in turn, as an inference server batches requests. Stepping runs in chunks of
+a fixed number of steps without the host; between chunks finished lanes are written back to the table of
+worlds and refilled from the queue, all on the device. The host reads one small counter a chunk, a chunk late.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from petmjx.config import SOFT_START_STEPS, Physics
+from petmjx.engines.rules import Rules
+from petmjx.engines.tables import State, Status, Worlds, narrow, put_rows, take_rows
+from petmjx.engines.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fields
+
+
+class Stepper(Protocol):
+    """What differs between the MJX implementations: stepping, reading contacts, reading overflow."""
+
+    model: Any
+    """The template's MJX model."""
+
+    def scratch(self) -> Any:
+        """Batched MJX data to step in; its contents do not matter between steps."""
+        ...
+
+    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: Any) -> Any:
+        """One step of all lanes from ``inputs`` (qpos, qvel, qacc_warmstart, xfrc_applied)."""
+        ...
+
+    def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
+        """Force pressing on each box's top in the last step, N."""
+        ...
+
+    def overflow(self, scratch: Any) -> Int[Array, " lane"]:
+        """Flag bits of buffers that were too small in the last step, 0 where all fitted."""
+        ...
+
+    def usage(self, scratch: Any) -> Int[Array, " 2"]:
+        """Contacts of all lanes together, and constraint rows of the fullest lane, in the last step."""
+        ...
+
+
+class Lanes(NamedTuple):
+    """Everything a stage carries from step to step. ``row``: which world a lane runs; past the table's end: none."""
+
+    row: Int[Array, " lane"]
+    worlds: Worlds
+    state: State
+    overrides: dict[str, jax.Array]
+    usage: Int[Array, " 2"]
+    scratch: Any
+
+
+class Queue(NamedTuple):
+    """Rows of worlds in the order in which they take lanes; entries past ``length`` are padding."""
+
+    rows: Int[Array, " world"]
+    length: Int[Array, ""]
+    head: Int[Array, ""]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Compiled programs of one shape. ``held``: the carrier is held fast (acceleration profiles)."""
+
+    rules: Rules
+    stepper: Stepper
+    physics: Physics
+    lanes: int
+    chunk_steps: int
+    held: bool
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "run_chunk", jax.jit(self._run_chunk, donate_argnums=0))
+        object.__setattr__(self, "refill", jax.jit(self._refill, donate_argnums=0))
+        object.__setattr__(self, "unload", jax.jit(self._unload))
+
+    def empty(self, worlds: Worlds, table: State) -> Lanes:
+        """Lanes in which nothing runs yet."""
+        nowhere = jnp.full(self.lanes, len(table.step), jnp.int32)
+        narrow_worlds = take_rows(narrow(worlds, self.rules.capacity), nowhere)
+        state = take_rows(narrow(table, self.rules.capacity), nowhere)
+        state = state._replace(status=jnp.full(self.lanes, Status.FINISHED, jnp.int32))
+        return Lanes(
+            row=nowhere,
+            worlds=narrow_worlds,
+            state=state,
+            overrides=self._overrides(narrow_worlds, state),
+            usage=jnp.zeros(2, jnp.int32),
+            scratch=self.stepper.scratch(),
+        )
+
+    def _overrides(self, worlds: Worlds, state: State) -> dict[str, jax.Array]:
+        return override_fields(
+            worlds.half,
+            worlds.mass,
+            worlds.carrier_half,
+            worlds.carrier_mass,
+            worlds.friction,
+            state.carrier_pose,
+            self.stepper.model,
+            held=self.held,
+        )
+
+    def _refill(self, lanes: Lanes, table: State, worlds: Worlds, queue: Queue) -> tuple[Lanes, State, Queue, Array]:
+        """Write back lanes that are through and give them to the next worlds of the queue.
+
+        Returns:
+            Lanes, table, queue, and (lanes running, worlds still queued, contacts, rows) for the host.
+        """
+        n_rows = len(table.step)
+        table = self._write_back(lanes, table, lanes.state.status != Status.RUNNING, n_rows)
+        free = lanes.state.status != Status.RUNNING
+        position = queue.head + jnp.cumsum(free) - 1
+        takes = free & (position < queue.length)
+        row = jnp.where(takes, jnp.take(queue.rows, position, mode="clip"), jnp.where(free, n_rows, lanes.row))
+
+        def renew(table_record: Any, lane_record: Any) -> Any:
+            fresh = take_rows(narrow(table_record, self.rules.capacity), row)
+            return jax.tree.map(
+                lambda new, old: jnp.where(takes.reshape(-1, *[1] * (new.ndim - 1)), new, old), fresh, lane_record
+            )
+
+        new_worlds = renew(worlds, lanes.worlds)
+        entered = self.rules.enter(renew(table, lanes.state), new_worlds)
+        idle = row >= n_rows
+        state = jax.tree.map(
+            lambda new, old: jnp.where(takes.reshape(-1, *[1] * (new.ndim - 1)), new, old), entered, lanes.state
+        )
+        state = state._replace(status=jnp.where(idle, Status.FINISHED, state.status))
+        queue = queue._replace(head=queue.head + takes.sum())
+        counters = jnp.concatenate([jnp.stack([state.running.sum(), queue.length - queue.head]), lanes.usage])
+        renewed = Lanes(row, new_worlds, state, self._overrides(new_worlds, state), lanes.usage, lanes.scratch)
+        return renewed, table, queue, counters
+
+    def _unload(self, lanes: Lanes, table: State) -> State:
+        """Write every lane's world back as it is, running ones included: a later stage goes on with them."""
+        return self._write_back(lanes, table, jnp.ones_like(lanes.state.running), len(table.step))
+
+    @staticmethod
+    def _write_back(lanes: Lanes, table: State, where: Array, n_rows: int) -> State:
+        """A world whose buffers overflowed keeps the state it entered with, and is flagged: the stage is repeated."""
+        failed = lanes.state.status == Status.OVERFLOWED
+        table = put_rows(table, jnp.where(where & ~failed, lanes.row, n_rows), lanes.state)
+        row = jnp.where(where & failed, lanes.row, n_rows)
+        return table._replace(flags=table.flags.at[row].set(lanes.state.flags, mode="drop"))
+
+    def _park_idle(self, state: State) -> State:
+        """Hang the carriers of idle lanes in the air as well: a world without contacts costs next to nothing."""
+        idle = ~state.running[:, None]
+        aloft = jnp.array([0.0, 0.0, PARKING_HEIGHT_M, 1.0, 0.0, 0.0, 0.0])
+        return state._replace(
+            carrier_pose=jnp.where(idle, aloft, state.carrier_pose),
+            carrier_vel=jnp.where(idle, 0.0, state.carrier_vel),
+            carrier_warm=jnp.where(idle, 0.0, state.carrier_warm),
+        )
+
+    def _run_chunk(self, lanes: Lanes, profiles: Float[Array, "profile step 3"]) -> Lanes:
+        def body(carry: Lanes, _: None) -> tuple[Lanes, None]:
+            return self._advance(carry, profiles), None
+
+        return jax.lax.scan(body, lanes, None, length=self.chunk_steps)[0]
+
+    def _excitation(self, lanes: Lanes, profiles: Array) -> tuple[Array, Array]:
+        """Gravity and the force on the carrier for the step to come, (lane, 3) each."""
+        state, worlds = lanes.state, lanes.worlds
+        ramp = jnp.clip((state.step + SOFT_START_STEPS) / SOFT_START_STEPS, 0.0, 1.0)
+        gravity = ramp[:, None] * jnp.array([0.0, 0.0, -self.physics.gravity_m_s2])
+        force = jnp.zeros_like(gravity)
+        if self.rules.driven:
+            at = state.step - state.driven_from
+            inside = (at >= 0) & (at < profiles.shape[1])
+            sample = profiles[worlds.profile, jnp.clip(at, 0, profiles.shape[1] - 1)]
+            sample = jnp.where(inside[:, None], sample, 0.0) * worlds.drive_scale[:, None]
+            cos, sin = worlds.drive_yaw[:, 0], worlds.drive_yaw[:, 1]
+            x, y, z = sample.T
+            turned = jnp.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+            if self.held:
+                gravity = gravity - turned
+            else:
+                force = turned
+        active = state.running[:, None]
+        return jnp.where(active, gravity, 0.0), jnp.where(active, force, 0.0)
+
+    def _advance(self, lanes: Lanes, profiles: Array) -> Lanes:
+        """One step of every lane and all that follows from it."""
+        state, rules = lanes.state, self.rules
+        n, capacity = self.lanes, rules.capacity
+        gravity, force = self._excitation(lanes, profiles)
+        bodies = CARRIER_BODY + 1 + capacity
+        shown = self._park_idle(rules.park(state))
+        inputs = {
+            "qpos": self._join(shown.carrier_pose, shown.pose),
+            "qvel": self._join(shown.carrier_vel, shown.vel),
+            "qacc_warmstart": self._join(shown.carrier_warm, shown.warm),
+            "xfrc_applied": jnp.zeros((n, bodies, 6)).at[:, CARRIER_BODY, :3].set(force),
+        }
+        overrides = {**lanes.overrides, "opt.gravity": gravity}
+        scratch = self.stepper.step(overrides, inputs, lanes.scratch)
+        running, standing = state.running[:, None], rules.standing(state)[..., None]
+
+        def moved(row: Array, carrier: Array, boxes: Array) -> tuple[Array, Array]:
+            """What a step changed, for lanes that run and boxes in play; all else stays as it was."""
+            new_carrier, new_boxes = self._split(row, carrier)
+            return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
+
+        carrier_pose, pose = moved(scratch.qpos, state.carrier_pose, state.pose)
+        carrier_vel, vel = moved(scratch.qvel, state.carrier_vel, state.vel)
+        carrier_warm, warm = moved(scratch.qacc_warmstart, state.carrier_warm, state.warm)
+        _, acceleration = self._split(scratch.qacc, state.carrier_vel)
+        state = state._replace(
+            pose=pose,
+            vel=vel,
+            warm=warm,
+            carrier_pose=carrier_pose,
+            carrier_vel=carrier_vel,
+            carrier_warm=carrier_warm,
+            step=state.step + state.running,
+        )
+        top_force = jax.lax.cond(
+            rules.wants_forces(state).any(),
+            lambda: self.stepper.top_force(overrides, scratch),
+            lambda: jnp.zeros((n, capacity)),
+        )
+        overflow = self.stepper.overflow(scratch)
+        state = rules.after_step(state, lanes.worlds, acceleration, top_force, overflow)
+        usage = jnp.maximum(lanes.usage, self.stepper.usage(scratch))
+        return lanes._replace(state=state, scratch=scratch, usage=usage)
+
+    def _join(self, carrier: Array, boxes: Array) -> Array:
+        """(lane, k) of the carrier and (lane, box, k) of boxes → one row of generalized coordinates."""
+        flat = boxes.reshape(len(boxes), -1)
+        return flat if self.held else jnp.concatenate([carrier, flat], axis=-1)
+
+    def _split(self, row: Array, carrier: Array) -> tuple[Array, Array]:
+        """The reverse of ``_join``; a held carrier keeps what it has."""
+        width = carrier.shape[-1]
+        if not self.held:
+            carrier, row = row[:, :width], row[:, width:]
+        return carrier, row.reshape(len(row), self.rules.capacity, width)

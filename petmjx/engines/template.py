@@ -1,0 +1,159 @@
+"""The padded model of a capacity: one compiled MuJoCo model that every plan of up to that many boxes is poured into.
+
+What differs from world to world (sizes, masses, frictions, gravity, the pose of a held carrier) is not in
+the template but in per-world overrides of model fields; ``override_fields`` is the one place that
+computes them and ``OVERRIDDEN`` the one list of their names.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from jaxtyping import Array, Float
+
+from petmjx.config import Cone, Physics, Solver
+
+FLOOR_GEOM, CARRIER_GEOM, FIRST_BOX_GEOM = 0, 1, 2
+WORLD_BODY, CARRIER_BODY, FIRST_BOX_BODY = 0, 1, 2
+
+PARKING_HEIGHT_M = 50.0
+PARKING_PITCH_M = 8.0
+"""Boxes that are not placed yet hang in a row this high and this far apart: no two bounding spheres meet
+(the largest BED-BPP item is under 1 m), and float32 still resolves their positions to 0.05 mm."""
+
+
+def padded_template(
+    capacity: int,
+    physics: Physics,
+    *,
+    held: bool,
+    solver: Solver,
+    tolerance: float,
+    iterations: int,
+    native_ccd: bool,
+) -> mujoco.MjModel:
+    """Compile the template: floor, carrier, ``capacity`` boxes; nominal sizes that overrides replace.
+
+    Args:
+        held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one.
+        native_ccd: MuJoCo's general convex collider; off, boxes meet by the primitive collider.
+    """
+    spec = mujoco.MjSpec()
+    option = spec.option
+    option.timestep = physics.timestep_s
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON if solver is Solver.NEWTON else mujoco.mjtSolver.mjSOL_CG
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if physics.cone is Cone.ELLIPTIC else mujoco.mjtCone.mjCONE_PYRAMIDAL
+    option.gravity = (0.0, 0.0, -physics.gravity_m_s2)
+    option.tolerance = tolerance
+    option.iterations = iterations
+    if not native_ccd:
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    contact = {"solref": physics.solref, "solimp": (*physics.solimp, 0.5, 2.0)}
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0, 0, 1),
+        pos=(0, 0, physics.floor_z_m),
+        friction=physics.floor_friction,
+        **contact,
+    )
+
+    def add_box(half: tuple[float, float, float], pos: tuple[float, float, float], mass: float, free: bool) -> None:
+        body = spec.worldbody.add_body(pos=pos)
+        if free:
+            body.add_freejoint()
+        # An explicit inertial keeps the inertia frame aligned with the box: MuJoCo would otherwise sort the
+        # principal axes, and the per-world diagonals could not be written in box order.
+        body.explicitinertial = True
+        body.mass = mass
+        body.inertia = [mass / 3 * (half[1] ** 2 + half[2] ** 2) for _ in range(3)]
+        body.ipos = (0, 0, 0)
+        body.iquat = (1, 0, 0, 0)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, friction=physics.box_friction, **contact)
+
+    add_box((0.4, 0.3, physics.carrier_half_height_m), (0, 0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
+    for k in range(capacity):
+        add_box((0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0, PARKING_HEIGHT_M), 5.0, True)
+    return spec.compile()
+
+
+def parked_positions(capacity: int) -> Float[Array, "box 3"]:
+    """Where boxes of a lane wait for their turn, m."""
+    x = PARKING_PITCH_M * jnp.arange(1, capacity + 1)
+    return jnp.stack([x, jnp.zeros(capacity), jnp.full(capacity, PARKING_HEIGHT_M)], axis=-1)
+
+
+def _box_inertia(half: Array, mass: Array) -> Array:
+    """Principal moments of solid boxes in box order: m/3 · (b² + c²) for half extents a, b, c."""
+    squares = half**2
+    return mass[..., None] / 3 * (squares.sum(-1, keepdims=True) - squares)
+
+
+def override_fields(
+    half: Float[Array, "lane box 3"],
+    mass: Float[Array, "lane box"],
+    carrier_half: Float[Array, "lane 3"],
+    carrier_mass: Float[Array, " lane"],
+    friction: Float[Array, "lane 3 3"],
+    carrier_pose: Float[Array, "lane 7"],
+    base: Any,
+    *,
+    held: bool,
+) -> dict[str, jax.Array]:
+    """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
+
+    ``friction`` rows are floor, carrier, box. ``base`` is the template's MJX model, whose values stand for
+    what no world changes (the world body, the floor). Derived fields follow MuJoCo's compiler:
+    ``body_invweight0`` and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I; ``geom_rbound`` is
+    the half diagonal; all are checked against it in tests.
+    """
+    lanes, capacity = mass.shape
+    all_half = jnp.concatenate([carrier_half[:, None], half], axis=1)
+    all_mass = jnp.concatenate([carrier_mass[:, None], mass], axis=1)
+    inertia = _box_inertia(all_half, all_mass)
+    inv_translation = 1 / all_mass
+    inv_rotation = (1 / inertia).mean(-1)
+    if held:
+        inv_translation = inv_translation.at[:, 0].set(0.0)
+        inv_rotation = inv_rotation.at[:, 0].set(0.0)
+
+    def with_world_body(values: jax.Array) -> jax.Array:
+        return jnp.concatenate([jnp.zeros((lanes, 1, *values.shape[2:])), values], axis=1)
+
+    def with_floor(values: jax.Array, name: str) -> jax.Array:
+        floor = jnp.broadcast_to(getattr(base, name)[FLOOR_GEOM], (lanes, 1, *values.shape[2:]))
+        return jnp.concatenate([floor, values], axis=1)
+
+    free = slice(1, None) if held else slice(None)
+    dof = jnp.stack([inv_translation, inv_rotation], axis=-1)[:, free]
+    fields = {
+        "body_mass": with_world_body(all_mass),
+        "body_inertia": with_world_body(inertia),
+        "body_subtreemass": jnp.concatenate([all_mass.sum(1, keepdims=True), all_mass], axis=1),
+        "body_invweight0": with_world_body(jnp.stack([inv_translation, inv_rotation], axis=-1)),
+        "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(lanes, -1),
+        "geom_size": with_floor(all_half, "geom_size"),
+        "geom_rbound": with_floor(jnp.sqrt((all_half**2).sum(-1)), "geom_rbound"),
+        "geom_aabb": with_floor(_box_aabb(all_half, base), "geom_aabb"),
+        "geom_friction": jnp.concatenate(
+            [friction[:, :2], jnp.broadcast_to(friction[:, 2:], (lanes, capacity, 3))], axis=1
+        ),
+    }
+    if held:
+        poses = jnp.concatenate([base.body_pos, base.body_quat], axis=-1)
+        poses = jnp.broadcast_to(poses, (lanes, *poses.shape)).at[:, CARRIER_BODY].set(carrier_pose)
+        fields["body_pos"] = poses[..., :3]
+        fields["body_quat"] = poses[..., 3:]
+    return fields
+
+
+def _box_aabb(half: jax.Array, base: Any) -> jax.Array:
+    """Centre and half extents of each box's own bounding box, in the shape the implementation keeps it in:
+    (6,) in MJX-JAX, (2, 3) in MJX-Warp."""
+    zeros = jnp.zeros_like(half)
+    if base.geom_aabb.ndim == 3:
+        return jnp.stack([zeros, half], axis=-2)
+    return jnp.concatenate([zeros, half], axis=-1)

@@ -1,0 +1,64 @@
+"""Times of a run as whole steps, to the step the reference would take them at.
+
+MuJoCo's clock is a float64 running sum of the timestep, and events happen after the first step at which
+``time − earlier time ≥ interval``. The batched engines count steps in integers; these tables carry the
+float64 comparisons over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Check, SimConfig
+from petmjx.units import seconds_to_steps
+
+
+@dataclass(frozen=True, eq=False)
+class Timetable:
+    """Step numbers of a run; ``clock[s]`` is the time after step s, s (seconds).
+
+    Attributes:
+        clock: (n,) float64.
+        due: (n,) int32; a box placed after step s is followed by the next one after step ``due[s]`` at the latest.
+        settled: (n,) int32; the drive of a world whose last box was placed after step s starts after this step.
+        sample_every, rest_steps: int.
+        one_by_one_end: last step of the fixed one-by-one check by number of boxes; static_end: of the static one.
+    """
+
+    clock: NDArray[np.float64]
+    due: NDArray[np.int32]
+    settled: NDArray[np.int32]
+    sample_every: int
+    rest_steps: int
+    one_by_one_end: NDArray[np.int32]
+    static_end: int
+
+
+def build_timetable(sim: SimConfig, max_boxes: int) -> Timetable:
+    """Tables long enough for a plan of ``max_boxes`` boxes, settling included."""
+    dt = sim.physics.timestep_s
+    placement = (max_boxes + 2) * sim.interval_s if sim.check is Check.ONE_BY_ONE else sim.duration_s
+    n = seconds_to_steps(placement + sim.settle_s, dt) + 4
+    clock = np.concatenate([[0.0], np.cumsum(np.full(n, dt))])
+    # searchsorted alone would compare time against earlier + interval, which rounds differently from the
+    # difference of times that the rule names; so the first guess is corrected by that very comparison.
+    due = np.searchsorted(clock, clock + sim.interval_s - dt / 2).astype(np.int64)
+    for _ in range(2):
+        inside = np.minimum(due, n)
+        due = np.where((clock[np.maximum(inside - 1, 0)] - clock >= sim.interval_s) & (inside > 0), inside - 1, due)
+        inside = np.minimum(due, n)
+        due = np.where((clock[inside] - clock < sim.interval_s) & (due <= n), due + 1, due)
+    settled = np.array([seconds_to_steps(t + sim.settle_s, dt) for t in clock])
+    ends = [seconds_to_steps((k + 1) * sim.interval_s, dt) for k in range(max_boxes + 1)]
+    return Timetable(
+        clock=clock,
+        due=due.astype(np.int32),
+        settled=settled.astype(np.int32),
+        sample_every=max(1, seconds_to_steps(sim.sample_interval_s, dt)),
+        rest_steps=max(1, seconds_to_steps(sim.rest_window_s, dt)),
+        one_by_one_end=np.array(ends, np.int32),
+        static_end=seconds_to_steps(sim.duration_s, dt),
+    )

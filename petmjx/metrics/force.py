@@ -1,0 +1,53 @@
+"""The force that presses on top of each box, from contacts."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+VERTICAL_COSINE = math.cos(math.radians(45.0))
+"""A contact is vertical if its normal is within 45° of z (spec, section 5)."""
+
+
+def contact_force_z(
+    rows: Float[Array, "*batch 4"],
+    frame_z: Float[Array, "*batch 3"],
+    friction: Float[Array, "*batch 2"],
+    *,
+    pyramidal: bool,
+) -> Float[Array, "*batch"]:
+    """World-z component of the contact force on the second geom, N.
+
+    ``rows`` are the constraint forces of one contact: with elliptic cones (normal, tangent 1, tangent 2, unused),
+    with pyramidal cones the four edges, whose sum is the normal force and whose differences times the
+    sliding friction are the tangents (MuJoCo, "Computation: Contact"). ``frame_z`` holds the z components of
+    normal and tangents.
+    """
+    if pyramidal:
+        normal = rows.sum(-1)
+        tangent_1 = (rows[..., 0] - rows[..., 1]) * friction[..., 0]
+        tangent_2 = (rows[..., 2] - rows[..., 3]) * friction[..., 1]
+    else:
+        normal, tangent_1, tangent_2 = (rows[..., i] for i in range(3))
+    return normal * frame_z[..., 0] + tangent_1 * frame_z[..., 1] + tangent_2 * frame_z[..., 2]
+
+
+def pressed_box(
+    geom: Int[Array, "*batch 2"],
+    geom_z: Float[Array, "*batch 2"],
+    normal_z: Float[Array, "*batch"],
+    first_box_geom: int,
+) -> tuple[Int[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
+    """Which box a contact presses on: the partner whose centre is lower.
+
+    Returns:
+        Box index (negative for carrier and floor), the sign that turns the force on the second geom into a
+        force pressing down on the lower one, and whether the contact is vertical and its lower partner a box.
+    """
+    first_is_lower = geom_z[..., 0] < geom_z[..., 1]
+    box = jnp.where(first_is_lower, geom[..., 0], geom[..., 1]) - first_box_geom
+    sign = jnp.where(first_is_lower, 1.0, -1.0)
+    counts = (jnp.abs(normal_z) >= VERTICAL_COSINE) & (box >= 0)
+    return box, sign, counts

@@ -1,0 +1,66 @@
+"""Where boxes are: shift, tilt, lowest point, and how quickly they move."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from petmjx.config import Quiet, Thresholds
+
+
+def shift(pos: Float[Array, "lane box 3"], target: Float[Array, "lane box 3"], floor_m: float) -> Array:
+    """Displacement from the planned centre, m; components under ``floor_m`` count as 0."""
+    delta = pos - target
+    return jnp.where(jnp.abs(delta) < floor_m, 0.0, delta)
+
+
+def tilt_deg(quat: Float[Array, "lane box 4"]) -> Float[Array, "lane box"]:
+    """Angle between a box's z axis and the world's, degrees.
+
+    From the half angle, sin²(θ/2) = x² + y² of the unit quaternion: arccos of the rotated axis' z component
+    loses everything below 0.02° in float32.
+    """
+    sine = jnp.sqrt(quat[..., 1] ** 2 + quat[..., 2] ** 2)
+    cosine = jnp.sqrt(quat[..., 0] ** 2 + quat[..., 3] ** 2)
+    return jnp.rad2deg(2 * jnp.arctan2(sine, cosine))
+
+
+def hull_bottom_z(
+    pos: Float[Array, "lane box 3"], quat: Float[Array, "lane box 4"], half: Float[Array, "lane box 3"]
+) -> Float[Array, "lane box"]:
+    """Lowest z of each box's axis-aligned hull, m: centre − |R[2, :]| · half extents."""
+    w, x, y, z = (quat[..., i] for i in range(4))
+    row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    return pos[..., 2] - (jnp.abs(row) * half).sum(-1)
+
+
+def has_dropped(
+    pos: Float[Array, "lane box 3"],
+    quat: Float[Array, "lane box 4"],
+    half: Float[Array, "lane box 3"],
+    thresholds: Thresholds,
+) -> Bool[Array, "lane box"]:
+    """Centre below the carrier's top, or hull below ``drop_hull_z_m``."""
+    return (pos[..., 2] < 0) | (hull_bottom_z(pos, quat, half) < thresholds.drop_hull_z_m)
+
+
+def excess(
+    shift_m: Float[Array, "lane box 3"],
+    tilt: Float[Array, "lane box"],
+    dropped: Bool[Array, "lane box"],
+    thresholds: Thresholds,
+) -> Float[Array, "lane box"]:
+    """How far over its thresholds each box is: the larger of shift and tilt as multiples of theirs.
+
+    Above 1 is a sign of failure; a dropped box counts at least as just over.
+    """
+    worst = jnp.maximum(jnp.abs(shift_m).max(-1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
+    just_over = jnp.nextafter(jnp.float32(1), jnp.float32(2))
+    return jnp.where(dropped, jnp.maximum(worst, just_over), worst)
+
+
+def is_slow(vel: Float[Array, "lane box 6"], quiet: Quiet) -> Bool[Array, "lane box"]:
+    """Below the quiet limits of linear and angular speed."""
+    linear = (vel[..., :3] ** 2).sum(-1)
+    angular = (vel[..., 3:] ** 2).sum(-1)
+    return (linear < quiet.lin_vel_m_s**2) & (angular < quiet.ang_vel_rad_s**2)
