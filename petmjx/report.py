@@ -68,16 +68,18 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> Table:
     Args:
         worlds, boxes: the tables of a run, as :func:`petmjx.store.load_run` reads them.
     """
-    table = Table()
+    # without lines, and with the article as the one column that gives way: nine columns fit on 80 characters
+    table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
     with_variants = bool(len(worlds)) and int(worlds["variant"].nunique()) > 1
-    table.add_column("plan")
+    table.add_column("plan", no_wrap=True)
     if with_variants:
         table.add_column("variant", justify="right")
-    table.add_column("boxes", justify="right")
-    for header in ("verdict", "reason", "first box"):
-        table.add_column(header)
-    for header in ("at s", "shift mm", "tilt °", "rest force N"):
-        table.add_column(header, justify="right")
+    table.add_column("boxes", justify="right", no_wrap=True)
+    for header in ("verdict", "reason"):
+        table.add_column(header, no_wrap=True)
+    table.add_column("first box")
+    for header in ("at\ns", "shift\nmm", "tilt\n°", "rest\nforce N"):
+        table.add_column(header, justify="right", no_wrap=True)
     culprits = worlds.loc[worlds["culprit"].notna(), ["plan_id", "variant", "culprit"]]
     named = culprits.astype({"culprit": "int32"}).merge(
         boxes[["plan_id", "variant", "box", "article"]],
@@ -94,7 +96,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> Table:
             f"{placed}{row['n_boxes']}",
             Text(verdict, style=_STYLES.get(verdict, "")),
             escape(str(row["reason"])),
-            escape(articles.get((row["plan_id"], row["variant"]), "")),
+            Text(articles.get((row["plan_id"], row["variant"]), ""), no_wrap=True, overflow="ellipsis"),
             _value(row["first_sign_s"], ".2f"),
             _value(row["max_shift_m"], ".1f", 1000.0),
             _value(row["max_tilt_deg"], ".1f"),

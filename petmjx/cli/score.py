@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from petmjx.cli import options as opt
+from petmjx.cli.console import results_console
 from petmjx.config import Carrier, Check, Schedule, SimConfig, Thresholds
 
 if TYPE_CHECKING:
@@ -173,13 +174,12 @@ def _show(results: RunResults, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"out": str(results.path), **_brief(results.info)}, indent=2))
         return
-    from rich.console import Console
-
     from petmjx.report import FEW_PLANS, summary_table, worlds_table
 
-    console = Console()
+    console = results_console()
     if len(results.worlds) <= FEW_PLANS:
         console.print(worlds_table(results.worlds, results.boxes))
+        console.print()
     _print_notes(console, results.info)
     console.print(summary_table(results.info, results.path))
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from petmjx.cli import options as opt
+from petmjx.cli.console import results_console
 from petmjx.config import Carrier
 from petmjx.errors import InputError
 
@@ -31,9 +32,7 @@ def compare(
     if as_json:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
         return
-    from rich.console import Console
-
-    comparison.render(Console(), max_rows=rows)
+    comparison.render(results_console(), max_rows=rows)
 
 
 def samples(
@@ -124,7 +123,6 @@ def doctor(as_json: opt.JsonOption = False) -> None:
     if as_json:
         print(json.dumps(asdict(report), indent=2))
         return
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(show_header=False)
@@ -143,4 +141,4 @@ def doctor(as_json: opt.JsonOption = False) -> None:
     table.add_section()
     for name, folder in report.caches.items():
         table.add_row(f"cache: {name}", folder)
-    Console().print(table)
+    results_console().print(table)
