@@ -80,8 +80,8 @@ class SweepPlan:
             raise InputError(f"{self.sweep.file}: plans: no usable plan to sweep over")
         if self.n_worlds > MAX_WORLDS and not self.allow_large:
             raise InputError(
-                f"{self.sweep.file}: axes make {self.n_worlds:,} worlds ({len(self.plans):,} plans × "
-                f"{self.n_variants:,} variants), more than {MAX_WORLDS:,}: pass --yes if that is meant"
+                f"{self.sweep.file}: axes make {self.n_worlds:,} worlds ({_count(len(self.plans), 'plan')} × "
+                f"{_count(self.n_variants, 'variant')}), more than {MAX_WORLDS:,}: pass --yes if that is meant"
             )
 
     # Counting never enumerates, so that a grid too large is refused at once.
@@ -248,6 +248,8 @@ class SweepPlan:
         timestep_s = simulation.sim_config().physics.timestep_s
         one_by_one = simulation.check is Check.ONE_BY_ONE
         duration_s = (plan.n_boxes + 1) * simulation.interval_s if one_by_one else simulation.duration_s
+        if self.sweep.profiles:
+            duration_s = self.drive_start_s(plan)
         share = ADAPTIVE_SHARE if simulation.schedule is Schedule.ADAPTIVE else 1.0
         return 2 * SOFT_START_STEPS + int(share * seconds_to_steps(duration_s, timestep_s))
 
@@ -272,11 +274,13 @@ class SweepPlan:
             steps_per_second: world-steps per second that the engine makes with a given number of boxes.
         """
         per_plan = self.estimated_steps()
-        seconds = sum(steps / steps_per_second(boxes) for boxes, steps in per_plan)
+        seconds = sum(count / steps_per_second(boxes) for boxes, count in per_plan)
+        steps = sum(count for _, count in per_plan)
         most = "at most " if self.search is not None else ""
         return (
-            f"{most}{self.n_worlds:,} worlds ({len(self.plans):,} plans × {self.n_variants:,} variants) from "
-            f"{len(self.plans) * self.n_placements:,} placements, about {_short(sum(s for _, s in per_plan))} steps, "
+            f"{most}{_count(self.n_worlds, 'world')} ({_count(len(self.plans), 'plan')} × "
+            f"{_count(self.n_variants, 'variant')}) from "
+            f"{_count(len(self.plans) * self.n_placements, 'placement')}, about {_short(steps)} steps, "
             f"about {_duration(seconds)}"
         )
 
@@ -405,6 +409,10 @@ def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
 
 def _is_random(profile: Profile | None) -> bool:
     return profile is not None and profile.random
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
 
 
 def _short(count: float) -> str:

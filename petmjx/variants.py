@@ -73,6 +73,8 @@ class Distribution:
 
     def label(self) -> str:
         """As it stands in the results where an axis mixes shapes."""
+        if self.zero:
+            return "0"
         if self.shape is Shape.FIXED:
             return f"fixed({self.centre:g})"
         if self.shape is Shape.NORMAL:
