@@ -71,6 +71,11 @@ def judge(state: State, worlds: Worlds, sim: SimConfig) -> Results:
     return Results(reason, shift, jnp.where(rested[:, None], mean, jnp.nan))
 
 
+def doubles(values: Any) -> NDArray[np.float64]:
+    """Fetched values as outcomes hold them."""
+    return np.asarray(values, np.float64)
+
+
 def outcomes(
     rows: NDArray[np.int64],
     jobs: Sequence[Job],
@@ -96,17 +101,17 @@ def outcomes(
         driven = job.drive is not None and host.driven_from[i] <= host.step[i]
         drops = m.drop_step[i, :n]
         boxes = BoxMetrics(
-            shift_m=found.shift[i, :n].astype(np.float64),
-            max_tilt_deg=m.max_tilt[i, :n].astype(np.float64),
-            max_lin_acc=m.max_lin_acc[i, :n].astype(np.float64),
-            max_ang_acc=m.max_ang_acc[i, :n].astype(np.float64),
-            max_top_force_n=m.max_top_force[i, :n].astype(np.float64),
-            rest_top_force_n=found.rest_force[i, :n].astype(np.float64),
-            dropped=drops >= 0,
+            shift_m=doubles(found.shift[i, :n]),
+            max_tilt_deg=doubles(m.max_tilt[i, :n]),
+            max_lin_acc=doubles(m.max_lin_acc[i, :n]),
+            max_ang_acc=doubles(m.max_ang_acc[i, :n]),
+            max_top_force_n=doubles(m.max_top_force[i, :n]),
+            rest_top_force_n=doubles(found.rest_force[i, :n]),
+            dropped=np.asarray(drops >= 0),
             drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops]),
-            max_sway_m=m.max_sway[i, :n].astype(np.float64) if driven else np.full(n, np.nan),
-            pos=host.pose[i, :n, :3].astype(np.float64),
-            quat=host.pose[i, :n, 3:].astype(np.float64),
+            max_sway_m=doubles(m.max_sway[i, :n]) if driven else np.full(n, np.nan),
+            pos=doubles(host.pose[i, :n, :3]),
+            quat=doubles(host.pose[i, :n, 3:]),
         )
         verdict = Verdict.STABLE if stable else Verdict.UNSTABLE
         if not stable and found.reason[i] < FIRST_UNSTABLE:
@@ -153,7 +158,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
         spread = jnp.asarray(stacked)[source]
         return jnp.where(forked.reshape(-1, *[1] * (new.ndim - 1)), spread, new)
 
-    return jax.tree.map(fork, fresh, *starts)._replace(steps_done=fresh.steps_done)
+    forked_states: State = jax.tree.map(fork, fresh, *starts)
+    return forked_states._replace(steps_done=fresh.steps_done)
 
 
 def handed_on(status: int, job: Job) -> bool:

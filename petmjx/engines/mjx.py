@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Check, Cone, Physics, Schedule, SimConfig, Solver
+from petmjx.config import Check, Cone, Schedule, SimConfig
 from petmjx.engines.capacities import class_capacities, growing_capacities
 from petmjx.engines.finalize import handed_on, judge, outcomes, started_states
+from petmjx.engines.jax_setup import set_up_jax
 from petmjx.engines.rules import Rules
 from petmjx.engines.stage import Queue, Stage, Stepper
 from petmjx.engines.tables import NEVER, State, Status, Worlds, fresh_state, upload_worlds
@@ -105,24 +106,21 @@ class MjxEngine(ABC):
         capacities: Sequence[int] | None = None,
         chunk_steps: int = 25,
         drain_share: float = 0.25,
-        iterations: int = 100,
     ) -> None:
+        set_up_jax()
         self.lanes = lanes
         self.group_size = group_size
         self.max_stages = max_stages
         self.capacities = capacities
         self.chunk_steps = chunk_steps
         self.drain_share = drain_share
-        self.iterations = iterations
         self._stages: dict[StageKey, Stage] = {}
         self._warm: set[Stage] = set()
         self._growth: dict[tuple[Cone, int], int] = {}
         self._lane_limit = MAX_LANES
 
     @abstractmethod
-    def make_stepper(
-        self, capacity: int, lanes: int, physics: Physics, *, held: bool, solver: Solver, growth: int
-    ) -> Stepper:
+    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Stepper:
         """The implementation's stepper for a shape; ``growth`` multiplies its contact and constraint buffers."""
 
     def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
@@ -168,7 +166,7 @@ class MjxEngine(ABC):
 
         def finished() -> Iterator[Outcome]:
             status = group.status()
-            rows = [row for row in np.flatnonzero(~emitted) if handed_on(int(status[row]), jobs[row])]
+            rows = [row for row in np.flatnonzero(~emitted) if handed_on(int(status[row]), jobs[int(row)])]
             if rows:
                 emitted[rows] = True
                 results = judge(group.table, group.worlds, sim)
@@ -197,7 +195,7 @@ class MjxEngine(ABC):
         for row, excitation in enumerate(excitations.values()):
             profiles[row, : len(excitation.samples)] = excitation.samples
         profile_row = {key: row for row, key in enumerate(excitations)}
-        rows = 2 ** math.ceil(math.log2(len(jobs)))
+        rows = 1 << (len(jobs) - 1).bit_length()
         worlds = upload_worlds(jobs, rows, width, profile_row, sim.physics.timestep_s)
         static = sim.check is Check.STATIC
         ends = np.full(rows, NEVER, np.int32)
@@ -263,8 +261,9 @@ class MjxEngine(ABC):
 
     def _lane_count(self, capacity: int, n_worlds: int) -> int:
         """Lanes for a stage: a power of two, so that few shapes are compiled."""
-        wanted = max(MIN_LANES, 2 ** math.ceil(math.log2(n_worlds)))
-        return min(wanted, self.lanes or self.default_lanes(capacity), self._lane_limit)
+        wanted = max(MIN_LANES, 1 << (n_worlds - 1).bit_length())
+        limit: int = min(self.lanes or self.default_lanes(capacity), self._lane_limit)
+        return min(wanted, limit)
 
     def default_lanes(self, capacity: int) -> int:
         """Lanes at a capacity where the user names no number."""
@@ -275,9 +274,9 @@ class MjxEngine(ABC):
         if key not in self._stages:
             held = drive == "acceleration"
             sim = group.sim
-            stepper = self.make_stepper(capacity, lanes, sim.physics, held=held, solver=sim.solver, growth=growth)
+            stepper = self.make_stepper(capacity, lanes, sim, held=held, growth=growth)
             rules = Rules(sim, group.timetable, capacity, driven=bool(drive))
-            self._stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held)
+            self._stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
         return self._stages[key]
 
     def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
@@ -292,6 +291,7 @@ class MjxEngine(ABC):
         queue = Queue(jnp.asarray(padded), jnp.int32(len(rows)), jnp.int32(0))
         fresh = stage not in self._warm
         begin = time.perf_counter()
+        chunks = lane_steps = 0
         if fresh:
             progress.message = f"compiling capacity {capacity} for {stage.lanes} lanes"
         lanes = stage.empty(group.worlds, group.table)
@@ -302,16 +302,22 @@ class MjxEngine(ABC):
             running, queued, contacts, constraint_rows = (int(n) for n in np.asarray(counters))
             counters = following
             if fresh:
-                jax.block_until_ready(following)
+                following.block_until_ready()
                 self._warm.add(stage)
                 progress.compile_s += time.perf_counter() - begin
                 fresh = False
             progress.message = f"capacity {capacity}: {running} worlds running, {queued} waiting"
             progress.world_steps += running * stage.chunk_steps
+            lane_steps += running * stage.chunk_steps
+            chunks += 1
             if queued == 0 and (running == 0 or (may_drain and running < self.drain_share * stage.lanes)):
                 break
         group.table = stage.unload(lanes, table)
-        key = f"capacity {capacity}"
+        key = f"{stage.label} capacity {capacity}"
+        seconds = time.perf_counter() - begin
+        for what, amount in (("seconds", seconds), ("chunks", chunks), ("lane-steps", lane_steps)):
+            progress.extra[f"{key} {what}"] = progress.extra.get(f"{key} {what}", 0) + amount
+        progress.extra[f"{key} lanes"] = stage.lanes
         progress.extra[f"{key} contacts"] = max(progress.extra.get(f"{key} contacts", 0), contacts)
         progress.extra[f"{key} rows"] = max(progress.extra.get(f"{key} rows", 0), constraint_rows)
 

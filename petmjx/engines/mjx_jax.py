@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -11,27 +10,20 @@ import mujoco
 from jaxtyping import Array, Float, Int
 from mujoco import mjx
 
-from petmjx.config import Cone, Physics, Solver
+from petmjx.config import Cone, Physics, SimConfig
 from petmjx.engines.mjx import MjxEngine
-from petmjx.engines.template import FIRST_BOX_GEOM, padded_template
+from petmjx.engines.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force import contact_force_z, pressed_box
 
-TOLERANCE = 1e-6
-"""Relative solver tolerance. MuJoCo's 1e-8 is below what float32 resolves, and would cost iterations for nothing."""
 
-
-@dataclass(frozen=True, eq=False)
 class JaxStepper:
     """Steps lanes with ``mjx.step`` under ``vmap``. Contacts have fixed slots, so nothing can overflow."""
 
-    template: mujoco.MjModel
-    lanes: int
-    physics: Physics
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "model", mjx.put_model(self.template, impl="jax"))
-
-    model: Any = None
+    def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics) -> None:
+        self.template = template
+        self.lanes = lanes
+        self.physics = physics
+        self.model: Any = mjx.put_model(template, impl="jax")
 
     def scratch(self) -> Any:
         one = mjx.make_data(self.template, impl="jax")
@@ -76,16 +68,14 @@ class MjxJaxEngine(MjxEngine):
 
     name = "mjx-jax"
 
-    def make_stepper(
-        self, capacity: int, lanes: int, physics: Physics, *, held: bool, solver: Solver, growth: int
-    ) -> JaxStepper:
+    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> JaxStepper:
         template = padded_template(
             capacity,
-            physics,
+            sim.physics,
             held=held,
-            solver=solver,
-            tolerance=TOLERANCE,
-            iterations=self.iterations,
+            solver=sim.solver,
+            tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
+            iterations=sim.solver_iterations or MAX_ITERATIONS,
             native_ccd=True,
         )
-        return JaxStepper(template, lanes, physics)
+        return JaxStepper(template, lanes, sim.physics)

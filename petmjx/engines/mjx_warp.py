@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -11,13 +10,16 @@ import mujoco
 from jaxtyping import Array, Float, Int
 from mujoco import mjx
 
-from petmjx.config import Cone, Physics, Solver
-from petmjx.engines.mjx import MjxEngine
-from petmjx.engines.template import FIRST_BOX_GEOM, padded_template
+from petmjx.config import Cone, Physics, SimConfig
+from petmjx.devices import why_no_warp
+from petmjx.engines.jax_setup import set_up_warp
+from petmjx.engines.mjx import MIN_LANES, MjxEngine
+from petmjx.engines.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.errors import EngineUnavailable
 from petmjx.metrics.force import contact_force_z, pressed_box
 from petmjx.outcome import Flag
 
-TOLERANCE = {Cone.ELLIPTIC: 1e-6, Cone.PYRAMIDAL: 1e-2}
+TOLERANCE = {Cone.ELLIPTIC: FLOAT32_TOLERANCE, Cone.PYRAMIDAL: 1e-2}
 """Relative solver tolerance. With pyramidal cones float32 needs many iterations for digits no verdict depends on;
 1e-2 moves a settled full stack by 0.1 mm. With elliptic cones a looser one gains nothing (benchmarks/README.md)."""
 
@@ -27,6 +29,12 @@ CONTACTS_PER_BOX = 8
 ROWS_PER_BOX = {Cone.ELLIPTIC: 30, Cone.PYRAMIDAL: 40}
 """Constraint rows reserved per box in each lane: full real pallets have 14 and 19; collapsing ones more."""
 
+PREFERRED_LANES = 2048
+"""Lanes at which an H100 is as good as full at every capacity (benchmarks/README.md)."""
+
+DEFAULT_MEMORY = 8 << 30
+"""Assumed where a device does not tell its memory, bytes."""
+
 # Bits of mujoco_warp's overflow mask (its OverflowType). Reaching an iteration limit is no truncation: the
 # accelerations are then less exact, not wrong, as in C MuJoCo.
 _ROWS = 0b1 | 0b10 | 1 << 7
@@ -34,7 +42,6 @@ _CONTACTS = 1 << 2 | 1 << 3
 _LIMITS = 1 << 9 | 1 << 10
 
 
-@dataclass(frozen=True, eq=False)
 class WarpStepper:
     """Steps lanes with MJX's Warp implementation. Contacts of all lanes share one pool.
 
@@ -43,16 +50,14 @@ class WarpStepper:
         rows: constraint rows of one lane.
     """
 
-    template: mujoco.MjModel
-    lanes: int
-    physics: Physics
-    contacts: int
-    rows: int
-    model: Any = None
-
-    def __post_init__(self) -> None:
-        model = mjx.put_model(self.template, impl="warp")
-        object.__setattr__(self, "model", model.tree_replace({"opt._impl.warn_overflow": 0}))
+    def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics, contacts: int, rows: int) -> None:
+        self.template = template
+        self.lanes = lanes
+        self.physics = physics
+        self.contacts = contacts
+        self.rows = rows
+        # Overflow is read from its mask; Warp's kernels would print a line per world and step.
+        self.model: Any = mjx.put_model(template, impl="warp").tree_replace({"opt._impl.warn_overflow": 0})
 
     def scratch(self) -> Any:
         one = mjx.make_data(self.template, impl="warp", naconmax=self.contacts, njmax=self.rows)
@@ -95,23 +100,49 @@ class WarpStepper:
         return jnp.stack([scratch._impl.nacon[0], scratch._impl.nefc.max()])
 
 
+def lane_bytes(capacity: int) -> int:
+    """Device memory that a lane takes, bytes: its constraint Jacobian with room for every row, and two dense
+    matrices of all degrees of freedom (Hessian and factor); everything else is small beside them."""
+    dofs = 6 * (capacity + 1)
+    return 4 * (max(ROWS_PER_BOX.values()) * (capacity + 2) * dofs + 2 * (dofs + 16) ** 2)
+
+
 class MjxWarpEngine(MjxEngine):
-    """Batched MJX on Warp's kernels: for CUDA devices (and, slowly, for tests on a CPU)."""
+    """Batched MJX on Warp's kernels.
+
+    Args:
+        allow_cpu: run Warp's kernels on the CPU where there is no CUDA device: slow, for tests.
+
+    Raises:
+        EngineUnavailable: no CUDA device, or Warp is not installed; the text says which.
+    """
 
     name = "mjx-warp"
 
-    def make_stepper(
-        self, capacity: int, lanes: int, physics: Physics, *, held: bool, solver: Solver, growth: int
-    ) -> WarpStepper:
+    def __init__(self, lanes: int | None = None, *, allow_cpu: bool = False, **options: Any) -> None:
+        problem = None if allow_cpu else why_no_warp()
+        if problem:
+            raise EngineUnavailable(f"engine mjx-warp cannot run here: {problem}")
+        set_up_warp()
+        super().__init__(lanes, **options)
+
+    def default_lanes(self, capacity: int) -> int:
+        """The fastest number of lanes measured, or what two thirds of the device's free memory hold."""
+        stats: dict[str, int] = jax.devices()[0].memory_stats() or {}
+        free = stats.get("bytes_limit", DEFAULT_MEMORY) - stats.get("bytes_in_use", 0)
+        fit = int(free * 2 / 3 / lane_bytes(capacity))
+        return max(MIN_LANES, 1 << (min(PREFERRED_LANES, fit).bit_length() - 1))
+
+    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> WarpStepper:
         template = padded_template(
             capacity,
-            physics,
+            sim.physics,
             held=held,
-            solver=solver,
-            tolerance=TOLERANCE[physics.cone],
-            iterations=self.iterations,
+            solver=sim.solver,
+            tolerance=max(sim.solver_tolerance or TOLERANCE[sim.physics.cone], FLOAT32_TOLERANCE),
+            iterations=sim.solver_iterations or MAX_ITERATIONS,
             native_ccd=False,
         )
-        rows = ROWS_PER_BOX[physics.cone] * (capacity + 2) * growth
+        rows = ROWS_PER_BOX[sim.physics.cone] * (capacity + 2) * growth
         contacts = CONTACTS_PER_BOX * (capacity + 2) * lanes * growth
-        return WarpStepper(template, lanes, physics, contacts, rows)
+        return WarpStepper(template, lanes, sim.physics, contacts, rows)

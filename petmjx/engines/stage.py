@@ -7,7 +7,6 @@ worlds and refilled from the queue, all on the device. The host reads one small 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -23,8 +22,10 @@ from petmjx.engines.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fie
 class Stepper(Protocol):
     """What differs between the MJX implementations: stepping, reading contacts, reading overflow."""
 
-    model: Any
-    """The template's MJX model."""
+    @property
+    def model(self) -> Any:
+        """The template's MJX model."""
+        ...
 
     def scratch(self) -> Any:
         """Batched MJX data to step in; its contents do not matter between steps."""
@@ -66,21 +67,34 @@ class Queue(NamedTuple):
     head: Int[Array, ""]
 
 
-@dataclass(frozen=True, eq=False)
 class Stage:
-    """Compiled programs of one shape. ``held``: the carrier is held fast (acceleration profiles)."""
+    """Compiled programs of one shape: ``refill``, ``run_chunk`` and ``unload``.
 
-    rules: Rules
-    stepper: Stepper
-    physics: Physics
-    lanes: int
-    chunk_steps: int
-    held: bool
+    Args:
+        lanes: worlds stepped side by side.
+        chunk_steps: steps of one ``run_chunk``.
+        held: the carrier is held fast (acceleration profiles).
+    """
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "run_chunk", jax.jit(self._run_chunk, donate_argnums=0))
-        object.__setattr__(self, "refill", jax.jit(self._refill, donate_argnums=0))
-        object.__setattr__(self, "unload", jax.jit(self._unload))
+    def __init__(
+        self, rules: Rules, stepper: Stepper, physics: Physics, lanes: int, chunk_steps: int, *, held: bool
+    ) -> None:
+        self.rules = rules
+        self.stepper = stepper
+        self.physics = physics
+        self.lanes = lanes
+        self.chunk_steps = chunk_steps
+        self.held = held
+        # Lanes are donated: their buffers are large and are rewritten in place. The table is not: after running
+        # out of memory a stage begins again from the table as it was.
+        self.refill = jax.jit(self._refill, donate_argnums=0)
+        self.run_chunk = jax.jit(self._run_chunk, donate_argnums=0)
+        self.unload = jax.jit(self._unload)
+
+    @property
+    def label(self) -> str:
+        """What the stage does, for messages."""
+        return "drive" if self.rules.driven else "place"
 
     def empty(self, worlds: Worlds, table: State) -> Lanes:
         """Lanes in which nothing runs yet."""

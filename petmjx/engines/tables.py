@@ -132,7 +132,8 @@ def put_rows(table: State, rows: Int[Array, " lane"], lanes: State) -> State:
             return wide.at[rows, :columns].set(narrow_values, mode="drop")
         return wide.at[rows].set(narrow_values, mode="drop")
 
-    return jax.tree.map(put, table, lanes)
+    written: State = jax.tree.map(put, table, lanes)
+    return written
 
 
 def take_rows(record: Any, rows: Int[Array, " lane"]) -> Any:

@@ -19,6 +19,12 @@ from petmjx.config import Cone, Physics, Solver
 FLOOR_GEOM, CARRIER_GEOM, FIRST_BOX_GEOM = 0, 1, 2
 WORLD_BODY, CARRIER_BODY, FIRST_BOX_BODY = 0, 1, 2
 
+FLOAT32_TOLERANCE = 1e-6
+"""Smallest relative solver tolerance: MuJoCo's 1e-8 is below what float32 resolves and would only cost iterations."""
+
+MAX_ITERATIONS = 100
+"""MuJoCo's default limit of solver iterations."""
+
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
 """Boxes that are not placed yet hang in a row this high and this far apart: no two bounding spheres meet
