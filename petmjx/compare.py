@@ -346,16 +346,17 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> Table:
 
 
 def _differences_table(title: str, differences: pd.DataFrame) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("metric")
-    table.add_column("worlds")
+    # without lines, and with the place as the one column that may break: the numbers stay in one piece
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
+    for header in ("metric", "worlds"):
+        table.add_column(header, no_wrap=True)
     for header in ("n", "median", "95 %", "largest"):
-        table.add_column(header, justify="right")
-    table.add_column("unit")
+        table.add_column(header, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
     key = [column for column in BOX_KEY if column in differences]
     table.add_column("at " + "/".join(column.removesuffix("_id") for column in key))
-    table.add_column("a", justify="right")
-    table.add_column("b", justify="right")
+    for header in ("a", "b"):
+        table.add_column(header, justify="right", no_wrap=True)
     for row in differences.to_dict("records"):
         if not row["n"]:
             continue

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-PIPED_WIDTH = 110
+PIPED_WIDTH = 120
 """Columns where standard output is a file or a pipe: wide enough that no table breaks its lines."""
 
 
