@@ -55,7 +55,7 @@ def examine() -> Report:
         },
         devices=(f"CPU: {cpu_name()}, {cpu_threads()} threads", *(f"GPU: {name}" for name in cuda_devices())),
         engines=tuple(_examine_engine(name, check) for name, check in _CHECKS.items()),
-        caches={"JAX programs": _jax_cache(), "Warp kernels": _warp_cache()},
+        caches=_caches(),
     )
 
 
@@ -108,16 +108,11 @@ def _one_box() -> Plan:
     )
 
 
-def _jax_cache() -> str:
-    return _folder(os.environ.get("JAX_COMPILATION_CACHE_DIR"), "set JAX_COMPILATION_CACHE_DIR to have one")
+def _caches() -> dict[str, str]:
+    from petmjx.engines.jax_setup import cache_dir
 
-
-def _warp_cache() -> str:
-    default = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "warp"
-    return _folder(os.environ.get("WARP_CACHE_PATH", str(default)), "")
-
-
-def _folder(path: str | None, otherwise: str) -> str:
-    if not path:
-        return f"none; {otherwise}"
-    return path if Path(path).is_dir() else f"{path} (not there yet)"
+    folders = {
+        "JAX programs": os.environ.get("JAX_COMPILATION_CACHE_DIR", str(cache_dir() / "jax")),
+        "Warp kernels": os.environ.get("WARP_CACHE_PATH", str(cache_dir() / "warp")),
+    }
+    return {name: folder if Path(folder).is_dir() else f"{folder} (not there yet)" for name, folder in folders.items()}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from petmjx.config import SimConfig, Solver
+from petmjx.engines.mujoco import MujocoEngine
 from petmjx.outcome import BoxMetrics, Drive, Excitation, Flag, Job, Outcome, Progress, Reason, Verdict
 from petmjx.plans import Plan
 from petmjx.runner import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE, World, nominal_worlds, score_worlds
@@ -177,3 +178,23 @@ def test_an_engine_that_loses_or_repeats_a_world_is_found_out() -> None:
         list(score_worlds(worlds_failing(0, 0), SimConfig(), FailingEngine(drop_last=True)))
     with pytest.raises(RuntimeError, match="answered job 0 twice"):
         list(score_worlds(worlds_failing(0, 0), SimConfig(), FailingEngine(repeat_last=True)))
+
+
+def test_second_attempts_change_what_the_c_engine_computes() -> None:
+    plan = replace(
+        one_box_plan("tower"),
+        size_mm=np.full((3, 3), 200.0),
+        corner_mm=np.array([[0.0, 0, 0], [0, 0, 200], [30, 0, 400]]),
+        mass_kg=np.array([1.0, 4.0, 9.0]),
+        item_ids=("item",) * 3,
+        articles=("article",) * 3,
+        sequence=np.arange(3),
+    )
+    sim = SimConfig()
+    jobs = [world.job for world in nominal_worlds([plan], sim.physics)]
+    positions = []
+    for recipe in ATTEMPTS:
+        [outcome] = MujocoEngine(1).run(recipe.apply_to_jobs(jobs), recipe.apply_to_sim(sim))
+        positions.append(outcome.boxes.pos)
+        assert outcome.verdict is Verdict.STABLE
+    assert all((positions[i] != positions[j]).any() for i in range(5) for j in range(i))

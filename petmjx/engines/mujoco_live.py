@@ -86,6 +86,10 @@ class LiveWorld:
         self.capacity = capacity
         self.model = self._spec.compile()
         self.model.opt.solver = _SOLVER[self._sim.solver]
+        if self._sim.solver_iterations is not None:
+            self.model.opt.iterations = self._sim.solver_iterations
+        if self._sim.solver_tolerance is not None:
+            self.model.opt.tolerance = self._sim.solver_tolerance
         # MuJoCo would silently start a diverged world afresh; here it has to stay visible.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(self.model)
