@@ -36,7 +36,8 @@ Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
 
 DEFAULT_LOOSE_SHARE = 0.5
-"""Share of plans packed loosely: with it 30 to 50 % of the plans fail, one by one, physics ``pallet``."""
+"""Share of plans packed loosely. Measured on the first 100 plans of seed 0 (one by one, adaptive, physics
+``pallet``): 38 % fail, 38 of 55 loose plans and none of 45 strict ones."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """A loose plan's ``min_support`` is drawn from this range (strict: the default of ``PackRules``)."""
