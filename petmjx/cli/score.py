@@ -178,7 +178,7 @@ def _show(results: RunResults, as_json: bool) -> None:
 
     console = results_console()
     if len(results.worlds) <= FEW_PLANS:
-        console.print(worlds_table(results.worlds, results.boxes))
+        console.print(worlds_table(results.worlds.sort_values(["plan_id", "variant"]), results.boxes))
         console.print()
     _print_notes(console, results.info)
     console.print(summary_table(results.info, results.path))
