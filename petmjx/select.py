@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -138,7 +140,9 @@ def make_engine(name: str, *, threads: int | None = None, lanes: int | None = No
         options["lanes"] = lanes
     module_name, class_name = ENGINES[name]
     try:
-        module = importlib.import_module(module_name)
+        # mujoco.mjx prints to standard output where Warp is not installed; that belongs to results
+        with contextlib.redirect_stdout(io.StringIO()):
+            module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
     engine: Engine = getattr(module, class_name)(**options)
