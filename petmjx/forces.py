@@ -182,7 +182,10 @@ def _define_chain(name: str, fields: _Fields, defined: Mapping[str, Profile]) ->
             raise InputError(f"{where}.profile: only force profiles can be chained, {member!r} is none")
         resolved.append((profile, entry.number("offset_s", 0.0, at_least=0.0), entry.number("scale", 1.0, above=0.0)))
         entry.refuse_rest()
-    return chain(name, resolved, "user's sweep file")
+    overlap = fields.text("overlap", "add")
+    if overlap not in ("add", "replace"):
+        raise InputError(f"{fields.where}.overlap must be add or replace, got {overlap!r}")
+    return chain(name, resolved, "user's sweep file", replaces=overlap == "replace")
 
 
 def _define_random(name: str, fields: _Fields, folder: Path) -> RandomVibration:

@@ -198,8 +198,8 @@ class SweepPlan:
         return group.placement.apply(nominal, group.plan.plan_id, self.sweep.seed)
 
     def drive_start_s(self, plan: Plan) -> float:
-        """Nominal time at which a drive begins under the fixed schedule, s: as in the reference, n × interval
-        (not the moment the last box was placed, which rounding to steps puts a little later) plus settle."""
+        """Absolute time at which a drive begins under the fixed schedule, s: settle after the nominal end of
+        placement, n × interval, as in the reference. Rounding to steps puts the last placement a little later."""
         simulation = self.sweep.simulation
         placed_s = simulation.interval_s * plan.n_boxes if simulation.check is Check.ONE_BY_ONE else 0.0
         return placed_s + simulation.settle_s
@@ -211,30 +211,34 @@ class SweepPlan:
             return None
         profile = self.sweep.profile(spec.profile)
         simulation = self.sweep.simulation
-        fixed = simulation.schedule is Schedule.FIXED
-        start_s = self.drive_start_s(plan) if fixed else 0.0
+        start_s = self.drive_start_s(plan) if simulation.schedule is Schedule.FIXED else 0.0
         key: tuple[object, ...] = (spec.profile, start_s)
         if profile.random:
             key = (*key, plan.plan_id, variant.replicate)
             self._drives = {k: v for k, v in self._drives.items() if len(k) == 2 or k[2] == plan.plan_id}
         if key not in self._drives:
             world = WorldKey(self.sweep.seed, plan.plan_id, variant.replicate)
-            timestep_s = simulation.sim_config().physics.timestep_s
-            unit = build_drive(profile, timestep_s, 1.0, 0.0, start_s, simulation.rest_s, world)
-            self._drives[key] = self._cut_to_total(unit, plan, start_s, timestep_s)
+            self._drives[key] = self._unit_drive(profile, plan, start_s, world)
         unit = self._drives[key]
         return replace(unit, scale=spec.scale, yaw_rad=float(np.radians(spec.direction_deg)))
 
-    def _cut_to_total(self, drive: Drive, plan: Plan, start_s: float, timestep_s: float) -> Drive:
-        """The reference's demo ends a run at a multiple of the placement time, wherever the profile is then."""
+    def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
+        """A profile at scale 1, unturned.
+
+        With ``total_time_factor`` the run ends as the reference's demo does, at a multiple of the placement
+        time, wherever the profile is then.
+        """
         simulation = self.sweep.simulation
-        if simulation.total_time_factor is None:
+        timestep_s = simulation.sim_config().physics.timestep_s
+        factor = simulation.total_time_factor
+        drive = build_drive(profile, timestep_s, 1.0, 0.0, start_s, simulation.rest_s, world)
+        if factor is None:
             return drive
-        total_s = simulation.total_time_factor * (simulation.interval_s * plan.n_boxes)
+        total_s = factor * (simulation.interval_s * plan.n_boxes)
         left = seconds_to_steps(total_s, timestep_s) - seconds_to_steps(start_s, timestep_s)
         if left <= 0:
-            raise InputError(f"{self.sweep.file}: simulation.total_time_factor {simulation.total_time_factor:g} ends "
-                             f"plan {plan.plan_id} before its profile begins")  # fmt: skip
+            raise InputError(f"{self.sweep.file}: simulation.total_time_factor {factor:g} ends plan {plan.plan_id} "
+                             "before its profile begins")  # fmt: skip
         samples = drive.excitation.samples[:left]
         # Half a step more, so that truncation to whole steps gives back the number meant.
         rest_s = (left - len(samples) + 0.5) * timestep_s

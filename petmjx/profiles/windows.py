@@ -44,11 +44,18 @@ class Window:
 
 @dataclass(frozen=True)
 class WindowProfile:
-    """A force profile: windows, which add up where they overlap."""
+    """A force profile.
+
+    ``replaces``: False: windows that overlap add up. True: as in the reference's force applicator, a window
+    that begins ends the one before it, and the first end of any window ends whatever acts. Of windows that
+    begin on the same step only the last acts. Its demo's chain has such coincidences, and repeating its
+    figures needs them.
+    """
 
     name: str
     windows: tuple[Window, ...]
     source: str
+    replaces: bool = False
     kind: str = FORCE
     strength: Strength = Strength.SCALE
     random: bool = False
@@ -69,16 +76,36 @@ class WindowProfile:
             end = seconds_to_steps(end_s, timestep_s) - first_step
             spans.append((begin, end, window.vector))
         samples = np.zeros((max(end for _, end, _ in spans), 3))
+        if self.replaces:
+            spans = _one_at_a_time(spans)
         for begin, end, vector in spans:
             samples[begin:end] += np.asarray(vector)
         return Excitation(self.name, self.kind, samples)
 
 
-def chain(name: str, links: Sequence[tuple[WindowProfile, float, float]], source: str) -> WindowProfile:
+def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
+    """What the reference makes of windows that overlap: spans that do not.
+
+    It looks once for every begin and every end, in order of time: each time it first takes away the force
+    that acts, then sets the next window's if that has begun.
+    """
+    waiting = sorted(spans, key=lambda span: span[0])
+    looks = sorted(step for begin, end, _ in spans for step in (begin, end))
+    acting: list[tuple[int, int, Vector]] = []
+    for look, until in zip(looks, [*looks[1:], looks[-1]], strict=True):
+        if waiting and waiting[0][0] <= look:
+            acting.append((look, until, waiting.pop(0)[2]))
+    return acting
+
+
+def chain(
+    name: str, links: Sequence[tuple[WindowProfile, float, float]], source: str, replaces: bool = False
+) -> WindowProfile:
     """Several force profiles one after the other (or over each other).
 
     Args:
         links: (profile, offset in s, scale) of each.
+        replaces: what happens where windows overlap, see `WindowProfile`.
     """
     windows = [
         replace(
@@ -89,7 +116,7 @@ def chain(name: str, links: Sequence[tuple[WindowProfile, float, float]], source
         for profile, offset_s, scale in links
         for window in profile.windows
     ]
-    return WindowProfile(name, tuple(windows), source)
+    return WindowProfile(name, tuple(windows), source, replaces)
 
 
 _SQRT2 = math.sqrt(2)
@@ -151,6 +178,9 @@ RADIAL_CHAIN = chain(
         )
     ],
     f"{PET_PHYSICS}, dynamic stability demo",
+    replaces=True,
 )
 """Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo, where it begins 2 s
-(``settle_s``) after the nominal end of placement, n × interval, so its first push comes another 2 s later."""
+(``settle_s``) after the nominal end of placement, n × interval, so its first push comes another 2 s later.
+From the third profile on, the last two pushes of each coincide with two of the next (at 10.1 and 10.4 s first);
+the reference then applies one push only, and so does this profile."""
