@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
@@ -16,6 +15,8 @@ from petmjx.units import seconds_to_steps
 
 _FAR = 2**62
 """A step that never comes."""
+
+_FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
 
 
 class Cancelled(Exception):
@@ -42,12 +43,6 @@ class Clock:
         while self.time_s(candidate) - start < interval_s:
             candidate += 1
         return candidate
-
-
-class _Phase(Enum):
-    PLACING = "placing"
-    SETTLING = "settling"
-    FINAL = "final"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +77,11 @@ class WorldRun:
         self._first_step = 0
         self._last_placement = 0
         self._quiet_steps = 0
-        self._phase = _Phase.PLACING
+        self._fast_since = _FAR
+        self._placing = True
         self._deadline = _FAR
         self._end = _FAR
-        self._drive_start = _FAR
+        self._drive_start = 0
         self._driving = False
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
@@ -110,22 +106,13 @@ class WorldRun:
         return self._outcome(came_to_end)
 
     def _start(self) -> None:
-        sim = self._sim
-        static = sim.check is Check.STATIC
-        self._live = LiveWorld(self._scene, sim, n_boxes=self._scene.n_boxes if static else 0)
-        self._metrics = OracleMetrics(self._scene, sim.thresholds)
+        static = self._sim.check is Check.STATIC
+        self._live = LiveWorld(self._scene, self._sim, n_boxes=self._scene.n_boxes if static else 0)
+        self._metrics = OracleMetrics(self._scene, self._sim.thresholds)
         self._soft_start()
-        n = self._scene.n_boxes
-        if static:
-            self._deadline = self._clock.first_after(0, sim.duration_s)
-            if not self._adaptive:
-                self._schedule_end_of_fixed(seconds_to_steps(sim.duration_s, self._dt))
-            return
-        self._deadline = self._clock.first_after(0, sim.interval_s)
         if not self._adaptive and not self._goes_on:
-            self._end = seconds_to_steps((n + 1) * sim.interval_s, self._dt)
-        elif self._adaptive:
-            self._transition()
+            self._end = self._end_of_fixed()
+        self._set_deadline()
 
     def _soft_start(self) -> None:
         live = self._live
@@ -157,6 +144,9 @@ class WorldRun:
             if not self._observe():
                 return False
             self._transition()
+        self._flags |= self._live.trouble()
+        if self._flags & _FATAL:
+            return False
         if self._step % self._sample_steps:
             k = self._live.n_placed
             pose = self._live.pose[:k]
@@ -173,12 +163,13 @@ class WorldRun:
     def _next_event(self) -> int:
         step = self._step
         target = min(self._end, step + self._sample_steps - step % self._sample_steps)
-        if self._phase is not _Phase.FINAL:
+        if self._placing:
             target = min(target, self._deadline)
             if self._adaptive:
                 poll = self._sim.quiet.poll_steps
                 target = min(target, step + poll - step % poll)
-        target = min(target, self._next_drive_change() if self._driving else self._drive_start)
+        if self._driving:
+            target = min(target, self._next_drive_change())
         window = self._end - self._rest_steps
         return min(target, step + 1 if step >= window else window)
 
@@ -190,7 +181,7 @@ class WorldRun:
         polled = step % self._sim.quiet.poll_steps == 0
         if sampled or polled:
             self._flags |= live.trouble()
-            if self._flags & (Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW):
+            if self._flags & _FATAL:
                 return False
         in_rest = step > self._end - self._rest_steps
         if not (sampled or in_rest):
@@ -204,8 +195,8 @@ class WorldRun:
         pos, quat = live.sampled_pose()
         acc = live.qacc[:k]
         sample = Sample(self._clock.time_s(step), pos, quat, acc[:, :3], acc[:, 3:], force)
-        landed = step - self._last_placement >= self._sim.quiet.min_steps
-        if self._metrics.add_sample(sample, explosions=landed and not self._driving):
+        too_fast = self._metrics.add_sample(sample)
+        if not self._driving and self._explodes(too_fast):
             self._flags |= Flag.EXPLOSION
             return False
         if self._sim.early_stop and self._metrics.any_dropped:
@@ -213,19 +204,68 @@ class WorldRun:
             return False
         return True
 
+    def _explodes(self, too_fast: bool) -> bool:
+        """Whether accelerations that no sign of instability explains have lasted.
+
+        Light boxes land, and tipping boxes hit, with up to 240 rad/s² for a few steps: a sample that happens to
+        catch such a blow is no explosion. So samples right after a placement do not count, and one alone is
+        not enough: the next ones, over at least as many steps as a box needs to land, must say the same.
+        """
+        landing = self._sim.quiet.min_steps
+        if self._step - self._last_placement < landing:
+            return False
+        if not too_fast:
+            self._fast_since = _FAR
+            return False
+        self._fast_since = min(self._fast_since, self._step)
+        return self._step - self._fast_since >= landing
+
     def _transition(self) -> None:
-        """Placement, settling and the start of the drive after a step."""
-        if self._phase is _Phase.FINAL:
-            if self._step == self._drive_start and not self._driving:
-                self._begin_drive()
+        """After a step: place the next box, or see whether placement (and settling) is over."""
+        if not self._placing:
             return
         quiet = self._adaptive and self._poll_quiet()
-        if self._phase is _Phase.PLACING:
-            rested = self._step - self._last_placement >= self._sim.quiet.min_steps
-            if self._step >= self._deadline or (quiet and rested):
-                self._after_interval(quiet)
-        elif quiet or self._step >= self._deadline:
+        rested = self._step - self._last_placement >= self._sim.quiet.min_steps
+        if self._step < self._deadline and not (quiet and rested):
+            return
+        live = self._live
+        if live.n_placed < self._scene.n_boxes:
+            live.place_next()
+            self._last_placement = self._step
+            self._quiet_steps = 0
+            self._set_deadline()
+        elif self._goes_on:
             self._begin_drive()
+        else:
+            self._placing = False
+            if self._adaptive:
+                self._end = self._step + self._rest_steps
+
+    def _set_deadline(self) -> None:
+        """The step after which something happens at the latest: the next placement, or what follows the last.
+
+        A fixed drive starts at the reference's time: from the nominal moment of the last placement, which
+        rounding to steps puts a little later.
+        """
+        sim, step = self._sim, self._step
+        static = sim.check is Check.STATIC
+        if self._live.n_placed < self._scene.n_boxes:
+            self._deadline = self._clock.first_after(step, sim.interval_s)
+        elif not self._goes_on:
+            wait_s = sim.duration_s if static else sim.interval_s
+            self._deadline = self._clock.first_after(step, wait_s)
+        else:
+            fixed_s = 0.0 if static else self._scene.n_boxes * sim.interval_s
+            placed_s = self._clock.time_s(step) if self._adaptive else fixed_s
+            self._deadline = seconds_to_steps(placed_s + sim.settle_s, self._dt)
+        self._deadline = max(self._deadline, step + 1)
+
+    def _end_of_fixed(self) -> int:
+        """The last step of a fixed schedule without a drive."""
+        sim = self._sim
+        if sim.check is Check.STATIC:
+            return seconds_to_steps(sim.duration_s, self._dt)
+        return seconds_to_steps((self._scene.n_boxes + 1) * sim.interval_s, self._dt)
 
     def _poll_quiet(self) -> bool:
         rule = self._sim.quiet
@@ -238,48 +278,17 @@ class WorldRun:
             self._quiet_steps = self._quiet_steps + rule.poll_steps if still.all() else 0
         return self._quiet_steps >= rule.steps
 
-    def _after_interval(self, quiet: bool) -> None:
-        """The wait for the last placement is over: place the next box, or go on to what follows placement."""
-        live = self._live
-        if live.n_placed < self._scene.n_boxes:
-            live.place_next()
-            self._last_placement = self._step
-            self._quiet_steps = 0
-            self._deadline = self._clock.first_after(self._step, self._sim.interval_s)
-            if not self._adaptive and live.n_placed == self._scene.n_boxes:
-                self._schedule_end_of_fixed(self._end)
-        elif self._goes_on and not quiet:
-            self._phase = _Phase.SETTLING
-            self._deadline = self._clock.first_after(self._step, self._sim.settle_s)
-        elif self._goes_on:
-            self._begin_drive()
-        else:
-            self._phase = _Phase.FINAL
-            self._end = self._step + self._rest_steps
-
-    def _schedule_end_of_fixed(self, end: int) -> None:
-        """All boxes stand and the schedule is fixed: ``end`` without a drive, else the drive's start is known."""
-        self._phase = _Phase.FINAL
-        if not self._goes_on:
-            self._end = end
-            return
-        placed_s = self._clock.time_s(self._last_placement)
-        self._drive_start = seconds_to_steps(placed_s + self._sim.settle_s, self._dt)
-        if self._drive_start <= self._step:
-            self._begin_drive()
-
     # ------------------------------------------------------------------ drive
 
     def _begin_drive(self) -> None:
         """Placement and settling are over: keep the state, start the drive, and fix the end of the world."""
-        self._phase = _Phase.FINAL
+        self._placing = False
         self._drive_start = self._step
         if self._job.keep_state:
             self._kept = SettledState(self._step, self._live.body_state(), self._metrics.fork(), None)
         drive = self._job.drive
         if drive is None:
             self._end = self._step + self._rest_steps
-            self._drive_start = _FAR
             return
         cos, sin = np.cos(drive.yaw_rad), np.sin(drive.yaw_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

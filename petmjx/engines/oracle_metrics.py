@@ -130,11 +130,11 @@ class OracleMetrics:
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
 
-    def add_sample(self, sample: Sample, *, explosions: bool) -> bool:
+    def add_sample(self, sample: Sample) -> bool:
         """Take in one sample.
 
         Returns:
-            Whether the world exploded: an acceleration above its threshold before any sign of instability.
+            Whether some acceleration is above its threshold while no box has shown any sign of instability.
         """
         k = len(sample.pos)
         lin = np.linalg.norm(sample.lin_acc, axis=1)
@@ -147,7 +147,7 @@ class OracleMetrics:
             np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
         limits = self._thresholds
         too_fast = bool(np.any(lin > limits.lin_acc_m_s2) or np.any(ang > limits.ang_acc_rad_s2))
-        return explosions and too_fast and self.culprit < 0
+        return too_fast and self.culprit < 0
 
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
         """Look for drops and the first sign in one pose; the final state counts too. Returns the (k,) tilts."""
