@@ -97,11 +97,11 @@ def test_given_engines_and_physics_are_used(tmp_path: Path) -> None:
 
 
 def test_thresholds_decide() -> None:
-    drop = petmjx.score(PLANS[1:], engine="mujoco").worlds
-    assert drop["reason"].tolist() == ["drop"]
-    never = Thresholds(shift_m=5.0, tilt_deg=180.0, drop_hull_z_m=-9.0)
-    results = petmjx.score(PLANS[:1], engine="mujoco", thresholds=never)
-    assert results.worlds["verdict"].tolist() == ["stable"]
+    tilted = petmjx.score(PLANS[1:], engine="mujoco").worlds
+    assert tilted["reason"].tolist() == ["tilt"]
+    tolerant = Thresholds(shift_m=5.0, tilt_deg=180.0)
+    shifted = petmjx.score(PLANS[1:], engine="mujoco", thresholds=tolerant).worlds
+    assert shifted["verdict"].tolist() == ["stable"]
     pedantic = Thresholds(shift_m=1e-9, shift_floor_m=0.0)
     results = petmjx.score(PLANS[:1], engine="mujoco", thresholds=pedantic)
     assert results.worlds["reason"].tolist() == ["shift"]
