@@ -15,9 +15,8 @@ import pytest
 
 from petmjx.config import PHYSICS, Check, Schedule, SimConfig
 from petmjx.engines.mujoco import MujocoEngine
-from petmjx.outcome import Drive, Excitation, Job, Outcome, Reason, Verdict
+from petmjx.outcome import Job, Outcome, Reason, Verdict
 from petmjx.plans import Plan, load_plans
-from petmjx.profiles.windows import RADIAL
 from petmjx.scene import build_scene
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -25,7 +24,6 @@ SHARED = Path(__file__).parents[2] / "shared"
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason="the real plans and reference figures are not here")
 
 INTERVAL_S = 0.5
-DT_S = 0.002
 
 SHIFT_M = 0.0002
 """Real differences are 0.03 to 0.2 mm: the reference ran another version of MuJoCo, whose rounding differs."""
@@ -39,6 +37,7 @@ FORCE_N = 0.01
 SHIFT_FLOOR_M = 0.001
 """Both sides call smaller components 0, so a component near 1 mm may be 0 on one side only."""
 
+
 @cache
 def real_plans() -> dict[str, Plan]:
     files = [SHARED / "data" / "packing_plan_a.json", SHARED / "data" / "packing_plan_5-bed-bpp.json"]
@@ -51,11 +50,12 @@ def reference_runs() -> list[dict[str, Any]]:
     return runs
 
 
-def reference_run(plan_id: str, check: str, driven: bool) -> dict[str, Any]:
+def reference_run(plan_id: str, check: str) -> dict[str, Any]:
+    """The run without forces; those with forces are the business of test_dynamic_parity.py."""
     return next(
         run
         for run in reference_runs()
-        if (run["plan_id"], run["check"], run["force_profile"] is not None) == (plan_id, check, driven)
+        if (run["plan_id"], run["check"], run["force_profile"]) == (plan_id, check, None)
     )
 
 
@@ -70,9 +70,9 @@ def reference_config(check: Check) -> SimConfig:
     )
 
 
-def simulate(plan_id: str, sim: SimConfig, drive: Drive | None = None) -> Outcome:
+def simulate(plan_id: str, sim: SimConfig) -> Outcome:
     scene = build_scene(real_plans()[plan_id], sim.physics)
-    return next(iter(MujocoEngine(1).run([Job(scene, drive)], sim)))
+    return next(iter(MujocoEngine(1).run([Job(scene)], sim)))
 
 
 def shift_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
@@ -100,37 +100,7 @@ def assert_matches(outcome: Outcome, run: dict[str, Any], shift_m: float) -> Non
 def test_matches_the_reference_without_forces(plan_id: str, check: Check) -> None:
     collapses = plan_id == "00100408" and check is Check.ONE_BY_ONE
     outcome = simulate(plan_id, reference_config(check))
-    run = reference_run(plan_id, check.value.replace("-", "_"), driven=False)
-    assert_matches(outcome, run, COLLAPSE_SHIFT_M if collapses else SHIFT_M)
-
-
-def demo_chain(n_boxes: int, sim: SimConfig) -> Drive:
-    """The demo's seven radial profiles, as the reference applies them.
-
-    The chain begins ``settle_s`` after the *nominal* last placement, n × interval, and its offsets count from
-    there; it acts on the mass of boxes and carrier. Where two links have a window at the same step (9.5 + 3.1 =
-    12 + 0.6) the later link's vector replaces the earlier one; with their sum the pallet flies apart instead of
-    shifting by 96 mm. The run ends at 2.5 × n × interval.
-    """
-    start_s = n_boxes * sim.interval_s + sim.settle_s
-    start, end = int(start_s / DT_S), int(2.5 * n_boxes * sim.interval_s / DT_S)
-    samples = np.zeros((end - start, 3))
-    offsets_s, scales = (2.0, 4.0, 7.0, 9.5, 12.0, 14.5, 17.0), (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 2.0)
-    for offset_s, scale in zip(offsets_s, scales, strict=True):
-        for window in RADIAL.windows:
-            begin_s = start_s + offset_s + window.start_s
-            rows = slice(int(begin_s / DT_S) - start, int((begin_s + window.duration_s) / DT_S) - start)
-            samples[rows] = np.array(window.vector) * scale
-    return Drive(Excitation("demo chain", "force", samples), rest_s=0.0)
-
-
-@pytest.mark.parametrize("plan_id", ["packing_plan_a", "00100408"])
-def test_matches_the_reference_under_its_force_profiles(plan_id: str) -> None:
-    sim = reference_config(Check.ONE_BY_ONE)
-    drive = demo_chain(real_plans()[plan_id].n_boxes, sim)
-    outcome = simulate(plan_id, sim, drive)
-    collapses = plan_id == "00100408"
-    run = reference_run(plan_id, "one_by_one", driven=True)
+    run = reference_run(plan_id, check.value.replace("-", "_"))
     assert_matches(outcome, run, COLLAPSE_SHIFT_M if collapses else SHIFT_M)
 
 
