@@ -10,13 +10,20 @@ from pathlib import Path
 
 import pytest
 
-# Before anything imports jax. Tests mostly compile, and run little of what they compile.
+XLA_CPU_FLAGS = {
+    "--xla_backend_optimization_level": "1",  # tests mostly compile, and run little of what they compile
+    # With it on, programs of the mjx-jax engine hang in XLA's thread pool (jaxlib 0.10.2, two cores: 7 runs of 7;
+    # with it off 0 of 4).
+    "--xla_cpu_enable_concurrency_optimized_scheduler": "false",
+}
+
+# before anything imports jax
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 if os.environ.get("PETMJX_TEST_GPU") != "1":
     os.environ["JAX_PLATFORMS"] = "cpu"
-    flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_backend_optimization_level" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_optimization_level=1".strip()
+    given = os.environ.get("XLA_FLAGS", "")
+    added = [f"{flag}={value}" for flag, value in XLA_CPU_FLAGS.items() if flag not in given]
+    os.environ["XLA_FLAGS"] = " ".join([given, *added]).strip()
 
 
 @functools.cache
