@@ -131,7 +131,8 @@ class Job:
     """One world to simulate.
 
     ``start`` is the ``state`` of an earlier outcome of the same engine: the world then skips soft start
-    and placement and begins with its drive. ``keep_state`` asks for such a state.
+    and placement and begins with its drive. ``keep_state`` asks for such a state, taken where placement has
+    settled; a job that keeps its state and has no drive may end there, without a rest window.
     """
 
     scene: Scene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -40,6 +41,7 @@ class Results(NamedTuple):
     rest_force: Float[Array, "world box"]
 
 
+@partial(jax.jit, static_argnames="sim")
 def judge(state: State, worlds: Worlds, sim: SimConfig) -> Results:
     """Verdicts (as reasons) and the metrics that need the whole run, for every world of a table."""
     limits, m = sim.thresholds, state.metrics
@@ -85,9 +87,10 @@ def outcomes(
     timetable: Timetable,
     sim: SimConfig,
 ) -> Iterator[Outcome]:
-    """Outcomes of some rows of a table, fetched from the device in one go."""
-    picked: tuple[State, Results] = jax.device_get(jax.tree.map(lambda a: a[rows], (state, results)))
-    host, found = picked
+    """Outcomes of some rows of a table. The whole table is fetched: picking rows on the device would compile a
+    program for every number of them."""
+    fetched: tuple[State, Results] = jax.device_get((state, results))
+    host, found = jax.tree.map(lambda a: a[rows], fetched)
     m, clock, dt = host.metrics, timetable.clock, sim.physics.timestep_s
 
     def seconds(step: int) -> float:

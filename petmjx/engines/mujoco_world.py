@@ -276,7 +276,7 @@ class WorldRun:
                 squares[:, 3:].sum(axis=1) < rule.ang_vel_rad_s**2
             )
             self._quiet_steps = self._quiet_steps + rule.poll_steps if still.all() else 0
-        return self._quiet_steps >= rule.steps
+        return self._step % rule.poll_steps == 0 and self._quiet_steps >= rule.steps
 
     # ------------------------------------------------------------------ drive
 

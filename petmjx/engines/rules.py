@@ -68,7 +68,7 @@ class Rules:
         if self.driven:
             begins = state.status == Status.SETTLED
             end = state.driven_from + worlds.drive_steps
-            metrics = state.metrics
+            metrics = self._forget_transients(state, worlds, begins)
             anchor = jnp.where(begins[:, None, None], state.pose[..., :2], metrics.sway_anchor)
             return state._replace(
                 status=jnp.where(begins, Status.RUNNING, state.status),
@@ -78,6 +78,19 @@ class Rules:
             )
         waited = (state.status == Status.READY) & (state.placed < self.capacity)
         return self.place_next(state._replace(status=jnp.where(waited, Status.RUNNING, state.status)), worlds, waited)
+
+    def _forget_transients(self, state: State, worlds: Worlds, begins: Bool[Array, " lane"]) -> Metrics:
+        """A box that dipped while it landed and stands again is no sign: the drive starts with a clean record."""
+        m, limits = state.metrics, self.sim.thresholds
+        pos, quat = state.pose[..., :3], state.pose[..., 3:]
+        shift = motion.shift(pos, worlds.target, limits.shift_floor_m)
+        excess = motion.excess(shift, motion.tilt_deg(quat), m.drop_step >= 0, limits)
+        placed = jnp.arange(self.capacity) < state.placed[:, None]
+        clean = begins & ~(placed & (excess > 1)).any(-1)
+        return m._replace(
+            culprit=jnp.where(clean, -1, m.culprit),
+            sign_step=jnp.where(clean, -1, m.sign_step),
+        )
 
     def wants_forces(self, state: State) -> Bool[Array, " lane"]:
         """Lanes whose contact forces count after this step: at samples and in the rest window."""
@@ -89,6 +102,7 @@ class Rules:
         self,
         state: State,
         worlds: Worlds,
+        seen_pose: Float[Array, "lane box 7"],
         acceleration: Float[Array, "lane box 6"],
         top_force: Float[Array, "lane box"],
         overflow: Int[Array, " lane"],
@@ -97,6 +111,7 @@ class Rules:
 
         Args:
             state: poses, velocities and step counters as the step left them.
+            seen_pose: poses at the step's begin, where contacts and accelerations belong to: what samples look at.
             acceleration: linear (m/s²) and angular (rad/s²) of each box in that step.
             top_force: N; only looked at where ``wants_forces``.
             overflow: non-zero where a buffer was too small for the step to be right.
@@ -104,7 +119,7 @@ class Rules:
         before = state.running
         values = jnp.concatenate([state.pose.reshape(len(before), -1), state.vel.reshape(len(before), -1)], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
-        state = self._sample(state, worlds, acceleration, top_force, nonfinite)
+        state = self._sample(state, worlds, seen_pose, acceleration, top_force, nonfinite)
         overflowed = before & (overflow != 0)
         state = state._replace(
             steps_done=state.steps_done + (before & (state.step > 0)),
@@ -118,6 +133,7 @@ class Rules:
         self,
         state: State,
         worlds: Worlds,
+        seen_pose: Float[Array, "lane box 7"],
         acceleration: Float[Array, "lane box 6"],
         top_force: Float[Array, "lane box"],
         nonfinite: Bool[Array, " lane"],
@@ -131,7 +147,8 @@ class Rules:
         sampled = standing & sample[:, None]
         looked = standing & (sample | last)[:, None]
 
-        pos, quat = state.pose[..., :3], state.pose[..., 3:]
+        pose = jnp.where(sample[:, None, None], seen_pose, state.pose)
+        pos, quat = pose[..., :3], pose[..., 3:]
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
         excess = motion.excess(motion.shift(pos, worlds.target, limits.shift_floor_m), tilt, dropped, limits)
@@ -140,8 +157,14 @@ class Rules:
         culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
         lin = jnp.sqrt((acceleration[..., :3] ** 2).sum(-1))
         ang = jnp.sqrt((acceleration[..., 3:] ** 2).sum(-1))
-        violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1)
-        exploded = violent & (culprit < 0) & (not self.driven)
+        violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
+        # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
+        # placement do not count, and a violent one is an explosion only if those that follow say the same.
+        landing = self.sim.quiet.min_steps
+        counts = sample & (state.step - state.last_placed_at >= landing)
+        since = jnp.where(violent, jnp.minimum(state.violent_since, state.step), NEVER)
+        violent_since = jnp.where(counts, since, state.violent_since)
+        exploded = counts & violent & (state.step - since >= landing) & (not self.driven)
 
         def keep_max(old: Array, new: Array, where: Array) -> Array:
             return jnp.where(where, jnp.maximum(old, new), old)
@@ -151,7 +174,7 @@ class Rules:
             sway = jnp.sqrt(((pos[..., :2] - m.sway_anchor) ** 2).sum(-1))
             max_sway = keep_max(max_sway, sway, looked)
         metrics = Metrics(
-            max_tilt=keep_max(m.max_tilt, tilt, looked),
+            max_tilt=keep_max(m.max_tilt, tilt, sampled),
             max_lin_acc=keep_max(m.max_lin_acc, lin, sampled),
             max_ang_acc=keep_max(m.max_ang_acc, ang, sampled),
             max_top_force=keep_max(m.max_top_force, top_force, sampled),
@@ -167,6 +190,7 @@ class Rules:
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
         return state._replace(
             metrics=metrics,
+            violent_since=violent_since,
             flags=state.flags | flags,
             status=jnp.where(last | stopped | exploded, Status.FINISHED, state.status),
         )
@@ -181,7 +205,10 @@ class Rules:
         state = state._replace(quiet_steps=quiet_steps)
         more = state.placed < worlds.n_boxes
         due = state.step >= jnp.asarray(table.due)[state.last_placed_at]
-        settled = state.step >= jnp.asarray(table.settled)[state.last_placed_at]
+        if self.sim.schedule is Schedule.FIXED:
+            settled = state.step >= jnp.asarray(table.settled_nominally)[worlds.n_boxes]
+        else:
+            settled = state.step >= jnp.asarray(table.settled)[state.last_placed_at]
         if self.sim.check == "static":
             due = state.step >= table.static_end
         due = jnp.where(~more & worlds.settles, settled, due)

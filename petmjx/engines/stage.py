@@ -217,6 +217,7 @@ class Stage:
             "xfrc_applied": jnp.zeros((n, bodies, 6)).at[:, CARRIER_BODY, :3].set(force),
         }
         overrides = {**lanes.overrides, "opt.gravity": gravity}
+        seen_pose = state.pose
         scratch = self.stepper.step(overrides, inputs, lanes.scratch)
         running, standing = state.running[:, None], rules.standing(state)[..., None]
 
@@ -244,7 +245,7 @@ class Stage:
             lambda: jnp.zeros((n, capacity)),
         )
         overflow = self.stepper.overflow(scratch)
-        state = rules.after_step(state, lanes.worlds, acceleration, top_force, overflow)
+        state = rules.after_step(state, lanes.worlds, seen_pose, acceleration, top_force, overflow)
         usage = jnp.maximum(lanes.usage, self.stepper.usage(scratch))
         return lanes._replace(state=state, scratch=scratch, usage=usage)
 

@@ -91,6 +91,7 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
     quiet_steps: Int[Array, " world"]
+    violent_since: Int[Array, " world"]
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
@@ -244,6 +245,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         placed=worlds.n_boxes if all_placed else ints,
         last_placed_at=ints,
         quiet_steps=ints,
+        violent_since=never,
         driven_from=never,
         rest_from=jnp.where(ends == NEVER, NEVER, ends - rest_steps),
         end=ends,

@@ -23,7 +23,10 @@ class Timetable:
     Attributes:
         clock: (n,) float64.
         due: (n,) int32; a box placed after step s is followed by the next one after step ``due[s]`` at the latest.
-        settled: (n,) int32; the drive of a world whose last box was placed after step s starts after this step.
+        settled: (n,) int32; the drive of a world whose last box was placed after step s starts after step
+            ``settled[s]`` at the latest (adaptive schedule).
+        settled_nominally: the same for the fixed schedule, by number of boxes: the reference counts from the nominal
+            moment of the last placement, which rounding to steps puts a little later.
         sample_every, rest_steps: int.
         one_by_one_end: last step of the fixed one-by-one check by number of boxes; static_end: of the static one.
     """
@@ -31,6 +34,7 @@ class Timetable:
     clock: NDArray[np.float64]
     due: NDArray[np.int32]
     settled: NDArray[np.int32]
+    settled_nominally: NDArray[np.int32]
     sample_every: int
     rest_steps: int
     one_by_one_end: NDArray[np.int32]
@@ -52,11 +56,14 @@ def build_timetable(sim: SimConfig, max_boxes: int) -> Timetable:
         inside = np.minimum(due, n)
         due = np.where((clock[inside] - clock < sim.interval_s) & (due <= n), due + 1, due)
     settled = np.array([seconds_to_steps(t + sim.settle_s, dt) for t in clock])
+    placing_s = 0.0 if sim.check is Check.STATIC else sim.interval_s
+    nominal = [seconds_to_steps(k * placing_s + sim.settle_s, dt) for k in range(max_boxes + 1)]
     ends = [seconds_to_steps((k + 1) * sim.interval_s, dt) for k in range(max_boxes + 1)]
     return Timetable(
         clock=clock,
         due=due.astype(np.int32),
         settled=settled.astype(np.int32),
+        settled_nominally=np.array(nominal, np.int32),
         sample_every=max(1, seconds_to_steps(sim.sample_interval_s, dt)),
         rest_steps=max(1, seconds_to_steps(sim.rest_window_s, dt)),
         one_by_one_end=np.array(ends, np.int32),
