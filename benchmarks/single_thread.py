@@ -13,63 +13,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
-from petmjx.config import PHYSICS, SOFT_START_STEPS, Cone, Physics, Schedule, SimConfig
+from petmjx.bench.plain import INTERVAL_S, plain_loop
+from petmjx.bench.record import device_of, environment
+from petmjx.config import PHYSICS, Physics, Schedule, SimConfig
 from petmjx.engines.mujoco_world import WorldRun
-from petmjx.engines.oracle_metrics import OracleMetrics, Sample, top_forces
-from petmjx.model import build_spec
 from petmjx.outcome import Job
 from petmjx.plans import load_plans
 from petmjx.scene import Scene, build_scene
-
-SAMPLE_STEPS = 100
-INTERVAL_S = 0.7
-
-
-def plain_loop(scene: Scene, physics: Physics, parked_on_floor: bool) -> np.ndarray:
-    """Final shifts (n, 3) in m of the fixed schedule, by a loop without any of petmjx's engine."""
-    model = build_spec(scene, physics).compile()
-    data = mujoco.MjData(model)
-    n = scene.n_boxes
-    pose = data.qpos[7:].reshape(n, 7)
-    velocity, qacc = data.qvel[6:].reshape(n, 6), data.qacc[6:].reshape(n, 6)
-    lifted = data.xfrc_applied[2:]
-    weight = scene.mass * physics.gravity_m_s2
-    pose[:, 0] = 3.0 + 1.5 * np.arange(n)
-    pose[:, 1] = 5.0
-    pose[:, 2] = scene.floor_z + scene.half_size[:, 2] if parked_on_floor else 5.0
-    down = np.array([0.0, 0.0, -physics.gravity_m_s2])
-    for step in range(2 * SOFT_START_STEPS):
-        fraction = max(0, step - SOFT_START_STEPS) / SOFT_START_STEPS
-        model.opt.gravity[:] = down * fraction
-        if not parked_on_floor:
-            lifted[:, 2] = weight * fraction
-        mujoco.mj_step(model, data)
-    model.opt.gravity[:] = down
-    if not parked_on_floor:
-        lifted[:, 2] = weight
-    data.time = 0.0
-    metrics = OracleMetrics(scene, SimConfig().thresholds)
-    placed, last_s = 0, 0.0
-    for step in range(1, int((n + 1) * INTERVAL_S / physics.timestep_s) + 1):
-        mujoco.mj_step(model, data)
-        if step % SAMPLE_STEPS == 0:
-            force = top_forces(data, n, physics.cone is Cone.PYRAMIDAL)[:placed]
-            pos, quat, acc = data.xpos[2 : 2 + placed], data.xquat[2 : 2 + placed], qacc[:placed]
-            metrics.add_sample(Sample(data.time, pos, quat, acc[:, :3], acc[:, 3:], force))
-        if data.time - last_s >= INTERVAL_S and placed < n:
-            pose[placed, :3], pose[placed, 3:] = scene.start_pos[placed], scene.start_quat[placed]
-            velocity[placed] = 0.0
-            lifted[placed, 2] = 0.0
-            placed, last_s = placed + 1, data.time
-    return np.asarray(pose[:, :3] - scene.target)
 
 
 def cases(scene: Scene, physics: Physics) -> dict[str, Callable[[], object]]:
@@ -117,9 +71,8 @@ def main() -> None:
                 "cpu_s_all": [round(value, 3) for value in values],
                 "times_plain_air": round(min(seconds["plain, parked in the air"]) / min(values), 2),
                 "times_plain_floor": round(min(seconds["plain, parked on the floor"]) / min(values), 2),
-                "mujoco": mujoco.__version__,
-                "numpy": np.__version__,
-                "python": platform.python_version(),
+                "device": device_of("mujoco"),
+                **environment(),
             }
             print(json.dumps(record), flush=True)
 

@@ -11,14 +11,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import tempfile
 import time
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
+from petmjx.bench.record import device_of, environment
 from petmjx.config import PHYSICS, SimConfig
 from petmjx.engines.mujoco import MujocoEngine
 from petmjx.outcome import Job
@@ -72,9 +69,8 @@ def main() -> None:
             "cpu_s": round(cpu_s, 3),
             "wall_s_all": [round(wall, 3) for wall, _ in measured],
             "times_first": round(first_s / wall_s, 2),
-            "mujoco": mujoco.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
+            "device": device_of("mujoco"),
+            **environment(),
         }
         print(json.dumps(record), flush=True)
 

@@ -21,6 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"select", "runner"}),
     frozenset({"parts", "store", "compare", "report"}),
     frozenset({"doctor", "api"}),
+    frozenset({"bench"}),
     frozenset({"cli", "__main__"}),
 )
 """Modules and packages of petmjx, lowest first. A module imports from its own layer or lower ones; what has no

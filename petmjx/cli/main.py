@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from petmjx import __version__
-from petmjx.cli import score, tools
+from petmjx.cli import bench, score, tools
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 
 
@@ -52,6 +52,7 @@ app.command("compare")(tools.compare)
 app.command("samples")(tools.samples)
 app.command("export")(tools.export)
 app.command("doctor")(tools.doctor)
+app.command("bench")(bench.bench)
 
 
 def _print_version(wanted: bool) -> None:
