@@ -9,7 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from petmjx.api import score
+    from petmjx.api import score, sweep
     from petmjx.compare import compare_runs
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
     from petmjx.plans import Plan, PlanSet, load_plans
@@ -29,6 +29,7 @@ __all__ = [
     "load_plans",
     "load_run",
     "score",
+    "sweep",
 ]
 
 _HOME = {
@@ -42,6 +43,7 @@ _HOME = {
     "load_plans": "petmjx.plans",
     "load_run": "petmjx.store",
     "score": "petmjx.api",
+    "sweep": "petmjx.api",
 }
 
 

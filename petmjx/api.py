@@ -1,4 +1,4 @@
-"""Scoring from Python: ``petmjx.score``, and what the command line shares with it."""
+"""Scoring and sweeping from Python: ``petmjx.score``, ``petmjx.sweep``, and what the command line shares with them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,24 @@ from petmjx.devices import cpu_name, cpu_threads, cuda_devices, package_versions
 from petmjx.errors import InputError
 from petmjx.outcome import Engine, Progress
 from petmjx.plans import Plan, PlanSet, Skipped, load_plans
+from petmjx.readymade import find_sweep
 from petmjx.runner import WorldResult, nominal_worlds, score_worlds
 from petmjx.samples import bundled_path
 from petmjx.scene import DEFAULT_SIZE_REDUCTION_MM
 from petmjx.select import AUTO, Choice, resolve_engine
-from petmjx.store import RunResults, RunWriter, load_run
+from petmjx.store import RunResults, RunWriter, load_run, write_summary
+from petmjx.sweepcost import sweep_engine, sweep_seconds
+from petmjx.sweepfile import load_sweep
+from petmjx.sweeping import Batching, SweepRun, SweptWorld
+from petmjx.sweepplan import SweepPlan
+from petmjx.sweepsummary import (
+    SweepColumns,
+    search_frame,
+    search_row,
+    search_strength,
+    summarise_shares,
+    summary_units,
+)
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
@@ -178,6 +191,121 @@ def score(
                 if watcher is not None:
                     watcher.world_done(result)
             writer.timings["compile_s"] = progress.compile_s
+        return load_run(folder)
+
+    return run(Path(out)) if out is not None else in_temporary_folder(run)
+
+
+class SweepWatcher(Protocol):
+    """Is told how a sweep goes."""
+
+    def planned(self, estimate: str) -> None:
+        """One line on how many worlds and placements there will be, and how long that may take."""
+
+    def begin(self, total: int | None, choice: Choice, progress: Progress) -> None:
+        """The sweep starts: so many worlds (a search does not know), on this engine, which keeps ``progress``."""
+
+    def world_done(self, world: SweptWorld) -> None:
+        """One more world has its final outcome."""
+
+
+def sweep(
+    file: PathArgument,
+    plans: PlanSource | None = None,
+    *,
+    engine: str | Engine = AUTO,
+    limit: int | None = None,
+    strict: bool = False,
+    allow_large: bool = False,
+    threads: int | None = None,
+    lanes: int | None = None,
+    out: PathArgument | None = None,
+    overwrite: bool = False,
+    watcher: SweepWatcher | None = None,
+    batching: Batching | None = None,
+) -> RunResults:
+    """Simulate each plan in all variants that a sweep file asks for.
+
+    Args:
+        file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
+        plans: as for :func:`score`, instead of those the file names; None: the file's.
+        engine, limit, strict, threads, lanes, out, overwrite: as for :func:`score`.
+        allow_large: accept more than a million worlds.
+        watcher: is told how the sweep goes.
+        batching: how much is held and simulated at a time; changes no result.
+
+    Returns:
+        The results, with ``.worlds``, ``.boxes``, ``.attempts`` and ``.summary`` as data frames and ``.info``.
+
+    Raises:
+        InputError: an unusable sweep file, plans or options.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+    asked = load_sweep(find_sweep(Path(file)), plans_given=plans is not None)
+    settings = asked.simulation
+    sim = settings.sim_config()
+    if plans is None and isinstance(asked.plans, tuple):
+        plans = list(asked.plans)
+    found = gather_plans(plans, limit=limit, strict=strict, carrier=settings.carrier)
+    found = without_vanishing_boxes(found, settings.size_reduction_mm, strict)
+    if not found.plans:
+        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
+        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
+    plan = SweepPlan(asked, found.plans, allow_large)
+    if isinstance(engine, str):
+        engine, choice = sweep_engine(engine, plan, threads=threads, lanes=lanes)
+    else:
+        choice = Choice(engine.name, "given")
+    searches = plan.search is not None
+    columns = SweepColumns(plan)
+    config = {
+        "command": "sweep",
+        "sweep": asked.resolved(),
+        "sim": sim.model_dump(mode="json"),
+        "carrier": settings.carrier.value,
+        "size_reduction_mm": settings.size_reduction_mm,
+        "engine": choice.name,
+        "engine_reason": choice.reason,
+        "limit": limit,
+        "strict": strict,
+        "threads": threads,
+        "lanes": lanes,
+    }
+
+    def run(folder: Path) -> RunResults:
+        progress = Progress()
+        rows: list[dict[str, Any]] = []
+        swept = SweepRun(
+            plan,
+            engine,
+            on_answer=lambda answer: rows.append(search_row(answer, columns, search_strength(plan))),
+            progress=progress,
+            batching=batching or Batching(),
+        )
+        with RunWriter(
+            folder,
+            config,
+            params=columns.params,
+            dynamic=columns.has_drives,
+            versions=package_versions(),
+            device=_device(choice.name, threads),
+            expected_worlds=None if searches else plan.n_worlds,
+            overwrite=overwrite,
+        ) as writer:
+            note_input(writer, found)
+            if watcher is not None:
+                seconds = sweep_seconds(plan, threads or cpu_threads())
+                watcher.planned(plan.estimate(seconds.get(choice.name, seconds["mujoco"])))
+                watcher.begin(None if searches else plan.n_worlds, choice, progress)
+            for world in swept.worlds():
+                index, values = world.variant.index, columns.of(world)
+                name, schedule = choice.name, sim.schedule.value
+                writer.add(world.plan, index, name, schedule, world.outcome, world.attempts, values)
+                if watcher is not None:
+                    watcher.world_done(world)
+            writer.timings.update(vars(swept.tally), compile_s=progress.compile_s)
+        frame = search_frame(rows) if searches else summarise_shares(folder, plan)
+        write_summary(folder, frame, *summary_units(frame, plan))
         return load_run(folder)
 
     return run(Path(out)) if out is not None else in_temporary_folder(run)

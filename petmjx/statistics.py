@@ -11,9 +11,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from petmjx.config import Thresholds
 from petmjx.outcome import BoxMetrics, FloatArray, Outcome, Reason, Verdict
 
 DEFAULT_CONFIDENCE = 0.95
+DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
 ALL_PLANS = "*"
 """``plan_id`` of summary rows over all plans together."""
@@ -73,20 +75,18 @@ def share_standing(
     scopes = [frame.assign(plan_id=ALL_PLANS)]
     if per_plan:
         scopes.append(frame)
-    rows = []
+    columns = ["plan_id", "axis", "value", "n_worlds", "n_standing", "n_invalid"]
+    counts = []
     for scope in scopes:
         for axis in ("", *axes):
             keys = ["plan_id", axis] if axis else ["plan_id"]
-            for key, part in scope.groupby(keys, sort=True, observed=True):
-                row = {"plan_id": key[0], "axis": axis, "value": _text(key[1]) if axis else ""}
-                counts = {
-                    "n_worlds": len(part),
-                    "n_standing": part["standing"].sum(),
-                    "n_invalid": part["invalid"].sum(),
-                }
-                rows.append({**row, **counts})
-    columns = ["plan_id", "axis", "value", "n_worlds", "n_standing", "n_invalid"]
-    summary = pd.DataFrame(rows, columns=columns).astype(dict.fromkeys(columns[3:], "int64"))
+            groups = scope.groupby(keys, sort=True, observed=True)
+            count = groups.agg(
+                n_worlds=("standing", "size"), n_standing=("standing", "sum"), n_invalid=("invalid", "sum")
+            ).reset_index()
+            value = [_text(entry) for entry in count[axis]] if axis else ""
+            counts.append(count.assign(axis=axis, value=value)[columns].astype({"axis": object, "value": object}))
+    summary = pd.concat(counts, ignore_index=True).astype(dict.fromkeys(columns[3:], "int64"))
     judged = summary["n_worlds"] - summary["n_invalid"]
     low, high = wilson_interval(summary["n_standing"].to_numpy(), judged.to_numpy(), confidence)
     with np.errstate(invalid="ignore"):
@@ -102,13 +102,19 @@ MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reaso
 """Reason of an unstable world → how it failed, in words of a search's answer."""
 
 
-def failure_mode(outcome: Outcome) -> str:
-    """ "slide", "tilt" or "drop" for unstable worlds, the reason itself for invalid ones, "" for stable ones.
+def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
+    """What became of the box that went first: "slide", "tilt" or "drop".
 
-    The reason is the gravest sign of the whole run (drop before tilt before shift). At the lowest level that
-    fails, which is where a search reads it, the gravest sign is as a rule also the first.
+    It dropped; or it did not but tilted by more than ``tilt_deg``; or it moved too far. At the lowest level that
+    fails, which is where a search reads it, that is as a rule also how it began; far above that level a box that
+    slides also falls. The reason itself for invalid worlds, "" for stable ones.
     """
-    return MODES.get(outcome.reason, str(outcome.reason))
+    if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
+        return MODES.get(outcome.reason, str(outcome.reason))
+    boxes, box = outcome.boxes, outcome.culprit
+    if boxes.dropped[box]:
+        return MODES[Reason.DROP]
+    return MODES[Reason.TILT if boxes.max_tilt_deg[box] > tilt_deg else Reason.SHIFT]
 
 
 class Bisection:
@@ -128,11 +134,18 @@ class Bisection:
         stands_at_rest: (n_items,) which items stood before any profile; the others are through at once,
             with nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
         sections: levels tested per item and round, ≥ 1; 1 is plain bisection.
+        tilt_deg: from where on a box that failed is said to have tilted.
     """
 
     def __init__(
-        self, levels: ArrayLike, n_items: int, stands_at_rest: ArrayLike | None = None, sections: int = 3
+        self,
+        levels: ArrayLike,
+        n_items: int,
+        stands_at_rest: ArrayLike | None = None,
+        sections: int = 3,
+        tilt_deg: float = DEFAULT_TILT_DEG,
     ) -> None:
+        self._tilt_deg = tilt_deg
         self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
         if self.levels.ndim != 1 or len(self.levels) < 1 or np.any(np.diff(self.levels) <= 0):
             raise ValueError("levels must be a rising list of at least one level")
@@ -162,6 +175,14 @@ class Bisection:
     @property
     def done(self) -> bool:
         return bool(self.converged.all())
+
+    def bounds(self) -> list[tuple[int, int]]:
+        """Of each item, the indices of the largest level survived (−1: none) and of the smallest that failed."""
+        return list(zip(self._survived.tolist(), self._failed.tolist(), strict=True))
+
+    def mode_of(self, outcome: Outcome) -> str:
+        """`failure_mode` with this search's threshold of tilt."""
+        return failure_mode(outcome, self._tilt_deg)
 
     def next_tests(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(items, level indices) of the next round, item by item; both empty when all have converged."""
@@ -195,7 +216,7 @@ class Bisection:
         index_list = np.asarray(level_indices, dtype=np.int64)
         if outcomes is not None:
             survived = [outcome.verdict is Verdict.STABLE for outcome in outcomes]
-            modes = [failure_mode(outcome) for outcome in outcomes]
+            modes = [self.mode_of(outcome) for outcome in outcomes]
             boxes = [outcome.culprit for outcome in outcomes]
             np.add.at(self._invalid, item_list, [outcome.verdict is Verdict.INVALID for outcome in outcomes])
         if survived is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -271,15 +271,9 @@ class SweepPlan:
         driven = (self.n_variants - int(self.sweep.nominal)) * mean_drive
         return [(plan.n_boxes, int(placements * self.placement_steps(plan) + driven)) for plan in self.plans]
 
-    def estimate(self, steps_per_second: Callable[[int], float]) -> str:
-        """One line on the size of the sweep and its time.
-
-        Args:
-            steps_per_second: world-steps per second that the engine makes with a given number of boxes.
-        """
-        per_plan = self.estimated_steps()
-        seconds = sum(count / steps_per_second(boxes) for boxes, count in per_plan)
-        steps = sum(count for _, count in per_plan)
+    def estimate(self, seconds: float) -> str:
+        """One line on the size of the sweep and its time, for an engine that is expected to take ``seconds``."""
+        steps = sum(count for _, count in self.estimated_steps())
         most = "at most " if self.search is not None else ""
         return (
             f"{most}{_count(self.n_worlds, 'world')} ({_count(len(self.plans), 'plan')} × "

@@ -20,6 +20,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"samples", "model", "metrics", "engines"}),
     frozenset({"select", "runner"}),
     frozenset({"parts", "store", "compare", "report"}),
+    frozenset({"sweeping", "sweepsummary", "sweepcost", "sweepreport"}),
     frozenset({"doctor", "api"}),
     frozenset({"bench"}),
     frozenset({"cli", "__main__"}),

@@ -182,14 +182,29 @@ def test_bisection_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> N
     answers = [
         outcome(Verdict.STABLE),
         outcome(Verdict.INVALID, Reason.NONFINITE),
-        outcome(Verdict.UNSTABLE, Reason.DROP, culprit=7),
+        outcome(Verdict.UNSTABLE, Reason.DROP, culprit=0),
     ]
     search.record(items, indices, answers)
     result = search.result().iloc[0]
     assert (result["largest_survived"], result["first_failed"]) == (0.1, 0.2)
     assert (result["mode"], result["n_invalid"]) == ("nonfinite", 1)
-    assert failure_mode(answers[2]) == "drop"
     assert failure_mode(answers[0]) == ""
+
+
+def test_the_mode_is_that_of_the_box_that_went_first() -> None:
+    def mode(box: int, tilt_limit_deg: float = 20.0) -> str:
+        world = outcome(Verdict.UNSTABLE, Reason.DROP, culprit=box)
+        boxes = metrics([[0, 0, 0]] * 3, [0.0] * 3)
+        boxes = replace(boxes, dropped=np.array([False, False, True]), max_tilt_deg=np.array([3.0, 25.0, 90.0]))
+        return failure_mode(replace(world, boxes=boxes), tilt_limit_deg)
+
+    assert [mode(0), mode(1), mode(2)] == ["slide", "tilt", "drop"]
+    assert mode(1, tilt_limit_deg=30.0) == "slide"
+    assert failure_mode(outcome(Verdict.UNSTABLE, Reason.TILT)) == "tilt"
+
+
+def test_an_answer_for_each_test_is_asked_for() -> None:
+    search = Bisection([0.0, 0.1], 1)
     with pytest.raises(ValueError, match="one answer for each test"):
         search.record([0], [1], survived=[True, False])
 

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from petmjx import __version__
-from petmjx.cli import bench, score, tools
+from petmjx.cli import bench, score, sweep, tools
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 
 
@@ -48,6 +48,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 app.command("score")(score.score)
+app.command("sweep")(sweep.sweep)
 app.command("compare")(tools.compare)
 app.command("samples")(tools.samples)
 app.command("export")(tools.export)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from petmjx.runner import WorldResult
     from petmjx.select import Choice
     from petmjx.store import RunResults
+    from petmjx.sweeping import SweptWorld
 
 _SIM = SimConfig()
 _REFRESH_S = 0.5
@@ -63,7 +64,7 @@ def score(
     """
     import petmjx.api as api
 
-    folder = out if out is not None else _default_folder()
+    folder = out if out is not None else default_folder()
     watcher = BarWatcher()
     try:
         with watcher:
@@ -89,7 +90,7 @@ def score(
                 watcher=watcher,
             )
     except KeyboardInterrupt:
-        raise Interrupted(_how_far(folder, watcher.total)) from None
+        raise Interrupted(how_far(folder, watcher.total)) from None
     _show(results, as_json)
 
 
@@ -100,20 +101,22 @@ class Interrupted(Exception):
 class BarWatcher(AbstractContextManager["BarWatcher"]):
     """Draws the progress bar on standard error. Its message is refreshed also while no world finishes."""
 
-    def __init__(self) -> None:
-        self.total = 0
+    def __init__(self, what: str = "plans") -> None:
+        self.total: int | None = 0
+        self._what = what
         self._done = 0
         self._bar_context: AbstractContextManager[ProgressBar] | None = None
         self._stop = threading.Event()
         self._refresher: threading.Thread | None = None
 
-    def begin(self, total: int, choice: Choice, progress: Progress) -> None:
+    def begin(self, total: int | None, choice: Choice, progress: Progress) -> None:
         from petmjx.report import progress as progress_bar
 
         self.total = total
-        plans = "plan" if total == 1 else "plans"
-        print(f"{total:,} {plans} on engine {choice.name} ({choice.reason})", file=sys.stderr)
-        self._bar_context = progress_bar(total)
+        what = self._what.removesuffix("s") if total == 1 else self._what
+        how_many = "" if total is None else f"{total:,} {what} "
+        print(f"{how_many}on engine {choice.name} ({choice.reason})", file=sys.stderr)
+        self._bar_context = progress_bar(total, self._what)
         bar = self._bar_context.__enter__()
 
         def refresh() -> None:
@@ -126,7 +129,7 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
         self._refresher = threading.Thread(target=refresh, name="petmjx-progress", daemon=True)
         self._refresher.start()
 
-    def world_done(self, result: WorldResult) -> None:
+    def world_done(self, result: WorldResult | SweptWorld) -> None:
         self._done += 1
 
     def __enter__(self) -> Self:
@@ -142,7 +145,7 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
             self._bar_context.__exit__(None, None, None)
 
 
-def _default_folder() -> Path:
+def default_folder() -> Path:
     return Path("petmjx-results") / datetime.now().strftime("%Y%m%d-%H%M%S")
 
 
@@ -158,7 +161,7 @@ def _thresholds(shift_limit_m: float, tilt_limit_deg: float) -> Thresholds:
         raise InputError(f"{problem['loc'][0]}: {problem['msg']}, got {problem['input']!r}") from None
 
 
-def _how_far(folder: Path, total: int) -> str:
+def how_far(folder: Path, total: int | None, what: str = "plans") -> str:
     """What an interrupted run left behind, in words."""
     from petmjx.errors import InputError
     from petmjx.store import load_run
@@ -166,13 +169,14 @@ def _how_far(folder: Path, total: int) -> str:
     try:
         done = load_run(folder).info["counts"]["worlds"]
     except InputError:
-        return "before the first plan; nothing was written"
-    return f"{done:,} of {total:,} plans are done and in {folder}"
+        return f"before the first {what.removesuffix('s')}; nothing was written"
+    of = "" if total is None else f" of {total:,}"
+    return f"{done:,}{of} {what} are done and in {folder}"
 
 
 def _show(results: RunResults, as_json: bool) -> None:
     if as_json:
-        print(json.dumps({"out": str(results.path), **_brief(results.info)}, indent=2))
+        print(json.dumps({"out": str(results.path), **brief(results.info)}, indent=2))
         return
     from petmjx.report import FEW_PLANS, summary_table, worlds_table
 
@@ -180,15 +184,15 @@ def _show(results: RunResults, as_json: bool) -> None:
     if len(results.worlds) <= FEW_PLANS:
         console.print(worlds_table(results.worlds.sort_values(["plan_id", "variant"]), results.boxes))
         console.print()
-    _print_notes(console, results.info)
+    print_notes(console, results.info)
     console.print(summary_table(results.info, results.path))
 
 
-def _brief(info: dict[str, Any]) -> dict[str, Any]:
+def brief(info: dict[str, Any]) -> dict[str, Any]:
     return {name: info[name] for name in ("status", "counts", "timings", "device", "skipped", "warnings")}
 
 
-def _print_notes(console: Any, info: dict[str, Any]) -> None:
+def print_notes(console: Any, info: dict[str, Any]) -> None:
     """Skipped plans, a line each as far as there is room, and how many plans are odd."""
     skipped = info["skipped"]
     for entry in skipped[:_SHOWN_SKIPPED]:

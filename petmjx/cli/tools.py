@@ -12,6 +12,7 @@ from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.config import Carrier
 from petmjx.errors import InputError
+from petmjx.samples import DEFAULT_LOOSE_SHARE
 
 
 def compare(
@@ -46,7 +47,7 @@ def samples(
         typer.Option(
             "--loose-share", metavar="0…1", help="Share of plans packed with a support rule too loose to be safe."
         ),
-    ] = 0.5,
+    ] = DEFAULT_LOOSE_SHARE,
     orders: Annotated[
         Path | None,
         typer.Option("--orders", metavar="FILE", help="Pack the orders of this BED-BPP file instead of drawn ones."),

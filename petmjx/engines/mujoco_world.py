@@ -301,7 +301,7 @@ class WorldRun:
         self._changes = self._step + changes
         self._end = self._step + len(drive.excitation.samples) + seconds_to_steps(drive.rest_s, self._dt)
         self._driving = True
-        self._metrics.begin_drive(self._live.pose[:, :3])
+        self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
         self._holds_carrier = drive.excitation.kind != "force"
         if self._holds_carrier:
             self._live.hold_carrier()

@@ -173,10 +173,19 @@ class OracleMetrics:
         self._rest_sum_n[: len(top_force_n)] += top_force_n
         self._rest_steps += 1
 
-    def begin_drive(self, pos: FloatArray) -> None:
-        """A force profile starts: sway is measured from here."""
+    def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
+        """A profile starts, with the k boxes in these poses: sway is measured from here.
+
+        Where no box is over a threshold now, what passed during placement (a hard landing) is no sign any more:
+        the first sign is then the one that the profile brings.
+        """
+        k = len(pos)
         self._sway_origin = pos.copy()
-        self.max_sway_m[: len(pos)] = 0.0
+        self.max_sway_m[:k] = 0.0
+        _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[:k]))
+        if not crossed.any():
+            self.culprit = -1
+            self.first_sign_s = float("nan")
 
     def finish(self, pos: FloatArray, quat: FloatArray, came_to_end: bool) -> BoxMetrics:
         """The per-box results, from the final (n, 3) centres and (n, 4) orientations."""
