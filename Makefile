@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 TESTS ?= tests
 DEMO_OUT := petmjx-results/demo
+BENCH_OUT := petmjx-results/bench.jsonl
 
 .PHONY: demo test check bench clean help
 
@@ -22,6 +23,11 @@ check: $(VENV)/.dev ## lint, format and types only
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict petmjx
+
+bench: $(VENV)/.runtime ## short benchmarks on the CPU; benchmarks/README.md tells of the others
+	$(BIN)/petmjx bench stacks-16 stacks-40 W-adaptive plain-loop --engine mujoco --limit 40 --oracle mujoco-fixed \
+		--max-seconds 60 --out $(BENCH_OUT)
+	$(BIN)/python -m petmjx.bench.table $(BENCH_OUT)
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache

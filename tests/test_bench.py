@@ -25,8 +25,8 @@ SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200, "weight/kg": 5.0}
 
 FIELDS = {
     "case", "commit", "date", "cpu", "engine", "device", "threads", "lanes", "versions", "plans", "boxes",
-    "plans_per_s", "world_steps", "world_steps_per_s", "start_s", "compile_s", "run_s", "wall_s", "counts", "agreement", "stages",
-    "peak_rss_bytes", "peak_device_bytes", "schedule", "physics", "check", "note",
+    "plans_per_s", "world_steps", "world_steps_per_s", "start_s", "compile_s", "run_s", "wall_s", "counts",
+    "agreement", "stages", "peak_rss_bytes", "peak_device_bytes", "schedule", "physics", "check", "note",
 }  # fmt: skip
 """What every result of the suite has."""
 
