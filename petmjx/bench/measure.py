@@ -330,13 +330,14 @@ class Bench:
     # ------------------------------------------------------------------ what they share
 
     def _head(self, case: Case, engine: Engine) -> Result:
+        threads = getattr(engine, "threads", None)
         return {
             "case": case.name,
             **self._environment,
             "engine": engine.name,
             "device": device_of(engine.name),
-            "threads": getattr(engine, "threads", None),
-            "lanes": self.settings.lanes,
+            "threads": threads,
+            "lanes": None if threads else self.settings.lanes,
         }
 
     def _engine(self, name: str) -> tuple[Engine, float]:
