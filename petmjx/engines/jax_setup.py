@@ -6,6 +6,7 @@ XLA's programs go to JAX's persistent cache, Warp's kernels to Warp's own. Both 
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,10 @@ import jax
 
 MIN_COMPILE_S = 0.5
 """Programs that compile faster than this are not worth a file."""
+
+CPU_COMPILER_OPTIONS = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
+"""With XLA's CPU scheduler that is optimised for concurrency, programs of stages stop for ever in XLA's thread pool
+(jaxlib 0.10.2, two cores: 7 runs of 7; without it 0 of 4)."""
 
 
 def cache_dir() -> Path:
@@ -30,6 +35,22 @@ def set_up_jax() -> None:
     if config.jax_compilation_cache_dir is None:
         config.update("jax_compilation_cache_dir", str(cache_dir() / "jax"))
         config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_S)
+
+
+@functools.cache
+def compiler_options() -> dict[str, bool]:
+    """What ``jax.jit`` is to be given as ``compiler_options`` for large programs on this backend.
+
+    Options go with each program, not into ``XLA_FLAGS``: those are read once, may have been by the time petmjx is
+    imported, and end the process where XLA does not know one.
+    """
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options=dict(CPU_COMPILER_OPTIONS))
+    except jax.errors.JaxRuntimeError:
+        return {}  # this jaxlib has no such option, so nothing that could be switched off
+    return dict(CPU_COMPILER_OPTIONS)
 
 
 def set_up_warp() -> None:

@@ -299,7 +299,7 @@ class MjxEngine(ABC):
         while True:
             lanes = stage.run_chunk(lanes, group.profiles)
             lanes, table, queue, following = stage.refill(lanes, table, group.worlds, queue)
-            running, queued, contacts, constraint_rows = (int(n) for n in np.asarray(counters))
+            running, queued, contacts, constraint_rows, iterations, slowest = (int(n) for n in np.asarray(counters))
             counters = following
             if fresh:
                 following.block_until_ready()
@@ -315,7 +315,9 @@ class MjxEngine(ABC):
         group.table = stage.unload(lanes, table)
         key = f"{stage.label} capacity {capacity}"
         seconds = time.perf_counter() - begin
-        for what, amount in (("seconds", seconds), ("chunks", chunks), ("lane-steps", lane_steps)):
+        spent = {"seconds": seconds, "chunks": chunks, "lane-steps": lane_steps}
+        spent |= {"iterations": iterations, "slowest iterations": slowest}
+        for what, amount in spent.items():
             progress.extra[f"{key} {what}"] = progress.extra.get(f"{key} {what}", 0) + amount
         progress.extra[f"{key} lanes"] = stage.lanes
         progress.extra[f"{key} contacts"] = max(progress.extra.get(f"{key} contacts", 0), contacts)

@@ -99,6 +99,9 @@ class WarpStepper:
     def usage(self, scratch: Any) -> Int[Array, " 2"]:
         return jnp.stack([scratch._impl.nacon[0], scratch._impl.nefc.max()])
 
+    def iterations(self, scratch: Any) -> Int[Array, " lane"]:
+        return scratch._impl.solver_niter
+
 
 def lane_bytes(capacity: int) -> int:
     """Device memory that a lane takes, bytes: its constraint Jacobian with room for every row, and two dense

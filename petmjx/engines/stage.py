@@ -47,15 +47,24 @@ class Stepper(Protocol):
         """Contacts of all lanes together, and constraint rows of the fullest lane, in the last step."""
         ...
 
+    def iterations(self, scratch: Any) -> Int[Array, " lane"]:
+        """Solver iterations of each lane in the last step."""
+        ...
+
 
 class Lanes(NamedTuple):
-    """Everything a stage carries from step to step. ``row``: which world a lane runs; past the table's end: none."""
+    """Everything a stage carries from step to step.
+
+    ``row``: which world a lane runs; past the table's end: none. ``iterations``: solver iterations of the running
+    lanes, and of the slowest lane of each step, summed over steps: the device waits for the slowest.
+    """
 
     row: Int[Array, " lane"]
     worlds: Worlds
     state: State
     overrides: dict[str, jax.Array]
     usage: Int[Array, " 2"]
+    iterations: Float[Array, " 2"]
     scratch: Any
 
 
@@ -108,6 +117,7 @@ class Stage:
             state=state,
             overrides=self._overrides(narrow_worlds, state),
             usage=jnp.zeros(2, jnp.int32),
+            iterations=jnp.zeros(2),
             scratch=self.stepper.scratch(),
         )
 
@@ -127,7 +137,7 @@ class Stage:
         """Write back lanes that are through and give them to the next worlds of the queue.
 
         Returns:
-            Lanes, table, queue, and (lanes running, worlds still queued, contacts, rows) for the host.
+            Lanes, table, queue, and for the host: lanes running, worlds still queued, usage, iterations.
         """
         n_rows = len(table.step)
         table = self._write_back(lanes, table, lanes.state.status != Status.RUNNING, n_rows)
@@ -150,8 +160,9 @@ class Stage:
         )
         state = state._replace(status=jnp.where(idle, Status.FINISHED, state.status))
         queue = queue._replace(head=queue.head + takes.sum())
-        counters = jnp.concatenate([jnp.stack([state.running.sum(), queue.length - queue.head]), lanes.usage])
-        renewed = Lanes(row, new_worlds, state, self._overrides(new_worlds, state), lanes.usage, lanes.scratch)
+        running = jnp.stack([state.running.sum(), queue.length - queue.head])
+        counters = jnp.concatenate([running, lanes.usage, lanes.iterations])
+        renewed = lanes._replace(row=row, worlds=new_worlds, state=state, overrides=self._overrides(new_worlds, state))
         return renewed, table, queue, counters
 
     def _unload(self, lanes: Lanes, table: State) -> State:
@@ -247,7 +258,9 @@ class Stage:
         overflow = self.stepper.overflow(scratch)
         state = rules.after_step(state, lanes.worlds, seen_pose, acceleration, top_force, overflow)
         usage = jnp.maximum(lanes.usage, self.stepper.usage(scratch))
-        return lanes._replace(state=state, scratch=scratch, usage=usage)
+        spent = jnp.where(lanes.state.running, self.stepper.iterations(scratch), 0)
+        iterations = lanes.iterations + jnp.stack([spent.sum(), spent.max()])
+        return lanes._replace(state=state, scratch=scratch, usage=usage, iterations=iterations)
 
     def _join(self, carrier: Array, boxes: Array) -> Array:
         """(lane, k) of the carrier and (lane, box, k) of boxes → one row of generalized coordinates."""
