@@ -9,8 +9,8 @@
 with ``--seed``, and no block is begun after that time: the line says how many plans were done and their mean size. A
 second run on the same engine (``--repeat 2``) finds its programs compiled.
 
-``statistics`` places each plan with 32 seeds of placement errors and compares the shares that stand: an engine agrees on
-a plan where its share lies in the other's Wilson 95 % interval, and the other way round.
+``statistics`` places each plan with 32 seeds of placement errors and compares the shares that stand: engines agree on a
+plan where each one's share lies in the other's Wilson 95 % interval.
 
 JSON lines on stdout, and appended to ``--out``. Plans are the bundled ones unless ``--plans`` names others.
 """
