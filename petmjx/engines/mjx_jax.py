@@ -46,7 +46,8 @@ class JaxStepper:
             # contacts are all but at rest (3.17: solver.py, _LSPoint). There the last step's accelerations and
             # forces are as good: they are what the solver started from.
             lost = ~jnp.isfinite(done.qacc).all()
-            done = done.replace(qacc=jnp.where(lost, data.qacc_warmstart, done.qacc))
+            qacc = jnp.where(lost, data.qacc_warmstart, done.qacc)
+            done = done.replace(qacc=qacc, qacc_warmstart=qacc)
             forces = jnp.where(lost, data._impl.efc_force, done._impl.efc_force)
             return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
 
