@@ -113,4 +113,6 @@ class MjxJaxEngine(MjxEngine):
             native_ccd=True,
         )
         template.opt.ls_iterations = LINE_SEARCH_ITERATIONS
+        # Nothing is damped here. Left on, each step solves for its accelerations anew, from forces.
+        template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         return JaxStepper(template, lanes, sim.physics)

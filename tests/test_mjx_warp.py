@@ -1,0 +1,128 @@
+"""The engine mjx-warp: its kernels on the CPU, slow and small; and on a GPU, where marked (``pytest -m gpu``)."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+import pytest
+
+from petmjx.config import PHYSICS, SimConfig
+from petmjx.engines.mujoco import MujocoEngine
+from petmjx.outcome import Flag, Job, Outcome, Reason, Verdict
+from petmjx.plans import load_plans
+from petmjx.samples import bundled_path
+from petmjx.scene import Scene, build_scene
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+from mjx_worlds import boxes_by_plan, make_plan, simulate
+
+from petmjx.engines import mjx_warp
+from petmjx.engines.mjx_warp import MjxWarpEngine
+
+SAME_PLACE_M = 1e-3
+"""Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
+SAME_FORCE = 0.05
+"""The spec measured 3 % for single boxes."""
+SMALL_FORCE_N = 1.0
+
+TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-beside-carrier", "corner overhang of 30 %")
+CAPACITY = 3
+
+on_gpu = pytest.mark.gpu
+
+
+@pytest.fixture(autouse=True)
+def _ranks_may_differ() -> Iterator[None]:
+    """MJX broadcasts as NumPy does."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+def tiny_scenes(names: tuple[str, ...] = TINY) -> dict[str, Scene]:
+    plans = boxes_by_plan()
+    return {name: build_scene(make_plan(name, plans[name]), PHYSICS["pallet"]) for name in names}
+
+
+@functools.cache
+def exact() -> dict[str, Outcome]:
+    return simulate(MujocoEngine(2), tiny_scenes(), SimConfig())
+
+
+def engine() -> MjxWarpEngine:
+    return MjxWarpEngine(16, allow_cpu=True, capacities=(CAPACITY,))
+
+
+def assert_twins(found: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
+    for name, twin in expected.items():
+        assert (found[name].verdict, found[name].culprit) == (twin.verdict, twin.culprit), name
+        if twin.verdict is Verdict.STABLE:
+            np.testing.assert_allclose(found[name].boxes.pos, twin.boxes.pos, atol=SAME_PLACE_M, err_msg=name)
+            np.testing.assert_allclose(
+                found[name].boxes.rest_top_force_n,
+                twin.boxes.rest_top_force_n,
+                rtol=SAME_FORCE,
+                atol=SMALL_FORCE_N,
+                err_msg=name,
+            )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=on_gpu)])
+def test_tiny_plans_as_in_c(device: str) -> None:
+    assert_twins(simulate(engine(), tiny_scenes(), SimConfig()), exact())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=on_gpu)])
+def test_buffers_that_are_too_small_grow_and_give_the_same(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # 40 rows a world, 80 contacts for all: the bridge alone has at least 16 contacts of 3 rows each.
+    monkeypatch.setattr(mjx_warp, "ROWS_PER_BOX", dict.fromkeys(mjx_warp.ROWS_PER_BOX, 8))
+    found = simulate(engine(), tiny_scenes(), SimConfig())
+    assert found["hand-bridge"].flags & Flag.RERUN_AFTER_OVERFLOW
+    assert not any(outcome.flags & Flag.CONSTRAINT_OVERFLOW for outcome in found.values())
+    assert_twins(found, exact())
+
+
+@pytest.mark.gpu
+def test_a_contact_pool_that_is_too_small_grows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 1)
+    some = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(4)}
+    found = simulate(engine(), some, SimConfig())
+    assert any(outcome.flags & Flag.RERUN_AFTER_OVERFLOW for outcome in found.values())
+    for name, outcome in found.items():
+        twin = exact()[name.rsplit(" ", 1)[0]]
+        assert outcome.reason in (twin.reason, Reason.OVERFLOW), "a truncated world must never be called otherwise"
+
+
+@pytest.mark.gpu
+def test_bundled_and_generated_plans_as_in_c() -> None:
+    from petmjx.plans import Plan
+    from petmjx.samples import generate_one
+
+    def plan_of(index: int) -> Plan:
+        plan_id, placements = generate_one(index, 5)
+        boxes = []
+        for p in placements:
+            item = p["item"]
+            size = (item["length/mm"], item["width/mm"], item["height/mm"])
+            if p["orientation"]:
+                size = (size[1], size[0], size[2])
+            boxes.append((size, tuple(p["flb_coordinates"]), item["weight/kg"]))
+        return make_plan(plan_id, boxes)
+
+    plans = [*load_plans(bundled_path()).plans]
+    plans += [plan_of(index) for index in range(64 - len(plans))]
+    sim = SimConfig()
+    jobs = [Job(build_scene(plan, sim.physics)) for plan in plans]
+    expected = {o.job: o for o in MujocoEngine().run(jobs, sim)}
+    found = {o.job: o for o in MjxWarpEngine().run(jobs, sim)}
+    assert found.keys() == expected.keys()
+    differ = [plans[job].plan_id for job, o in found.items() if o.verdict is not expected[job].verdict]
+    # The spec asks for 98 % of 2,000; one of 64 is as near as a small sample can say.
+    assert len(differ) <= 1, differ
+    for job, outcome in found.items():
+        assert not (outcome.verdict is Verdict.STABLE and expected[job].reason is Reason.DROP)
