@@ -12,9 +12,10 @@ from mujoco import mjx
 
 from petmjx.config import Cone, Physics, SimConfig
 from petmjx.devices import why_no_warp
+from petmjx.engines import warp_cholesky
 from petmjx.engines.jax_setup import set_up_warp
 from petmjx.engines.mjx import MIN_LANES, MjxEngine
-from petmjx.engines.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.engines.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, padded_template
 from petmjx.errors import EngineUnavailable
 from petmjx.metrics.force import contact_force_z, pressed_box
 from petmjx.outcome import Flag
@@ -22,6 +23,10 @@ from petmjx.outcome import Flag
 TOLERANCE = {Cone.ELLIPTIC: FLOAT32_TOLERANCE, Cone.PYRAMIDAL: 1e-2}
 """Relative solver tolerance. With pyramidal cones float32 needs many iterations for digits no verdict depends on;
 1e-2 moves a settled full stack by 0.1 mm. With elliptic cones a looser one gains nothing (benchmarks/README.md)."""
+
+ITERATIONS = 8
+"""Limit of solver iterations. A step lasts as long as its slowest world, and in float32 a colliding world may go on
+to MuJoCo's 100 without getting closer; standing ones take 1.3 (benchmarks/README.md)."""
 
 CONTACTS_PER_BOX = 8
 """Contacts reserved per box, averaged over lanes (one pool serves all): full real pallets have 4.5."""
@@ -100,7 +105,8 @@ class WarpStepper:
         return jnp.stack([scratch._impl.nacon[0], scratch._impl.nefc.max()])
 
     def iterations(self, scratch: Any) -> Int[Array, " lane"]:
-        return scratch._impl.solver_niter
+        niter: jax.Array = scratch._impl.solver_niter
+        return niter
 
 
 def lane_bytes(capacity: int) -> int:
@@ -127,6 +133,7 @@ class MjxWarpEngine(MjxEngine):
         if problem:
             raise EngineUnavailable(f"engine mjx-warp cannot run here: {problem}")
         set_up_warp()
+        warp_cholesky.install()
         super().__init__(lanes, **options)
 
     def default_lanes(self, capacity: int) -> int:
@@ -143,7 +150,7 @@ class MjxWarpEngine(MjxEngine):
             held=held,
             solver=sim.solver,
             tolerance=max(sim.solver_tolerance or TOLERANCE[sim.physics.cone], FLOAT32_TOLERANCE),
-            iterations=sim.solver_iterations or MAX_ITERATIONS,
+            iterations=sim.solver_iterations or ITERATIONS,
             native_ccd=False,
         )
         rows = ROWS_PER_BOX[sim.physics.cone] * (capacity + 2) * growth

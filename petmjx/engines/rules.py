@@ -92,12 +92,6 @@ class Rules:
             sign_step=jnp.where(clean, -1, m.sign_step),
         )
 
-    def wants_forces(self, state: State) -> Bool[Array, " lane"]:
-        """Lanes whose contact forces count after this step: at samples and in the rest window."""
-        counted = state.running & (state.step > 0)
-        sampled = state.step % self.timetable.sample_every == 0
-        return counted & (sampled | (state.step > state.rest_from))
-
     def after_step(
         self,
         state: State,
@@ -113,7 +107,7 @@ class Rules:
             state: poses, velocities and step counters as the step left them.
             seen_pose: poses at the step's begin, where contacts and accelerations belong to: what samples look at.
             acceleration: linear (m/s²) and angular (rad/s²) of each box in that step.
-            top_force: N; only looked at where ``wants_forces``.
+            top_force: N.
             overflow: non-zero where a buffer was too small for the step to be right.
         """
         before = state.running

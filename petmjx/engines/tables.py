@@ -219,7 +219,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
     n, width = worlds.mass.shape
     zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)
     never = jnp.full(n, NEVER, jnp.int32)
-    carrier_centre = worlds.carrier_half * jnp.array([1.0, 1.0, -1.0])
+    carrier_centre = worlds.carrier_half * jnp.array([[1.0, 1.0, -1.0]])
     upright = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (n, 4))
     metrics = Metrics(
         max_tilt=zeros,
