@@ -213,13 +213,20 @@ def test_a_world_that_fell_skips_its_drive(engine: FakeEngine) -> None:
 # ---------------------------------------------------------------------- compilation
 
 
-def test_one_program_a_shape(engine: FakeEngine) -> None:
+def test_one_program_a_shape() -> None:
     """Other jobs, another number of them, another run: the same programs."""
-    run_all(engine, [Job(fake_scene(*masses)) for masses in MASSES[:32]], SHORT)
-    before = set(engine._stages)
-    run_all(engine, [Job(fake_scene(*masses[::-1])) for masses in MASSES[:25]], SHORT)
-    assert set(engine._stages) == before
-    for stage in engine._stages.values():
-        assert stage.run_chunk._cache_size() == 1
-        # These also depend on the rows of the table, which are a power of two.
-        assert stage.refill._cache_size() == stage.unload._cache_size() <= 3
+    fresh = FakeEngine(16, capacities=(5,))
+    for masses in (MASSES[:32], [m[::-1] for m in MASSES[:25]]):
+        run_all(fresh, [Job(fake_scene(*m)) for m in masses], SHORT)
+    (stage,) = fresh._stages.values()
+    for program in (stage.run_chunk, stage.refill, stage.unload):
+        assert program._cache_size() == 1
+
+
+@pytest.mark.xfail(reason="placement programs take the profile table too, whose shape differs from run to run")
+def test_one_placement_program_whatever_drives_follow() -> None:
+    fresh = FakeEngine(16, capacities=(2,))
+    for steps in (30, 61):
+        run_all(fresh, [Job(fake_scene(1.0), pushes("force", steps, 0.01))], SHORT)
+    (stage,) = [stage for key, stage in fresh._stages.items() if not key.drive]
+    assert stage.run_chunk._cache_size() == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,7 +14,7 @@ from petmjx.config import PHYSICS, SimConfig
 from petmjx.engines.mujoco import MujocoEngine
 from petmjx.outcome import Flag, Job, Outcome, Reason, Verdict
 from petmjx.plans import load_plans
-from petmjx.samples import bundled_path
+from petmjx.samples import bundled_path, generate_one, write_plans
 from petmjx.scene import Scene, build_scene
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -99,23 +100,12 @@ def test_a_contact_pool_that_is_too_small_grows(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.gpu
-def test_bundled_and_generated_plans_as_in_c() -> None:
-    from petmjx.plans import Plan
-    from petmjx.samples import generate_one
-
-    def plan_of(index: int) -> Plan:
-        plan_id, placements = generate_one(index, 5)
-        boxes = []
-        for p in placements:
-            item = p["item"]
-            size = (item["length/mm"], item["width/mm"], item["height/mm"])
-            if p["orientation"]:
-                size = (size[1], size[0], size[2])
-            boxes.append((size, tuple(p["flb_coordinates"]), item["weight/kg"]))
-        return make_plan(plan_id, boxes)
-
-    plans = [*load_plans(bundled_path()).plans]
-    plans += [plan_of(index) for index in range(64 - len(plans))]
+def test_bundled_and_generated_plans_as_in_c(tmp_path: Path) -> None:
+    plans = load_plans(bundled_path()).plans
+    more = tmp_path / "more.json"
+    write_plans(more, (generate_one(index, seed=5) for index in range(64 - len(plans))))
+    plans = [*plans, *load_plans(more).plans]
+    assert len(plans) == 64
     sim = SimConfig()
     jobs = [Job(build_scene(plan, sim.physics)) for plan in plans]
     expected = {o.job: o for o in MujocoEngine().run(jobs, sim)}
