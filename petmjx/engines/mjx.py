@@ -102,7 +102,7 @@ class MjxEngine(ABC):
         lanes: int | None = None,
         *,
         group_size: int = 8192,
-        max_stages: int = 8,
+        max_stages: int = 6,
         capacities: Sequence[int] | None = None,
         chunk_steps: int = 25,
         drain_share: float = 0.25,
@@ -242,6 +242,8 @@ class MjxEngine(ABC):
                     raise
                 group.table = entered
                 self._stages.clear()
+                self._warm.clear()
+                self.release()
                 if lanes <= MIN_LANES:
                     group.give_up(rows, Flag.OUT_OF_MEMORY)
                     return
@@ -249,6 +251,7 @@ class MjxEngine(ABC):
                 group.progress.message = f"out of device memory with {lanes} lanes, again with {self._lane_limit}"
                 continue
             rows = group.overflowed()
+            self.release()
             if len(rows) == 0:
                 return
             if growth >= MAX_GROWTH:
@@ -258,6 +261,9 @@ class MjxEngine(ABC):
             self._growth[group.sim.physics.cone, capacity] = growth
             group.progress.message = f"{len(rows)} worlds overflowed their buffers, again with {growth}× as large ones"
             group.retry(rows)
+
+    def release(self) -> None:  # noqa: B027 (most implementations hold nothing)
+        """Give back device memory that an implementation holds between stages. Called when nothing runs."""
 
     def _lane_count(self, capacity: int, n_worlds: int) -> int:
         """Lanes for a stage: a power of two, so that few shapes are compiled."""

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
+import warp
 from jaxtyping import Array, Float, Int
 from mujoco import mjx
 
@@ -24,15 +25,17 @@ TOLERANCE = {Cone.ELLIPTIC: FLOAT32_TOLERANCE, Cone.PYRAMIDAL: 1e-2}
 """Relative solver tolerance. With pyramidal cones float32 needs many iterations for digits no verdict depends on;
 1e-2 moves a settled full stack by 0.1 mm. With elliptic cones a looser one gains nothing (benchmarks/README.md)."""
 
-ITERATIONS = 8
-"""Limit of solver iterations. A step lasts as long as its slowest world, and in float32 a colliding world may go on
-to MuJoCo's 100 without getting closer; standing ones take 1.3 (benchmarks/README.md)."""
+ITERATIONS, LINE_SEARCH_ITERATIONS = 5, 10
+"""Limits of the Newton solver and its line search. A step lasts as long as its slowest world: in float32 a colliding
+one goes on to any limit (MuJoCo's are 100 and 50) without getting closer, while standing ones take 1.3 iterations.
+Verdicts against C MuJoCo's full solver: benchmarks/README.md."""
 
-CONTACTS_PER_BOX = 8
+CONTACTS_PER_BOX = 6
 """Contacts reserved per box, averaged over lanes (one pool serves all): full real pallets have 4.5."""
 
-ROWS_PER_BOX = {Cone.ELLIPTIC: 30, Cone.PYRAMIDAL: 40}
-"""Constraint rows reserved per box in each lane: full real pallets have 14 and 19; collapsing ones more."""
+ROWS_PER_BOX = {Cone.ELLIPTIC: 22, Cone.PYRAMIDAL: 30}
+"""Constraint rows reserved per box in each lane. Full real pallets have 14 and 19; the fullest of 2,000 sample plans,
+collapsing ones among them, took 19 with elliptic cones."""
 
 PREFERRED_LANES = 2048
 """Lanes at which an H100 is as good as full at every capacity (benchmarks/README.md)."""
@@ -136,6 +139,10 @@ class MjxWarpEngine(MjxEngine):
         warp_cholesky.install()
         super().__init__(lanes, **options)
 
+    def release(self) -> None:
+        """Drop captured CUDA graphs: each keeps its solver's workspace, gigabytes of it at large capacities."""
+        warp.clear_jax_callable_graph_cache()
+
     def default_lanes(self, capacity: int) -> int:
         """The fastest number of lanes measured, or what two thirds of the device's free memory hold."""
         stats: dict[str, int] = jax.devices()[0].memory_stats() or {}
@@ -152,6 +159,7 @@ class MjxWarpEngine(MjxEngine):
             tolerance=max(sim.solver_tolerance or TOLERANCE[sim.physics.cone], FLOAT32_TOLERANCE),
             iterations=sim.solver_iterations or ITERATIONS,
             native_ccd=False,
+            line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
         rows = ROWS_PER_BOX[sim.physics.cone] * (capacity + 2) * growth
         contacts = CONTACTS_PER_BOX * (capacity + 2) * lanes * growth

@@ -25,6 +25,9 @@ FLOAT32_TOLERANCE = 1e-6
 MAX_ITERATIONS = 100
 """MuJoCo's default limit of solver iterations."""
 
+LINE_SEARCH_ITERATIONS = 50
+"""MuJoCo's default limit of a line search."""
+
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
 """Boxes that are not placed yet hang in a row this high and this far apart: no two bounding spheres meet
@@ -40,6 +43,7 @@ def padded_template(
     tolerance: float,
     iterations: int,
     native_ccd: bool,
+    line_search_iterations: int = LINE_SEARCH_ITERATIONS,
 ) -> mujoco.MjModel:
     """Compile the template: floor, carrier, ``capacity`` boxes; nominal sizes that overrides replace.
 
@@ -56,6 +60,7 @@ def padded_template(
     option.gravity = (0.0, 0.0, -physics.gravity_m_s2)
     option.tolerance = tolerance
     option.iterations = iterations
+    option.ls_iterations = line_search_iterations
     if not native_ccd:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
     contact = {"solref": physics.solref, "solimp": (*physics.solimp, 0.5, 2.0)}
