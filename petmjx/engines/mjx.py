@@ -298,12 +298,14 @@ class MjxEngine(ABC):
         fresh = stage not in self._warm
         begin = time.perf_counter()
         chunks = lane_steps = 0
+        # Placement knows no profiles: with their table as it is, each new shape of it would compile again.
+        profiles = group.profiles if stage.rules.driven else jnp.zeros((1, 1, 3))
         if fresh:
             progress.message = f"compiling capacity {capacity} for {stage.lanes} lanes"
         lanes = stage.empty(group.worlds, group.table)
         lanes, table, queue, counters = stage.refill(lanes, group.table, group.worlds, queue)
         while True:
-            lanes = stage.run_chunk(lanes, group.profiles)
+            lanes = stage.run_chunk(lanes, profiles)
             lanes, table, queue, following = stage.refill(lanes, table, group.worlds, queue)
             running, queued, contacts, constraint_rows, iterations, slowest = (int(n) for n in np.asarray(counters))
             counters = following

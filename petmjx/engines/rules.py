@@ -111,7 +111,8 @@ class Rules:
             overflow: non-zero where a buffer was too small for the step to be right.
         """
         before = state.running
-        values = jnp.concatenate([state.pose.reshape(len(before), -1), state.vel.reshape(len(before), -1)], -1)
+        moving = (state.pose, state.vel, state.carrier_pose, state.carrier_vel)
+        values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
         state = self._sample(state, worlds, seen_pose, acceleration, top_force, nonfinite)
         overflowed = before & (overflow != 0)

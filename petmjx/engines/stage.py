@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from petmjx.config import SOFT_START_STEPS, Physics
+from petmjx.engines.jax_setup import compiler_options
 from petmjx.engines.rules import Rules
 from petmjx.engines.tables import State, Status, Worlds, narrow, put_rows, take_rows
 from petmjx.engines.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fields
@@ -96,9 +97,10 @@ class Stage:
         self.held = held
         # Lanes are donated: their buffers are large and are rewritten in place. The table is not: after running
         # out of memory a stage begins again from the table as it was.
-        self.refill = jax.jit(self._refill, donate_argnums=0)
-        self.run_chunk = jax.jit(self._run_chunk, donate_argnums=0)
-        self.unload = jax.jit(self._unload)
+        options = compiler_options()
+        self.refill = jax.jit(self._refill, donate_argnums=0, compiler_options=options)
+        self.run_chunk = jax.jit(self._run_chunk, donate_argnums=0, compiler_options=options)
+        self.unload = jax.jit(self._unload, compiler_options=options)
 
     @property
     def label(self) -> str:
@@ -221,10 +223,14 @@ class Stage:
         gravity, force = self._excitation(lanes, profiles)
         bodies = CARRIER_BODY + 1 + capacity
         shown = self._park_idle(rules.park(state))
+        # Boxes in the air fall freely during the step. Told so from the start, the solver has nothing to find for
+        # them; from zero, each would add ½·m·g² to its cost, and float32 would lose the contacts beside it.
+        waiting = ~rules.standing(state)[..., None]
+        warm = shown.warm.at[..., :3].set(jnp.where(waiting, gravity[:, None], shown.warm[..., :3]))
         inputs = {
             "qpos": self._join(shown.carrier_pose, shown.pose),
             "qvel": self._join(shown.carrier_vel, shown.vel),
-            "qacc_warmstart": self._join(shown.carrier_warm, shown.warm),
+            "qacc_warmstart": self._join(shown.carrier_warm, warm),
             "xfrc_applied": jnp.zeros((n, bodies, 6)).at[:, CARRIER_BODY, :3].set(force),
         }
         overrides = {**lanes.overrides, "opt.gravity": gravity}
