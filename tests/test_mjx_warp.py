@@ -12,7 +12,7 @@ import pytest
 
 from petmjx.config import PHYSICS, SimConfig
 from petmjx.engines.mujoco import MujocoEngine
-from petmjx.outcome import Flag, Job, Outcome, Reason, Verdict
+from petmjx.outcome import Drive, Excitation, Flag, Job, Outcome, Reason, Verdict
 from petmjx.plans import load_plans
 from petmjx.samples import bundled_path, generate_one, write_plans
 from petmjx.scene import Scene, build_scene
@@ -116,3 +116,17 @@ def test_bundled_and_generated_plans_as_in_c(tmp_path: Path) -> None:
     assert len(differ) <= 1, differ
     for job, outcome in found.items():
         assert not (outcome.verdict is Verdict.STABLE and expected[job].reason is Reason.DROP)
+
+
+@pytest.mark.slow
+def test_a_held_carrier_carries() -> None:
+    """Its pose is per-world data; as a welded body's model field MJX-Warp ignored it, and boxes fell through."""
+    excitation = Excitation("still", "acceleration", np.zeros((20, 3)))
+    scene = tiny_scenes(("hand-bridge",))["hand-bridge"]
+    jobs = [Job(scene, drive=Drive(excitation, rest_s=0.3))]
+    sim = SimConfig(settle_s=0.4)
+    (expected,) = MujocoEngine(1).run(jobs, sim)
+    (found,) = engine().run(jobs, sim)
+    assert (found.verdict, found.n_steps) == (expected.verdict, expected.n_steps)
+    assert found.verdict is Verdict.STABLE
+    np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=SAME_PLACE_M)

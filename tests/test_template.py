@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from fake_stepper import fake_scene
 from mujoco import mjx
 
 from petmjx.config import PHYSICS, Physics, Solver
-from petmjx.engines.tables import fresh_state, upload_worlds
+from petmjx.engines.tables import upload_worlds
 from petmjx.engines.template import override_fields, padded_template, parked_positions
 from petmjx.model import HeldCarrier, build_spec
 from petmjx.outcome import Job
@@ -24,7 +23,7 @@ CAPACITY = 4
 ROUNDING = 2e-6
 """float32 arithmetic of a few operations."""
 
-PER_BODY = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_pos", "body_quat")
+PER_BODY = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
 PER_GEOM = ("geom_size", "geom_rbound", "geom_aabb", "geom_friction")
 
 
@@ -48,10 +47,8 @@ def template(physics: Physics, *, held: bool) -> mujoco.MjModel:
 
 def overrides(scenes: list[Scene], base: Any, *, held: bool) -> dict[str, jax.Array]:
     worlds = upload_worlds([Job(scene) for scene in scenes], len(scenes), CAPACITY, {}, 0.002)
-    ends = jnp.zeros(len(scenes), jnp.int32)
-    pose = fresh_state(worlds, all_placed=False, ends=ends, rest_steps=1).carrier_pose
     return override_fields(
-        worlds.half, worlds.mass, worlds.carrier_half, worlds.carrier_mass, worlds.friction, pose, base, held=held
+        worlds.half, worlds.mass, worlds.carrier_half, worlds.carrier_mass, worlds.friction, base, held=held
     )
 
 
@@ -61,7 +58,6 @@ def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
     scenes = [scene_of_boxes(n) for n in (1, 3, CAPACITY)]
     base = mjx.put_model(template(PHYSICS[physics], held=held), impl="jax")
     fields = overrides(scenes, base, held=held)
-    assert ("body_pos" in fields) == held
     for lane, scene in enumerate(scenes):
         carrier = HeldCarrier(scene.carrier_pos, np.array([1.0, 0, 0, 0])) if held else None
         exact = build_spec(scene, PHYSICS[physics], carrier).compile()
@@ -72,8 +68,6 @@ def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
             found, expected = np.asarray(fields[name][lane])[:used], getattr(exact, name)
             if name == "body_subtreemass":  # that of the world counts boxes of the padding as well
                 found, expected = found[1:], expected[1:]
-            if name == "body_pos":  # start positions of free bodies are not used
-                found, expected = found[:2], expected[:2]
             if name == "body_inertia":  # MuJoCo sorts the axes
                 found, expected = np.sort(found), np.sort(expected)
             if name in ("geom_size", "geom_aabb", "geom_rbound"):  # the plane's is infinite or has no meaning

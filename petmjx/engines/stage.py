@@ -117,20 +117,19 @@ class Stage:
             row=nowhere,
             worlds=narrow_worlds,
             state=state,
-            overrides=self._overrides(narrow_worlds, state),
+            overrides=self._overrides(narrow_worlds),
             usage=jnp.zeros(2, jnp.int32),
             iterations=jnp.zeros(2),
             scratch=self.stepper.scratch(),
         )
 
-    def _overrides(self, worlds: Worlds, state: State) -> dict[str, jax.Array]:
+    def _overrides(self, worlds: Worlds) -> dict[str, jax.Array]:
         return override_fields(
             worlds.half,
             worlds.mass,
             worlds.carrier_half,
             worlds.carrier_mass,
             worlds.friction,
-            state.carrier_pose,
             self.stepper.model,
             held=self.held,
         )
@@ -164,7 +163,7 @@ class Stage:
         queue = queue._replace(head=queue.head + takes.sum())
         running = jnp.stack([state.running.sum(), queue.length - queue.head])
         counters = jnp.concatenate([running, lanes.usage, lanes.iterations])
-        renewed = lanes._replace(row=row, worlds=new_worlds, state=state, overrides=self._overrides(new_worlds, state))
+        renewed = lanes._replace(row=row, worlds=new_worlds, state=state, overrides=self._overrides(new_worlds))
         return renewed, table, queue, counters
 
     def _unload(self, lanes: Lanes, table: State) -> State:
@@ -233,6 +232,9 @@ class Stage:
             "qacc_warmstart": self._join(shown.carrier_warm, warm),
             "xfrc_applied": jnp.zeros((n, bodies, 6)).at[:, CARRIER_BODY, :3].set(force),
         }
+        if self.held:
+            inputs["mocap_pos"] = state.carrier_pose[:, None, :3]
+            inputs["mocap_quat"] = state.carrier_pose[:, None, 3:]
         overrides = {**lanes.overrides, "opt.gravity": gravity}
         seen_pose = state.pose
         scratch = self.stepper.step(overrides, inputs, lanes.scratch)

@@ -1,8 +1,7 @@
 """The padded model of a capacity: one compiled MuJoCo model that every plan of up to that many boxes is poured into.
 
-What differs from world to world (sizes, masses, frictions, gravity, the pose of a held carrier) is not in
-the template but in per-world overrides of model fields; ``override_fields`` is the one place that
-computes them and ``OVERRIDDEN`` the one list of their names.
+What differs from world to world (sizes, masses, frictions, gravity) is not in the template but in per-world
+overrides of model fields, which ``override_fields`` alone computes.
 """
 
 from __future__ import annotations
@@ -76,6 +75,9 @@ def padded_template(
         body = spec.worldbody.add_body(pos=pos)
         if free:
             body.add_freejoint()
+        else:
+            # A mocap body stands where its world's data say; MJX-Warp takes no per-world pose of a welded one.
+            body.mocap = True
         # An explicit inertial keeps the inertia frame aligned with the box: MuJoCo would otherwise sort the
         # principal axes, and the per-world diagonals could not be written in box order.
         body.explicitinertial = True
@@ -109,7 +111,6 @@ def override_fields(
     carrier_half: Float[Array, "lane 3"],
     carrier_mass: Float[Array, " lane"],
     friction: Float[Array, "lane 3 3"],
-    carrier_pose: Float[Array, "lane 7"],
     base: Any,
     *,
     held: bool,
@@ -153,11 +154,6 @@ def override_fields(
             [friction[:, :2], jnp.broadcast_to(friction[:, 2:], (lanes, capacity, 3))], axis=1
         ),
     }
-    if held:
-        poses = jnp.concatenate([base.body_pos, base.body_quat], axis=-1)
-        poses = jnp.broadcast_to(poses, (lanes, *poses.shape)).at[:, CARRIER_BODY].set(carrier_pose)
-        fields["body_pos"] = poses[..., :3]
-        fields["body_quat"] = poses[..., 3:]
     return fields
 
 
