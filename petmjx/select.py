@@ -76,8 +76,8 @@ class BreakEven:
 
 
 H100 = BreakEven()
-"""Fitted to one workload: 2,000 generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads beside it.
-Measured there: mjx-warp compiles 59 to 64 s and runs 80 to 82 s; mujoco scores 8.1 to 9.2 plans/s, which is about 220 s.
+"""Fitted to one workload: 2,000 generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads.
+Measured there: mjx-warp compiles 59 to 64 s and runs 80 to 82 s; mujoco scores 8.1 to 9.2 plans/s, so about 220 s.
 With these numbers such plans take about 140 s on the GPU, compilation included, and 220 s on the threads. What a start
 takes with programs cached has not been measured, nor have the fixed schedule, other sizes and other devices; the true
 break-even may lie several hundred plans away."""
