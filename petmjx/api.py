@@ -147,11 +147,7 @@ def score(
         thresholds=thresholds,
     )
     carrier = _carrier(carrier)
-    found = gather_plans(plans, limit=limit, strict=strict, carrier=carrier)
-    found = without_vanishing_boxes(found, size_reduction_mm, strict)
-    if not found.plans:
-        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
-        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
+    found = _usable_plans(plans, limit, strict, carrier, size_reduction_mm)
     sizes = [plan.n_boxes for plan in found.plans]
     if isinstance(engine, str):
         engine, choice = resolve_engine(engine, sizes, sim, threads=threads, lanes=lanes)
@@ -194,6 +190,22 @@ def score(
         return load_run(folder)
 
     return run(Path(out)) if out is not None else in_temporary_folder(run)
+
+
+def _usable_plans(
+    plans: PlanSource | None, limit: int | None, strict: bool, carrier: Carrier, size_reduction_mm: float
+) -> PlanSet:
+    """The plans that can be simulated.
+
+    Raises:
+        InputError: there is none.
+    """
+    found = gather_plans(plans, limit=limit, strict=strict, carrier=carrier)
+    found = without_vanishing_boxes(found, size_reduction_mm, strict)
+    if not found.plans:
+        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
+        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
+    return found
 
 
 class SweepWatcher(Protocol):
@@ -246,11 +258,7 @@ def sweep(
     sim = settings.sim_config()
     if plans is None and isinstance(asked.plans, tuple):
         plans = list(asked.plans)
-    found = gather_plans(plans, limit=limit, strict=strict, carrier=settings.carrier)
-    found = without_vanishing_boxes(found, settings.size_reduction_mm, strict)
-    if not found.plans:
-        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
-        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
+    found = _usable_plans(plans, limit, strict, settings.carrier, settings.size_reduction_mm)
     plan = SweepPlan(asked, found.plans, allow_large)
     if isinstance(engine, str):
         engine, choice = sweep_engine(engine, plan, threads=threads, lanes=lanes)

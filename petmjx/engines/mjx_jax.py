@@ -12,13 +12,7 @@ from mujoco import mjx
 
 from petmjx.config import Cone, Physics, SimConfig
 from petmjx.engines.mjx import MjxEngine
-from petmjx.engines.template import (
-    FIRST_BOX_GEOM,
-    FLOAT32_TOLERANCE,
-    MAX_ITERATIONS,
-    PARKING_HEIGHT_M,
-    padded_template,
-)
+from petmjx.engines.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force import contact_force_z, pressed_box
 
 LINE_SEARCH_ITERATIONS = 10
@@ -51,8 +45,7 @@ class JaxStepper:
             forces = jnp.where(lost, data._impl.efc_force, done._impl.efc_force)
             return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
 
-        warm = _falling_where_parked(inputs["qpos"], inputs["qacc_warmstart"], overrides["opt.gravity"])
-        return jax.vmap(one_lane)(overrides, scratch.replace(**{**inputs, "qacc_warmstart": warm}))
+        return jax.vmap(one_lane)(overrides, scratch.replace(**inputs))
 
     def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
         contact = scratch._impl.contact
@@ -85,18 +78,6 @@ class JaxStepper:
         return jnp.zeros(self.lanes, jnp.int32)
 
 
-def _falling_where_parked(qpos: jax.Array, warm: jax.Array, gravity: Float[Array, "lane 3"]) -> jax.Array:
-    """Warm start in which parked boxes fall freely, which is what they do within a step.
-
-    Started from rest, each adds ½·m·g² to the solver's cost, beside which float32 loses the contacts: steps without
-    any contact force were the result.
-    """
-    lanes = len(qpos)
-    parked = qpos.reshape(lanes, -1, 7)[..., 2:3] > PARKING_HEIGHT_M / 2
-    rows = warm.reshape(lanes, -1, 6)
-    return rows.at[..., :3].set(jnp.where(parked, gravity[:, None], rows[..., :3])).reshape(lanes, -1)
-
-
 class MjxJaxEngine(MjxEngine):
     """Batched MJX in pure JAX, on whatever device JAX has."""
 
@@ -111,8 +92,8 @@ class MjxJaxEngine(MjxEngine):
             tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
             iterations=sim.solver_iterations or MAX_ITERATIONS,
             native_ccd=True,
+            line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
-        template.opt.ls_iterations = LINE_SEARCH_ITERATIONS
         # Nothing is damped here. Left on, each step solves for its accelerations anew, from forces.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         return JaxStepper(template, lanes, sim.physics)

@@ -141,24 +141,23 @@ class Stage:
             Lanes, table, queue, and for the host: lanes running, worlds still queued, usage, iterations.
         """
         n_rows = len(table.step)
-        table = self._write_back(lanes, table, lanes.state.status != Status.RUNNING, n_rows)
-        free = lanes.state.status != Status.RUNNING
+        free = ~lanes.state.running
+        table = self._write_back(lanes, table, free, n_rows)
         position = queue.head + jnp.cumsum(free) - 1
         takes = free & (position < queue.length)
         row = jnp.where(takes, jnp.take(queue.rows, position, mode="clip"), jnp.where(free, n_rows, lanes.row))
 
-        def renew(table_record: Any, lane_record: Any) -> Any:
-            fresh = take_rows(narrow(table_record, self.rules.capacity), row)
+        def renew(fresh: Any, lane_record: Any) -> Any:
+            """Fresh values for lanes that take a world, the old ones for the others."""
             return jax.tree.map(
                 lambda new, old: jnp.where(takes.reshape(-1, *[1] * (new.ndim - 1)), new, old), fresh, lane_record
             )
 
-        new_worlds = renew(worlds, lanes.worlds)
-        entered = self.rules.enter(renew(table, lanes.state), new_worlds)
+        fresh_worlds = take_rows(narrow(worlds, self.rules.capacity), row)
+        new_worlds = renew(fresh_worlds, lanes.worlds)
+        entered = self.rules.enter(take_rows(narrow(table, self.rules.capacity), row), fresh_worlds)
+        state = renew(entered, lanes.state)
         idle = row >= n_rows
-        state = jax.tree.map(
-            lambda new, old: jnp.where(takes.reshape(-1, *[1] * (new.ndim - 1)), new, old), entered, lanes.state
-        )
         state = state._replace(status=jnp.where(idle, Status.FINISHED, state.status))
         queue = queue._replace(head=queue.head + takes.sum())
         running = jnp.stack([state.running.sum(), queue.length - queue.head])
@@ -238,7 +237,7 @@ class Stage:
         overrides = {**lanes.overrides, "opt.gravity": gravity}
         seen_pose = state.pose
         scratch = self.stepper.step(overrides, inputs, lanes.scratch)
-        running, standing = state.running[:, None], rules.standing(state)[..., None]
+        running, standing = state.running[:, None], ~waiting
 
         def moved(row: Array, carrier: Array, boxes: Array) -> tuple[Array, Array]:
             """What a step changed, for lanes that run and boxes in play; all else stays as it was."""
