@@ -80,11 +80,11 @@ def test_tiny_plans_as_in_c(device: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=on_gpu)])
 def test_buffers_that_are_too_small_grow_and_give_the_same(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # 40 rows a world, 80 contacts for all: the bridge alone has at least 16 contacts of 3 rows each.
-    monkeypatch.setattr(mjx_warp, "ROWS_PER_BOX", dict.fromkeys(mjx_warp.ROWS_PER_BOX, 8))
+    # 10 contacts a world: the bridge has at least 16.
+    monkeypatch.setattr(mjx_warp, "LANE_CONTACTS_PER_BOX", 2)
     found = simulate(engine(), tiny_scenes(), SimConfig())
     assert found["hand-bridge"].flags & Flag.RERUN_AFTER_OVERFLOW
-    assert not any(outcome.flags & Flag.CONSTRAINT_OVERFLOW for outcome in found.values())
+    assert not any(outcome.flags & Flag.CONTACT_OVERFLOW for outcome in found.values())
     assert_twins(found, exact())
 
 

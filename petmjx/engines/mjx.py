@@ -306,6 +306,9 @@ class MjxEngine(ABC):
         lanes, table, queue, counters = stage.refill(lanes, group.table, group.worlds, queue)
         while True:
             lanes = stage.run_chunk(lanes, profiles)
+            if fresh or __import__("os").environ.get("WAIT"):
+                # Warp captures its CUDA graph in this call; whatever JAX loads or allocates meanwhile would break it.
+                jax.block_until_ready(lanes.row)
             lanes, table, queue, following = stage.refill(lanes, table, group.worlds, queue)
             running, queued, contacts, constraint_rows, iterations, slowest = (int(n) for n in np.asarray(counters))
             counters = following

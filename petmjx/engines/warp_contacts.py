@@ -1,0 +1,348 @@
+"""From poses to the constraint rows of a pallet, and from accelerations to the next poses: Warp kernels.
+
+All bodies are free boxes (or a carrier that is held fast), so that a contact is fully described by its frame and by
+three moment arms a body, and a body's inertia is six numbers. Contacts come from mujoco_warp's collision pipeline,
+in a pool shared by all worlds and in no fixed order; here each world's are listed and sorted, so that every sum over
+them is taken in the same order in every run, on any number of lanes.
+
+Blocks are bodies that move, six rows of the equations each: carrier and boxes, or the boxes alone where the carrier
+is held. A geom's block is its number less one, less one more where the carrier is held; negative ones don't move.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+ROW_WORDS = 32
+"""Numbers kept of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness
+of a row (1), friction (1)."""
+
+vec5 = wp.types.vector(length=5, dtype=float)
+
+# MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP).
+MIN_VALUE = wp.constant(1e-15)
+MIN_IMPEDANCE = wp.constant(1e-4)
+MAX_IMPEDANCE = wp.constant(0.9999)
+VERTICAL_COSINE = wp.constant(0.70710678)
+
+
+@wp.func
+def _rotation(w: float, x: float, y: float, z: float) -> wp.mat33:
+    """Matrix of a quaternion of any length but zero."""
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return wp.mat33(
+        1.0 - s * (y * y + z * z),
+        s * (x * y - w * z),
+        s * (x * z + w * y),
+        s * (x * y + w * z),
+        1.0 - s * (x * x + z * z),
+        s * (y * z - w * x),
+        s * (x * z - w * y),
+        s * (y * z + w * x),
+        1.0 - s * (x * x + y * y),
+    )
+
+
+@wp.kernel(enable_backward=False)
+def begin_step(
+    held: int,
+    floor_z: float,
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    carrier_force: wp.array2d(dtype=float),
+    gravity: wp.array2d(dtype=float),
+    carrier_pose: wp.array2d(dtype=float),
+    body_mass: wp.array2d(dtype=float),
+    body_inertia: wp.array3d(dtype=float),
+    geom_xpos: wp.array2d(dtype=wp.vec3),
+    geom_xmat: wp.array2d(dtype=wp.mat33),
+    inertia: wp.array2d(dtype=float),
+    smooth: wp.array2d(dtype=float),
+    n_contacts: wp.array(dtype=int),
+    n_blocks: wp.array(dtype=int),
+):
+    """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts. One thread a world and geom.
+
+    A free body's angular velocity is in its own frame, so that Euler's equation gives −ω × I·ω as torque.
+    """
+    world, geom = wp.tid()
+    if geom == 0:
+        geom_xpos[world, 0] = wp.vec3(0.0, 0.0, floor_z)
+        geom_xmat[world, 0] = wp.identity(n=3, dtype=float)
+        n_contacts[world] = 0
+        n_blocks[world] = 0
+        return
+    block = geom - 1 - held
+    if block < 0:
+        p = carrier_pose[world]
+        geom_xpos[world, geom] = wp.vec3(p[0], p[1], p[2])
+        geom_xmat[world, geom] = _rotation(p[3], p[4], p[5], p[6])
+        return
+    q = qpos[world]
+    at = 7 * block
+    geom_xpos[world, geom] = wp.vec3(q[at], q[at + 1], q[at + 2])
+    geom_xmat[world, geom] = _rotation(q[at + 3], q[at + 4], q[at + 5], q[at + 6])
+    dof = 6 * block
+    mass = body_mass[world, geom]
+    spin = wp.vec3(qvel[world, dof + 3], qvel[world, dof + 4], qvel[world, dof + 5])
+    moments = wp.vec3(body_inertia[world, geom, 0], body_inertia[world, geom, 1], body_inertia[world, geom, 2])
+    torque = -wp.cross(spin, wp.cw_mul(moments, spin))
+    for i in range(3):
+        force = float(0.0)
+        if geom == 1:
+            force = carrier_force[world, i]
+        inertia[world, dof + i] = mass
+        inertia[world, dof + 3 + i] = moments[i]
+        smooth[world, dof + i] = gravity[world, i] + force / mass
+        smooth[world, dof + 3 + i] = torque[i] / moments[i]
+
+
+@wp.kernel(enable_backward=False)
+def list_contacts(
+    nacon: wp.array(dtype=int),
+    worldid: wp.array(dtype=int),
+    geom: wp.array(dtype=wp.vec2i),
+    n_geoms: int,
+    n_contacts: wp.array(dtype=int),
+    contact_id: wp.array2d(dtype=int),
+    contact_pair: wp.array2d(dtype=int),
+):
+    """Each world's contacts, in the order in which threads happen to come. One thread a contact of the pool."""
+    contact = wp.tid()
+    if contact >= nacon[0]:
+        return
+    world = worldid[contact]
+    slot = wp.atomic_add(n_contacts, world, 1)
+    if slot < contact_id.shape[1]:
+        pair = geom[contact]
+        contact_id[world, slot] = contact
+        contact_pair[world, slot] = wp.min(pair[0], pair[1]) * n_geoms + wp.max(pair[0], pair[1])
+
+
+@wp.func
+def _reference(solref: wp.vec2, solimp: vec5, depth: float, timestep: float) -> wp.vec3:
+    """Stiffness, damping and impedance of a contact (MuJoCo, "Modeling: Solver parameters")."""
+    low = wp.clamp(solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    high = wp.clamp(solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    x = wp.min(wp.abs(depth) / wp.max(solimp[2], MIN_VALUE), 1.0)
+    middle = wp.clamp(solimp[3], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    power = wp.max(solimp[4], 1.0)
+    y = x
+    if power > 1.0:
+        if x <= middle:
+            y = wp.pow(x, power) / wp.pow(middle, power - 1.0)
+        else:
+            y = 1.0 - wp.pow(1.0 - x, power) / wp.pow(1.0 - middle, power - 1.0)
+    impedance = low + y * (high - low)
+    if solref[0] <= 0.0:
+        return wp.vec3(-solref[0] / (high * high), -solref[1] / high, impedance)
+    timeconst = wp.max(solref[0], 2.0 * timestep)
+    stiffness = 1.0 / (high * high * timeconst * timeconst * solref[1] * solref[1])
+    return wp.vec3(stiffness, 2.0 / (high * timeconst), impedance)
+
+
+@wp.kernel(enable_backward=False)
+def make_rows(
+    held: int,
+    pyramidal: int,
+    timestep: float,
+    qvel: wp.array2d(dtype=float),
+    body_invweight: wp.array3d(dtype=float),
+    geom_xpos: wp.array2d(dtype=wp.vec3),
+    geom_xmat: wp.array2d(dtype=wp.mat33),
+    geom: wp.array(dtype=wp.vec2i),
+    dist: wp.array(dtype=float),
+    pos: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.mat33),
+    friction: wp.array(dtype=vec5),
+    solref: wp.array(dtype=wp.vec2),
+    solimp: wp.array(dtype=vec5),
+    n_contacts: wp.array(dtype=int),
+    contact_id: wp.array2d(dtype=int),
+    contact_pair: wp.array2d(dtype=int),
+    rows: wp.array3d(dtype=float),
+    blocks: wp.array3d(dtype=int),
+    n_blocks: wp.array(dtype=int),
+):
+    """A contact's place among its world's, and its rows there. One thread a world and contact.
+
+    Rows give the acceleration of the second block's body against the first's along normal and tangents. The moment
+    arms are in the bodies' frames. With pyramidal cones the four edges' rows are normal ± friction × tangent, and
+    are never written down.
+    """
+    world, slot = wp.tid()
+    count = wp.min(n_contacts[world], contact_id.shape[1])
+    if slot >= count:
+        return
+    me = contact_id[world, slot]
+    pair = contact_pair[world, slot]
+    place = int(0)
+    for other in range(count):
+        its_pair = contact_pair[world, other]
+        if its_pair < pair or (its_pair == pair and contact_id[world, other] < me):
+            place += 1
+    first = geom[me][0]
+    second = geom[me][1]
+    axes = frame[me]
+    if first > second:
+        # Seen from the other body the whole frame turns around, and forces stay what they are.
+        first = geom[me][1]
+        second = geom[me][0]
+        axes = -axes
+    one = first - 1 - held
+    two = second - 1 - held
+    arms_one = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    arms_two = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    velocity = wp.vec3(0.0, 0.0, 0.0)
+    if one >= 0:
+        turned = wp.transpose(geom_xmat[world, first])
+        lever = pos[me] - geom_xpos[world, first]
+        for r in range(3):
+            arms_one[r] = turned * wp.cross(lever, axes[r])
+        at = 6 * one
+        linear = wp.vec3(qvel[world, at], qvel[world, at + 1], qvel[world, at + 2])
+        spin = wp.vec3(qvel[world, at + 3], qvel[world, at + 4], qvel[world, at + 5])
+        velocity -= axes * linear + arms_one * spin
+    if two >= 0:
+        turned = wp.transpose(geom_xmat[world, second])
+        lever = pos[me] - geom_xpos[world, second]
+        for r in range(3):
+            arms_two[r] = turned * wp.cross(lever, axes[r])
+        at = 6 * two
+        linear = wp.vec3(qvel[world, at], qvel[world, at + 1], qvel[world, at + 2])
+        spin = wp.vec3(qvel[world, at + 3], qvel[world, at + 4], qvel[world, at + 5])
+        velocity += axes * linear + arms_two * spin
+    kbi = _reference(solref[me], solimp[me], dist[me], timestep)
+    mu = friction[me][0]
+    weight = body_invweight[world, first, 0] + body_invweight[world, second, 0]
+    if pyramidal != 0:
+        weight = 2.0 * mu * mu * weight * (1.0 + mu * mu)
+    for r in range(3):
+        for i in range(3):
+            rows[world, place, 3 * r + i] = axes[r, i]
+            rows[world, place, 9 + 3 * r + i] = arms_one[r, i]
+            rows[world, place, 18 + 3 * r + i] = arms_two[r, i]
+        rows[world, place, 27 + r] = -kbi[1] * velocity[r]
+    rows[world, place, 27] = -kbi[1] * velocity[0] - kbi[0] * kbi[2] * dist[me]
+    rows[world, place, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)
+    rows[world, place, 31] = mu
+    blocks[world, place, 0] = one
+    blocks[world, place, 1] = two
+    wp.atomic_max(n_blocks, world, two + 1)
+
+
+@wp.kernel(enable_backward=False)
+def link_blocks(
+    n_contacts: wp.array(dtype=int),
+    n_blocks: wp.array(dtype=int),
+    blocks: wp.array3d(dtype=int),
+    link_begin: wp.array2d(dtype=int),
+    links: wp.array2d(dtype=int),
+    lowest: wp.array2d(dtype=int),
+):
+    """Each block's contacts: 2 × contact + side, those with lower blocks first. One thread a world and block.
+
+    ``links[world, link_begin[world, b]:link_begin[world, b + 1]]`` are block b's; ``lowest`` is the lowest block
+    that it touches, or itself.
+    """
+    world, block = wp.tid()
+    if block > n_blocks[world]:
+        return
+    count = wp.min(n_contacts[world], blocks.shape[1])
+    at = int(0)
+    for k in range(count):
+        one = blocks[world, k, 0]
+        two = blocks[world, k, 1]
+        if one >= 0 and one < block:
+            at += 1
+        if two >= 0 and two < block:
+            at += 1
+    link_begin[world, block] = at
+    if block == n_blocks[world]:
+        return
+    low = int(block)
+    for k in range(count):
+        one = blocks[world, k, 0]
+        two = blocks[world, k, 1]
+        if one == block:
+            links[world, at] = 2 * k
+            at += 1
+        if two == block:
+            links[world, at] = 2 * k + 1
+            at += 1
+            if one >= 0:
+                low = wp.min(low, one)
+    lowest[world, block] = low
+
+
+@wp.kernel(enable_backward=False)
+def end_step(
+    held: int,
+    timestep: float,
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    geom_xpos: wp.array2d(dtype=wp.vec3),
+    smooth: wp.array2d(dtype=float),
+    acceleration: wp.array2d(dtype=wp.float64),
+    force: wp.array3d(dtype=wp.float64),
+    rows: wp.array3d(dtype=float),
+    blocks: wp.array3d(dtype=int),
+    n_blocks: wp.array(dtype=int),
+    link_begin: wp.array2d(dtype=int),
+    links: wp.array2d(dtype=int),
+    next_qpos: wp.array2d(dtype=float),
+    next_qvel: wp.array2d(dtype=float),
+    qacc: wp.array2d(dtype=float),
+    top_force: wp.array2d(dtype=float),
+):
+    """Semi-implicit Euler, and the force on each box's top (spec, section 5). One thread a world and block."""
+    world, block = wp.tid()
+    dof = 6 * block
+    at = 7 * block
+    touched = block < n_blocks[world]
+    for i in range(6):
+        a = smooth[world, dof + i]
+        if touched:
+            a = float(acceleration[world, dof + i])
+        qacc[world, dof + i] = a
+        next_qvel[world, dof + i] = qvel[world, dof + i] + timestep * a
+    for i in range(3):
+        next_qpos[world, at + i] = qpos[world, at + i] + timestep * next_qvel[world, dof + i]
+    spin = wp.vec3(next_qvel[world, dof + 3], next_qvel[world, dof + 4], next_qvel[world, dof + 5])
+    angle = timestep * wp.length(spin)
+    sine = timestep * 0.5
+    if angle > 1e-6:
+        sine = wp.sin(angle * 0.5) / wp.length(spin)
+    cosine = wp.cos(angle * 0.5)
+    v = sine * spin
+    w = qpos[world, at + 3]
+    u = wp.vec3(qpos[world, at + 4], qpos[world, at + 5], qpos[world, at + 6])
+    turned_w = w * cosine - wp.dot(u, v)
+    turned = w * v + cosine * u + wp.cross(u, v)
+    size = wp.sqrt(turned_w * turned_w + wp.dot(turned, turned))
+    next_qpos[world, at + 3] = turned_w / size
+    for i in range(3):
+        next_qpos[world, at + 4 + i] = turned[i] / size
+
+    box = block - 1 + held
+    if box < 0:
+        return
+    total = wp.float64(0.0)
+    if touched:
+        z = geom_xpos[world, block + 1 + held][2]
+        for entry in range(link_begin[world, block], link_begin[world, block + 1]):
+            k = links[world, entry] // 2
+            side = links[world, entry] % 2
+            partner = blocks[world, k, 1 - side]
+            its_z = geom_xpos[world, partner + 1 + held][2]
+            lower = z < its_z
+            if side == 1:
+                lower = z <= its_z
+            if lower and wp.abs(rows[world, k, 2]) >= VERTICAL_COSINE:
+                up = wp.float64(0.0)
+                for r in range(3):
+                    up += wp.float64(rows[world, k, 3 * r + 2]) * force[world, k, r]
+                if side == 1:
+                    up = -up
+                total += up
+    top_force[world, box] = float(total)
