@@ -13,8 +13,8 @@ from typing import Any
 
 import jax
 
-MIN_COMPILE_S = 0.5
-"""Programs that compile faster than this are not worth a file."""
+MIN_COMPILE_S = 0.0
+"""Programs that compile faster than this are not kept. A run has some hundred small ones: seconds, together."""
 
 CPU_COMPILER_OPTIONS = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
 """With XLA's CPU scheduler that is optimised for concurrency, programs of stages stop for ever in XLA's thread pool

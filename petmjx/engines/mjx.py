@@ -280,9 +280,11 @@ class MjxEngine(ABC):
         if key not in self._stages:
             held = drive == "acceleration"
             sim = group.sim
+            begin = time.perf_counter()
             stepper = self.make_stepper(capacity, lanes, sim, held=held, growth=growth)
             rules = Rules(sim, group.timetable, capacity, driven=bool(drive))
             self._stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
+            group.progress.compile_s += time.perf_counter() - begin
         return self._stages[key]
 
     def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
@@ -306,9 +308,6 @@ class MjxEngine(ABC):
         lanes, table, queue, counters = stage.refill(lanes, group.table, group.worlds, queue)
         while True:
             lanes = stage.run_chunk(lanes, profiles)
-            if fresh or __import__("os").environ.get("WAIT"):
-                # Warp captures its CUDA graph in this call; whatever JAX loads or allocates meanwhile would break it.
-                jax.block_until_ready(lanes.row)
             lanes, table, queue, following = stage.refill(lanes, table, group.worlds, queue)
             running, queued, contacts, constraint_rows, iterations, slowest = (int(n) for n in np.asarray(counters))
             counters = following

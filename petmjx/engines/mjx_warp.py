@@ -20,7 +20,7 @@ from petmjx.errors import EngineUnavailable
 TOLERANCE = 1e-8
 """MuJoCo's default. Forces and residuals are double, so that it is reached, and in as many iterations as C's."""
 
-ITERATIONS, LINE_SEARCH_ITERATIONS = 30, 20
+ITERATIONS, LINE_SEARCH_ITERATIONS = 8, 20
 """Limits of the Newton solver and its line search. C MuJoCo, whose limits are 100 and 50, takes 16 iterations in the
 worst steps of collapsing pallets, and so does this."""
 

@@ -78,7 +78,7 @@ class Queue(NamedTuple):
 
 
 class Stage:
-    """Compiled programs of one shape: ``refill``, ``run_chunk`` and ``unload``.
+    """Compiled programs of one shape: ``empty``, ``refill``, ``run_chunk`` and ``unload``.
 
     Args:
         lanes: worlds stepped side by side.
@@ -98,6 +98,7 @@ class Stage:
         # Lanes are donated: their buffers are large and are rewritten in place. The table is not: after running
         # out of memory a stage begins again from the table as it was.
         options = compiler_options()
+        self._empty_lanes = jax.jit(self._empty, compiler_options=options)
         self.refill = jax.jit(self._refill, donate_argnums=0, compiler_options=options)
         self.run_chunk = jax.jit(self._run_chunk, donate_argnums=0, compiler_options=options)
         self.unload = jax.jit(self._unload, compiler_options=options)
@@ -107,8 +108,7 @@ class Stage:
         """What the stage does, for messages."""
         return "drive" if self.rules.driven else "place"
 
-    def empty(self, worlds: Worlds, table: State) -> Lanes:
-        """Lanes in which nothing runs yet."""
+    def _empty(self, worlds: Worlds, table: State) -> Lanes:
         nowhere = jnp.full(self.lanes, len(table.step), jnp.int32)
         narrow_worlds = take_rows(narrow(worlds, self.rules.capacity), nowhere)
         state = take_rows(narrow(table, self.rules.capacity), nowhere)
@@ -120,8 +120,13 @@ class Stage:
             overrides=self._overrides(narrow_worlds),
             usage=jnp.zeros(2, jnp.int32),
             iterations=jnp.zeros(2),
-            scratch=self.stepper.scratch(),
+            scratch=(),
         )
+
+    def empty(self, worlds: Worlds, table: State) -> Lanes:
+        """Lanes in which nothing runs yet."""
+        lanes: Lanes = self._empty_lanes(worlds, table)
+        return lanes._replace(scratch=self.stepper.scratch())
 
     def _overrides(self, worlds: Worlds) -> dict[str, jax.Array]:
         return override_fields(

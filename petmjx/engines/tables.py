@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -209,6 +210,7 @@ def _drive_factor(job: Job) -> float:
     return job.drive.scale
 
 
+@partial(jax.jit, static_argnames=("all_placed", "rest_steps"))
 def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"], rest_steps: int) -> State:
     """States before the soft start.
 

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 import warp as wp
 from jaxtyping import Array, Float, Int
 from mujoco.mjx.third_party import mujoco_warp as mjw
-
 from mujoco.mjx.third_party.mujoco_warp._src.collision_core import create_collision_context
 
 from petmjx.engines import warp_contacts, warp_newton
@@ -183,13 +183,11 @@ class PalletStepper:
         _STEPS[self.id] = self
 
     def scratch(self) -> StepResult:
-        dofs, blocks = 6 * self.n_blocks, self.n_blocks
-        real = {"qpos": 7 * blocks, "qvel": dofs, "qacc": dofs, "top_force": self.n_geoms - 2}
-        counts = ("overflow", "contacts", "iterations")
-        return StepResult(
-            **{name: jnp.zeros((self.lanes, width)) for name, width in real.items()},
-            **{name: jnp.zeros(self.lanes, jnp.int32) for name in counts},
-        )
+        dofs = 6 * self.n_blocks
+        widths = {"qpos": 7 * self.n_blocks, "qvel": dofs, "qacc": dofs, "top_force": self.n_geoms - 2}
+        real = {name: np.zeros((self.lanes, width), np.float32) for name, width in widths.items()}
+        counts = {name: np.zeros(self.lanes, np.int32) for name in ("overflow", "contacts", "iterations")}
+        return jax.device_put(StepResult(**real, **counts))
 
     def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: StepResult) -> StepResult:
         carrier = inputs["qpos"][:, :7]
@@ -264,7 +262,7 @@ class PalletStepper:
             geom_aabb=given["geom_aabb"],
             geom_friction=given["geom_friction"],
         )
-        # mujoco_warp's ``collision`` for planes and boxes, without its allocations: a graph that XLA may replay has none.
+        # mujoco_warp's ``collision`` for planes and boxes, without its allocations: XLA may replay graphs without any.
         data.nacon.zero_()
         data.ncollision.zero_()
         mjw.nxn_broadphase(model, data, self.context)
@@ -408,8 +406,6 @@ def _step(
 
 
 def _step_callable() -> Any:
-    on_gpu = jax.default_backend() == "gpu"
-    import os
-
-    mode = getattr(wp.JaxCallableGraphMode, os.environ.get("GM", "WARP")) if on_gpu else wp.JaxCallableGraphMode.NONE
-    return wp.jax_callable(_step, num_outputs=8, graph_mode=mode)
+    # XLA captures the kernels into its own command buffer and replays that without Python, whatever the addresses.
+    # Graphs captured by Warp failed here ("unknown capture stream", Warp 1.18, JAX 0.11).
+    return wp.jax_callable(_step, num_outputs=8, graph_mode=wp.JaxCallableGraphMode.JAX)
