@@ -51,10 +51,10 @@ class BreakEven:
     """
 
     cpu_step_s: float = 3.8e-7
-    gpu_step_s: float = 1.77e-5
+    gpu_step_s: float = 3.8e-6
     full_lanes: int = 2048
-    min_lanes: int = 1024
-    gpu_start_s: float = 60.0
+    min_lanes: int = 1600
+    gpu_start_s: float = 25.0
     adaptive_share: float = 0.49
 
     def seconds(self, n_boxes: Sequence[int], sim: SimConfig, threads: int) -> tuple[float, float]:
@@ -76,11 +76,10 @@ class BreakEven:
 
 
 H100 = BreakEven()
-"""Fitted to one workload: 2,000 generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads.
-Measured there: mjx-warp compiles 59 to 64 s and runs 80 to 82 s; mujoco scores 8.1 to 9.2 plans/s, so about 220 s.
-With these numbers such plans take about 140 s on the GPU, compilation included, and 220 s on the threads. What a start
-takes with programs cached has not been measured, nor have the fixed schedule, other sizes and other devices; the true
-break-even may lie several hundred plans away."""
+"""Fitted to generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads (benchmarks/README.md).
+Measured there: mjx-warp compiles for 15 to 22 s (7 s with programs kept from an earlier run) and runs 14 s for 500 plans,
+17 s for 2,000 and 33 s for 4,000; mujoco scores 8 to 10 plans/s. So a GPU pays from about 400 such plans on. Other sizes
+and other devices have not been fitted."""
 
 
 def choose_engine(
