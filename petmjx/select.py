@@ -77,9 +77,9 @@ class BreakEven:
 
 H100 = BreakEven()
 """Fitted to generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads (benchmarks/README.md).
-Measured there: mjx-warp compiles for 15 to 22 s (7 s with programs kept from an earlier run) and runs 14 s for 500 plans,
-17 s for 2,000 and 33 s for 4,000; mujoco scores 8 to 10 plans/s. So a GPU pays from about 400 such plans on. Other sizes
-and other devices have not been fitted."""
+Measured there: mjx-warp compiles for 15 to 22 s (7 s with programs kept from an earlier run) and runs 14 s for 500
+plans, 17 s for 2,000 and 33 s for 4,000; mujoco scores 8 to 10 plans/s. So a GPU pays from about 400 such plans on.
+Other sizes and other devices have not been fitted."""
 
 
 def choose_engine(
