@@ -8,8 +8,10 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pandas as pd
 import pytest
 
+import petmjx
 from petmjx.config import PHYSICS, SimConfig
 from petmjx.engines.mujoco import MujocoEngine
 from petmjx.outcome import Drive, Excitation, Flag, Job, Outcome, Reason, Verdict
@@ -130,3 +132,15 @@ def test_a_held_carrier_carries() -> None:
     assert (found.verdict, found.n_steps) == (expected.verdict, expected.n_steps)
     assert found.verdict is Verdict.STABLE
     np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=SAME_PLACE_M)
+
+
+@pytest.mark.slow
+def test_a_search_finds_the_levels_that_c_finds() -> None:
+    """To the step of 0.01 g, with the box that fails first and how."""
+    plans = [plan for plan in load_plans(bundled_path()).plans if plan.plan_id == "hand-bridge"]
+    found, expected = (
+        petmjx.sweep("eumos-search", plans, engine=which).summary for which in (engine(), MujocoEngine(2))
+    )
+    columns = ["plan_id", "direction_deg", "largest_level_g", "first_failed_level_g", "box", "mode"]
+    assert len(expected) == 4
+    pd.testing.assert_frame_equal(found[columns], expected[columns])
