@@ -15,8 +15,8 @@ from typing import Any
 import mujoco
 import pyarrow.parquet as pq
 import pytest
+from command_line import only_line, run, write
 
-from petmjx.cli import main
 from petmjx.config import SimConfig
 from petmjx.engines.mujoco import MujocoEngine
 from petmjx.outcome import Job, Outcome, Progress
@@ -39,23 +39,6 @@ OVERHANG = [placement((0, 0, 0)), placement((260, 0, 200))]
 def plans(tmp_path: Path) -> Path:
     """A tower that stands, and a box that overhangs by more than half and falls."""
     return write(tmp_path / "plans.json", {"tower": TOWER, "overhang": OVERHANG})
-
-
-def write(path: Path, content: object) -> Path:
-    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
-    return path
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(argument) for argument in arguments])
-
-
-def only_line(stderr: str) -> str:
-    """The one line an error is allowed to take."""
-    lines = stderr.strip().splitlines()
-    assert len(lines) == 1, stderr
-    assert lines[0].startswith("petmjx: ")
-    return lines[0]
 
 
 def test_score_says_which_plans_stand(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,8 +14,8 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from command_line import only_line, run, write
 
-from petmjx.cli import main
 from petmjx.store import load_run
 
 SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200}
@@ -52,22 +52,6 @@ tolerance = 0.1
 @pytest.fixture
 def plans(tmp_path: Path) -> Path:
     return write(tmp_path / "plans.json", json.dumps({"tower": TOWER, "box": TOWER[:1]}))
-
-
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(argument) for argument in arguments])
-
-
-def only_line(stderr: str) -> str:
-    lines = stderr.strip().splitlines()
-    assert len(lines) == 1, stderr
-    assert lines[0].startswith("petmjx: ")
-    return lines[0]
 
 
 def test_a_grid_says_what_it_will_do_and_what_came_of_it(

@@ -7,12 +7,12 @@ from typing import Any
 import jax
 import warp
 
-from petmjx.config import Cone, SimConfig, Solver
+from petmjx.config import SimConfig, Solver
 from petmjx.devices import why_no_warp
 from petmjx.engines.jax_setup import set_up_warp
 from petmjx.engines.mjx import MIN_LANES, MjxEngine
 from petmjx.engines.stage import Stepper
-from petmjx.engines.template import FLOAT32_TOLERANCE, padded_template
+from petmjx.engines.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
 from petmjx.engines.warp_step import PalletStepper, lane_bytes
 from petmjx.engines.warp_stock import StockStepper
 from petmjx.errors import EngineUnavailable
@@ -21,20 +21,15 @@ TOLERANCE = 1e-8
 """MuJoCo's default. Forces and residuals are double, so that it is reached, and in as many iterations as C's."""
 
 ITERATIONS, LINE_SEARCH_ITERATIONS = 8, 20
-"""Limits of the Newton solver and its line search. C MuJoCo, whose limits are 100 and 50, takes 16 iterations in the
-worst steps of collapsing pallets, and so does this."""
-
-STOCK_ITERATIONS = 100
-"""Limit of MJX's own solvers (MuJoCo's default)."""
+"""Limits of the Newton solver and its line search; MuJoCo's are 100 and 50. A step lasts as long as its slowest world:
+colliding ones take up to 16 iterations, in C as here, and stopped after 8 go on in the next step from where they are.
+Of 2,000 verdicts one is another with 30 (benchmarks/README.md)."""
 
 CONTACTS_PER_BOX = 6
 """Contacts reserved per box, averaged over lanes (one pool serves all): full real pallets have 4.5."""
 
 LANE_CONTACTS_PER_BOX = 8
 """Contacts reserved per box in each lane; the fullest of 2,000 sample plans, collapsing ones among them, took 6.4."""
-
-STOCK_ROWS = {Cone.ELLIPTIC: 3, Cone.PYRAMIDAL: 4}
-"""Constraint rows of a contact."""
 
 PREFERRED_LANES = 2048
 """Lanes at which an H100 is as good as full at every capacity (benchmarks/README.md)."""
@@ -63,7 +58,7 @@ class MjxWarpEngine(MjxEngine):
         super().__init__(lanes, **options)
 
     def release(self) -> None:
-        """Drop captured CUDA graphs: each keeps its workspace."""
+        """Drop the CUDA graphs that Warp captured of MJX's own step: each keeps its solver's workspace."""
         warp.clear_jax_callable_graph_cache()
 
     def default_lanes(self, capacity: int) -> int:
@@ -81,7 +76,7 @@ class MjxWarpEngine(MjxEngine):
             held=held,
             solver=sim.solver,
             tolerance=sim.solver_tolerance or (TOLERANCE if newton else FLOAT32_TOLERANCE),
-            iterations=sim.solver_iterations or (ITERATIONS if newton else STOCK_ITERATIONS),
+            iterations=sim.solver_iterations or (ITERATIONS if newton else MAX_ITERATIONS),
             native_ccd=False,
             line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
@@ -89,4 +84,4 @@ class MjxWarpEngine(MjxEngine):
         room = LANE_CONTACTS_PER_BOX * (capacity + 2) * growth
         if newton:
             return PalletStepper(template, lanes, pool, room)
-        return StockStepper(template, lanes, sim.physics, pool, STOCK_ROWS[sim.physics.cone] * room)
+        return StockStepper(template, lanes, sim.physics, pool, ROWS_PER_CONTACT[sim.physics.cone] * room)

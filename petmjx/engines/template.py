@@ -27,6 +27,9 @@ MAX_ITERATIONS = 100
 LINE_SEARCH_ITERATIONS = 50
 """MuJoCo's default limit of a line search."""
 
+ROWS_PER_CONTACT = {Cone.ELLIPTIC: 3, Cone.PYRAMIDAL: 4}
+"""Constraint rows of a contact with friction: normal and two tangents, or four edges."""
+
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
 """Boxes that are not placed yet hang in a row this high and this far apart: no two bounding spheres meet

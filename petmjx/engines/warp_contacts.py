@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from petmjx.metrics import force as force_metrics
+
 ROW_WORDS = 32
 """Numbers kept of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness
 of a row (1), friction (1)."""
@@ -23,7 +25,7 @@ vec5 = wp.types.vector(length=5, dtype=float)
 MIN_VALUE = wp.constant(1e-15)
 MIN_IMPEDANCE = wp.constant(1e-4)
 MAX_IMPEDANCE = wp.constant(0.9999)
-VERTICAL_COSINE = wp.constant(0.70710678)
+VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
 
 
 @wp.func
@@ -41,6 +43,27 @@ def _rotation(w: float, x: float, y: float, z: float) -> wp.mat33:
         s * (y * z + w * x),
         1.0 - s * (x * x + y * y),
     )
+
+
+@wp.func
+def _three(values: wp.array2d(dtype=float), world: int, at: int) -> wp.vec3:
+    """Three neighbouring numbers of a world's."""
+    return wp.vec3(values[world, at], values[world, at + 1], values[world, at + 2])
+
+
+@wp.func
+def _moment_arms(axes: wp.mat33, lever: wp.vec3, rotation: wp.mat33) -> wp.mat33:
+    """What a body's angular velocity, in its own frame, adds along each axis at the end of a lever."""
+    arms = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for r in range(3):
+        arms[r] = wp.transpose(rotation) * wp.cross(lever, axes[r])
+    return arms
+
+
+@wp.func
+def _velocity_along(axes: wp.mat33, arms: wp.mat33, qvel: wp.array2d(dtype=float), world: int, block: int) -> wp.vec3:
+    """A body's velocity at a contact, along the contact's axes."""
+    return axes * _three(qvel, world, 6 * block) + arms * _three(qvel, world, 6 * block + 3)
 
 
 @wp.kernel(enable_backward=False)
@@ -75,16 +98,16 @@ def begin_step(
     block = geom - 1 - held
     if block < 0:
         p = carrier_pose[world]
-        geom_xpos[world, geom] = wp.vec3(p[0], p[1], p[2])
+        geom_xpos[world, geom] = _three(carrier_pose, world, 0)
         geom_xmat[world, geom] = _rotation(p[3], p[4], p[5], p[6])
         return
     q = qpos[world]
     at = 7 * block
-    geom_xpos[world, geom] = wp.vec3(q[at], q[at + 1], q[at + 2])
+    geom_xpos[world, geom] = _three(qpos, world, at)
     geom_xmat[world, geom] = _rotation(q[at + 3], q[at + 4], q[at + 5], q[at + 6])
     dof = 6 * block
     mass = body_mass[world, geom]
-    spin = wp.vec3(qvel[world, dof + 3], qvel[world, dof + 4], qvel[world, dof + 5])
+    spin = _three(qvel, world, dof + 3)
     moments = wp.vec3(body_inertia[world, geom, 0], body_inertia[world, geom, 1], body_inertia[world, geom, 2])
     torque = -wp.cross(spin, wp.cw_mul(moments, spin))
     for i in range(3):
@@ -195,23 +218,11 @@ def make_rows(
     arms_two = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     velocity = wp.vec3(0.0, 0.0, 0.0)
     if one >= 0:
-        turned = wp.transpose(geom_xmat[world, first])
-        lever = pos[me] - geom_xpos[world, first]
-        for r in range(3):
-            arms_one[r] = turned * wp.cross(lever, axes[r])
-        at = 6 * one
-        linear = wp.vec3(qvel[world, at], qvel[world, at + 1], qvel[world, at + 2])
-        spin = wp.vec3(qvel[world, at + 3], qvel[world, at + 4], qvel[world, at + 5])
-        velocity -= axes * linear + arms_one * spin
+        arms_one = _moment_arms(axes, pos[me] - geom_xpos[world, first], geom_xmat[world, first])
+        velocity -= _velocity_along(axes, arms_one, qvel, world, one)
     if two >= 0:
-        turned = wp.transpose(geom_xmat[world, second])
-        lever = pos[me] - geom_xpos[world, second]
-        for r in range(3):
-            arms_two[r] = turned * wp.cross(lever, axes[r])
-        at = 6 * two
-        linear = wp.vec3(qvel[world, at], qvel[world, at + 1], qvel[world, at + 2])
-        spin = wp.vec3(qvel[world, at + 3], qvel[world, at + 4], qvel[world, at + 5])
-        velocity += axes * linear + arms_two * spin
+        arms_two = _moment_arms(axes, pos[me] - geom_xpos[world, second], geom_xmat[world, second])
+        velocity += _velocity_along(axes, arms_two, qvel, world, two)
     kbi = _reference(solref[me], solimp[me], dist[me], timestep)
     mu = friction[me][0]
     weight = body_invweight[world, first, 0] + body_invweight[world, second, 0]
@@ -308,7 +319,7 @@ def end_step(
         next_qvel[world, dof + i] = qvel[world, dof + i] + timestep * a
     for i in range(3):
         next_qpos[world, at + i] = qpos[world, at + i] + timestep * next_qvel[world, dof + i]
-    spin = wp.vec3(next_qvel[world, dof + 3], next_qvel[world, dof + 4], next_qvel[world, dof + 5])
+    spin = _three(next_qvel, world, dof + 3)
     angle = timestep * wp.length(spin)
     sine = timestep * 0.5
     if angle > 1e-6:
@@ -316,7 +327,7 @@ def end_step(
     cosine = wp.cos(angle * 0.5)
     v = sine * spin
     w = qpos[world, at + 3]
-    u = wp.vec3(qpos[world, at + 4], qpos[world, at + 5], qpos[world, at + 6])
+    u = _three(qpos, world, at + 4)
     turned_w = w * cosine - wp.dot(u, v)
     turned = w * v + cosine * u + wp.cross(u, v)
     size = wp.sqrt(turned_w * turned_w + wp.dot(turned, turned))

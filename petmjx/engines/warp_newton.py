@@ -24,11 +24,13 @@ import functools
 
 import warp as wp
 
-PANEL = 16
-"""Rows and columns of a panel of the factorisation; H's leading dimension is a multiple of it."""
+from petmjx.engines.warp_cholesky import FACTOR_AND_SOLVE, PANEL
 
-MAX_DOFS = 1664
-"""Largest system: its right-hand side is kept in shared memory."""
+MAX_PANELS = 104
+"""Panels of the largest system: its right-hand side is kept in shared memory."""
+
+MAX_DOFS = MAX_PANELS * PANEL
+"""Rows of the largest system."""
 
 MANY = (128, 4)
 """Threads a world, and worlds that a multiprocessor works on at a time, where there are many worlds."""
@@ -36,174 +38,8 @@ MANY = (128, 4)
 FEW = (256, 2)
 """The same where there are so few that a step lasts as long as one world's."""
 
-_CHOLESKY = """
-        // Forward: H = UᵀU in place, right-looking by panels of 16 rows, and y = U⁻ᵀ·gradient along with it. A panel's
-        // diagonal tile keeps W, the inverse of its factor transposed: what solving with it takes are then products.
-        for (int K = 0; K < panels; ++K) {
-            const int k = K * B;
-            const int* reached = active[K & 1];
-            const int columns = active_count[K & 1] * B;
-            float* own = A + (size_t)k * ld;
-#if defined(__CUDA_ARCH__)
-            if (thread < 32) {
-                // A column of the tile to a lane, then the right-hand side, then the columns of the identity but the
-                // last; all are eliminated alike.
-                float v[16], inverse = 0.0f;
-                #pragma unroll
-                for (int p = 0; p < 16; ++p) {
-                    v[p] = thread == p + 17 ? 1.0f : 0.0f;
-                    if (thread < 16 && p <= thread) v[p] = own[(size_t)p * ld + k + thread];
-                    if (thread == 16) v[p] = rhs[k + p];
-                }
-                #pragma unroll
-                for (int p = 0; p < 16; ++p) {
-                    const float pivot = __shfl_sync(0xffffffffu, v[p], p);
-                    inverse = rsqrtf(pivot);
-                    inverse *= 1.5f - 0.5f * pivot * inverse * inverse;
-                    v[p] *= inverse;
-                    #pragma unroll
-                    for (int q = p + 1; q < 16; ++q) v[q] -= __shfl_sync(0xffffffffu, v[p], q) * v[p];
-                }
-                if (thread == 16) {
-                    #pragma unroll
-                    for (int p = 0; p < 16; ++p) rhs[k + p] = solved[p] = v[p];
-                }
-                if (thread >= 16) {
-                    const int column = thread == 16 ? 15 : thread - 17;
-                    #pragma unroll
-                    for (int p = 0; p < 16; ++p) {
-                        const float value = thread == 16 ? (p == 15 ? inverse : 0.0f) : v[p];
-                        W[p * B + column] = value;
-                        own[(size_t)p * ld + k + column] = value;
-                    }
-                }
-            } else if (thread < 64) {
-                // Which panels the next one reaches.
-                const int lane = thread - 32;
-                int found = 0;
-                for (int first = K + 2; first < panels; first += 32) {
-                    const bool inside = first + lane < panels && top[first + lane] <= K + 1;
-                    const unsigned mask = __ballot_sync(0xffffffffu, inside);
-                    if (inside) active[(K + 1) & 1][found + __popc(mask & ((1u << lane) - 1u))] = first + lane;
-                    found += __popc(mask);
-                }
-                if (lane == 0) active_count[(K + 1) & 1] = found;
-            }
-#else
-            for (int p = 0; p < B; ++p) {
-                for (int q = 0; q < B; ++q) W[p * B + q] = p == q ? 1.0f : 0.0f;
-                solved[p] = rhs[k + p];
-            }
-            for (int p = 0; p < B; ++p) {
-                const float inverse = 1.0f / sqrtf(own[(size_t)p * ld + k + p]);
-                for (int c = p; c < B; ++c) own[(size_t)p * ld + k + c] *= inverse;
-                for (int c = 0; c <= p; ++c) W[p * B + c] *= inverse;
-                solved[p] *= inverse;
-                for (int q = p + 1; q < B; ++q) {
-                    const float factor = own[(size_t)p * ld + k + q];
-                    for (int c = q; c < B; ++c) own[(size_t)q * ld + k + c] -= factor * own[(size_t)p * ld + k + c];
-                    for (int c = 0; c <= p; ++c) W[q * B + c] -= factor * W[p * B + c];
-                    solved[q] -= factor * solved[p];
-                }
-            }
-            for (int p = 0; p < B; ++p) {
-                rhs[k + p] = solved[p];
-                for (int c = 0; c < B; ++c) own[(size_t)p * ld + k + c] = W[p * B + c];
-            }
-            active_count[(K + 1) & 1] = 0;
-            for (int J = K + 2; J < panels; ++J)
-                if (top[J] <= K + 1) active[(K + 1) & 1][active_count[(K + 1) & 1]++] = J;
-#endif
-            // The panel's row, a column to a thread, kept close by where it fits.
-            const bool fits = columns <= STRIP;
-            float* strip = fits ? kept : own;
-            const int pitch = fits ? STRIP : ld;
-            for (int base = 0; base < columns; base += threads) {
-                const int column = base + thread;
-                const int c = column < columns ? reached[column / B] * B + column % B : 0;
-                float v[16];
-                #pragma unroll
-                for (int p = 0; p < 16; ++p) v[p] = column < columns ? own[(size_t)p * ld + c] : 0.0f;
-                if (base == 0) PETMJX_SYNC;
-                if (column >= columns) continue;
-                float update = 0.0f;
-                #pragma unroll
-                for (int p = 15; p >= 0; --p) {
-                    float value = 0.0f;
-                    #pragma unroll
-                    for (int q = 0; q <= p; ++q) value += W[p * B + q] * v[q];
-                    v[p] = value;
-                    update += value * solved[p];
-                }
-                #pragma unroll
-                for (int p = 0; p < 16; ++p) {
-                    own[(size_t)p * ld + c] = v[p];
-                    if (fits) kept[p * STRIP + column] = v[p];
-                }
-                rhs[c] -= update;
-            }
-            PETMJX_SYNC;
-            // What it takes from all below: 4 × 4 entries to a thread, of each pair of panels that it reaches.
-            int right = 0, before = 0;
-            const int tiles = columns / B * (columns / B + 1) / 2 * B;
-            for (int item = thread; item < tiles; item += threads) {
-                while (item / B - before > right) before += ++right;
-                const int left = item / B - before, down = item % B / 4 * 4, across = item % 4 * 4;
-                const float* one = strip + (fits ? left : reached[left]) * B + down;
-                const float* two = strip + (fits ? right : reached[right]) * B + across;
-                float* target = A + (size_t)(reached[left] * B + down) * ld + reached[right] * B + across;
-                float sum[4][4];
-                #pragma unroll
-                for (int i = 0; i < 4; ++i) PETMJX_LOAD(sum[i], target + (size_t)i * ld);
-                #pragma unroll
-                for (int p = 0; p < 16; ++p) {
-                    float a[4], b[4];
-                    PETMJX_LOAD(a, one + (size_t)p * pitch);
-                    PETMJX_LOAD(b, two + (size_t)p * pitch);
-                    #pragma unroll
-                    for (int i = 0; i < 4; ++i) {
-                        #pragma unroll
-                        for (int j = 0; j < 4; ++j) sum[i][j] -= a[i] * b[j];
-                    }
-                }
-                #pragma unroll
-                for (int i = 0; i < 4; ++i) PETMJX_STORE(target + (size_t)i * ld, sum[i]);
-            }
-            PETMJX_SYNC;
-        }
-
-        // Backward: U·x = y, each panel's solution taken out of the rows above at once.
-        for (int K = panels - 1; K >= 0; --K) {
-            const int k = K * B, from = top[K] * B;
-            for (int p = thread; p < B; p += threads) {
-                float value = 0.0f;
-                #pragma unroll
-                for (int q = 0; q < 16; ++q) value += A[(size_t)(k + q) * ld + k + p] * rhs[k + q];
-                solved[p] = value;
-            }
-            for (int base = from; base < k || base == from; base += threads) {
-                const int j = base + thread;
-                float v[16];
-                #pragma unroll
-                for (int p = 0; p < 16; ++p) v[p] = 0.0f;
-                if (j < k) {
-                    #pragma unroll
-                    for (int p = 0; p < 16; p += 4) PETMJX_LOAD((v + p), A + (size_t)j * ld + k + p);
-                }
-                if (base == from) PETMJX_SYNC;
-                if (j >= k) continue;
-                float value = rhs[j];
-                #pragma unroll
-                for (int p = 0; p < 16; ++p) value -= v[p] * solved[p];
-                rhs[j] = value;
-            }
-            for (int p = thread; p < B; p += threads) rhs[k + p] = solved[p];
-            PETMJX_SYNC;
-        }
-"""
-
 _NEWTON = """
-    const int B = 16, STRIP = 160, MOST = 104;
+    const int B = @PANEL@, STRIP = 160, MOST = @MAX_PANELS@;
 #if defined(__CUDA_ARCH__)
     __shared__ __align__(16) float kept[B * STRIP];
     __shared__ __align__(16) float W[B * B];
@@ -489,13 +325,6 @@ _NEWTON = """
             #pragma unroll
             for (int i = 0; i < 6; ++i) A[(size_t)(6 * one + p) * ld + 6 * two + i] = shared[i];
         }
-        // Which panels the first one reaches.
-        if (thread == 0) {
-            active_count[0] = 0;
-            for (int J = 1; J < panels; ++J)
-                if (top[J] == 0) active[0][active_count[0]++] = J;
-        }
-        PETMJX_SYNC;
 
 @CHOLESKY@
 
@@ -544,7 +373,14 @@ _NEWTON = """
 """
 
 
-@wp.func_native(_NEWTON.replace("@CHOLESKY@", _CHOLESKY))
+_SNIPPET = (
+    _NEWTON.replace("@PANEL@", str(PANEL))
+    .replace("@MAX_PANELS@", str(MAX_PANELS))
+    .replace("@CHOLESKY@", FACTOR_AND_SOLVE)
+)
+
+
+@wp.func_native(_SNIPPET)
 def _newton(
     world: int,
     thread: int,
@@ -608,10 +444,10 @@ def solver(threads: int, worlds_per_processor: int) -> wp.Kernel:
         hessian: wp.array3d(dtype=float),
         iterations: wp.array(dtype=int),
     ):
-        """Accelerations and contact forces of every world, from ``warm_start`` on; ``threads`` a world.
+        """Accelerations and contact forces of every world, from ``warmstart`` on; ``threads`` a world.
 
-        ``limit`` bounds iterations, ``trials`` the line search's, ``tolerance`` is MuJoCo's. The last three arrays but
-        one are scratch; ``force`` holds each contact's in its frame.
+        ``limit`` bounds iterations, ``trials`` the line search's, ``tolerance`` is MuJoCo's. ``force`` holds each
+        contact's in its frame; the arrays beside it and ``acceleration`` are scratch.
         """
         world, thread = wp.tid()
         _newton(

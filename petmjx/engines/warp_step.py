@@ -21,14 +21,12 @@ from jaxtyping import Array, Float, Int
 from mujoco.mjx.third_party import mujoco_warp as mjw
 from mujoco.mjx.third_party.mujoco_warp._src.collision_core import create_collision_context
 
-from petmjx.engines import warp_contacts, warp_newton
-from petmjx.engines.template import CARRIER_BODY
+from petmjx.config import Cone
+from petmjx.engines import warp_cholesky, warp_contacts, warp_newton
+from petmjx.engines.template import CARRIER_BODY, ROWS_PER_CONTACT
 from petmjx.outcome import Flag
 
 CONTACT_OVERFLOW = int(Flag.CONTACT_OVERFLOW)
-
-ROWS_PER_CONTACT = (3, 4)
-"""Constraint rows of a contact with elliptic and with pyramidal cones."""
 
 COLLIDERS = [(mjw.GeomType.PLANE, mjw.GeomType.BOX), (mjw.GeomType.BOX, mjw.GeomType.BOX)]
 """Pairs of shapes that meet on a pallet."""
@@ -95,7 +93,7 @@ class Workspace:
 
     def __init__(self, lanes: int, n_blocks: int, room: int) -> None:
         dofs = 6 * n_blocks
-        padded = -(-dofs // warp_newton.PANEL) * warp_newton.PANEL
+        padded = -(-dofs // warp_cholesky.PANEL) * warp_cholesky.PANEL
         real, single, integer = wp.float64, wp.float32, wp.int32
         # Those of eight bytes first, so that every one is aligned.
         self.arrays: dict[str, tuple[Any, tuple[int, ...]]] = {
@@ -222,45 +220,45 @@ class PalletStepper:
         return scratch.overflow
 
     def usage(self, scratch: StepResult) -> Int[Array, " 2"]:
-        return jnp.stack([scratch.contacts.sum(), ROWS_PER_CONTACT[self.pyramidal] * scratch.contacts.max()])
+        rows = ROWS_PER_CONTACT[Cone.PYRAMIDAL if self.pyramidal else Cone.ELLIPTIC]
+        return jnp.stack([scratch.contacts.sum(), rows * scratch.contacts.max()])
 
     def iterations(self, scratch: StepResult) -> Int[Array, " lane"]:
         return scratch.iterations
 
-    def launch(self, given: dict[str, Any], result: dict[str, Any]) -> None:
-        """Launch the step's kernels on Warp arrays."""
-        lanes, data = self.lanes, self.data
-        room = self.room
-        work = self.workspace.slices(result["workspace"])
+    def launch(self, arrays: dict[str, Any]) -> None:
+        """Launch the step's kernels on Warp arrays, named as ``_step``'s arguments."""
+        lanes, room, data = self.lanes, self.room, self.data
+        work = self.workspace.slices(arrays["workspace"])
         wp.launch(
             warp_contacts.begin_step,
             dim=(lanes, self.n_geoms),
             inputs=[
                 self.held,
                 self.floor_z,
-                given["qpos"],
-                given["qvel"],
-                given["carrier_force"],
-                given["gravity"],
-                given["carrier_pose"],
-                given["body_mass"],
-                given["body_inertia"],
+                arrays["qpos"],
+                arrays["qvel"],
+                arrays["carrier_force"],
+                arrays["gravity"],
+                arrays["carrier_pose"],
+                arrays["body_mass"],
+                arrays["body_inertia"],
             ],
             outputs=[
                 data.geom_xpos,
                 data.geom_xmat,
                 work["inertia"],
                 work["smooth"],
-                result["contacts"],
+                arrays["contacts"],
                 work["n_blocks"],
             ],
         )
         model = dataclasses.replace(
             self.warp_model,
-            geom_size=given["geom_size"],
-            geom_rbound=given["geom_rbound"],
-            geom_aabb=given["geom_aabb"],
-            geom_friction=given["geom_friction"],
+            geom_size=arrays["geom_size"],
+            geom_rbound=arrays["geom_rbound"],
+            geom_aabb=arrays["geom_aabb"],
+            geom_friction=arrays["geom_friction"],
         )
         # mujoco_warp's ``collision`` for planes and boxes, without its allocations: XLA may replay graphs without any.
         data.nacon.zero_()
@@ -272,7 +270,7 @@ class PalletStepper:
             warp_contacts.list_contacts,
             dim=self.pool,
             inputs=[data.nacon, contact.worldid, contact.geom, self.n_geoms],
-            outputs=[result["contacts"], work["contact_id"], work["contact_pair"]],
+            outputs=[arrays["contacts"], work["contact_id"], work["contact_pair"]],
         )
         wp.launch(
             warp_contacts.make_rows,
@@ -281,8 +279,8 @@ class PalletStepper:
                 self.held,
                 self.pyramidal,
                 self.timestep,
-                given["qvel"],
-                given["body_invweight"],
+                arrays["qvel"],
+                arrays["body_invweight"],
                 data.geom_xpos,
                 data.geom_xmat,
                 contact.geom,
@@ -292,7 +290,7 @@ class PalletStepper:
                 contact.friction,
                 contact.solref,
                 contact.solimp,
-                result["contacts"],
+                arrays["contacts"],
                 work["contact_id"],
                 work["contact_pair"],
             ],
@@ -301,12 +299,12 @@ class PalletStepper:
         wp.launch(
             warp_contacts.link_blocks,
             dim=(lanes, self.n_blocks + 1),
-            inputs=[result["contacts"], work["n_blocks"], work["blocks"]],
+            inputs=[arrays["contacts"], work["n_blocks"], work["blocks"]],
             outputs=[work["link_begin"], work["links"], work["lowest"]],
         )
         # On a CPU Warp runs a block's threads one after the other, which a barrier does not survive.
         device = wp.get_device()
-        threads, together = (1, 1)
+        threads, together = 1, 1
         if device.is_cuda:
             few = lanes <= warp_newton.FEW[1] * device.sm_count
             threads, together = warp_newton.FEW if few else warp_newton.MANY
@@ -321,7 +319,7 @@ class PalletStepper:
                 self.tolerance,
                 work["rows"],
                 work["blocks"],
-                result["contacts"],
+                arrays["contacts"],
                 work["n_blocks"],
                 work["link_begin"],
                 work["links"],
@@ -329,7 +327,7 @@ class PalletStepper:
                 work["pair_begin"],
                 work["inertia"],
                 work["smooth"],
-                given["warmstart"],
+                arrays["warmstart"],
             ],
             outputs=[
                 work["acceleration"],
@@ -340,7 +338,7 @@ class PalletStepper:
                 work["force"],
                 work["curvature"],
                 work["hessian"],
-                result["iterations"],
+                arrays["iterations"],
             ],
             block_dim=threads,
         )
@@ -350,8 +348,8 @@ class PalletStepper:
             inputs=[
                 self.held,
                 self.timestep,
-                given["qpos"],
-                given["qvel"],
+                arrays["qpos"],
+                arrays["qvel"],
                 data.geom_xpos,
                 work["smooth"],
                 work["acceleration"],
@@ -362,13 +360,13 @@ class PalletStepper:
                 work["link_begin"],
                 work["links"],
             ],
-            outputs=[result["next_qpos"], result["next_qvel"], result["qacc"], result["top_force"]],
+            outputs=[arrays["next_qpos"], arrays["next_qvel"], arrays["qacc"], arrays["top_force"]],
         )
         wp.launch(
             _note_overflow,
             dim=lanes,
-            inputs=[data.nacon, data.ncollision, self.pool, room, CONTACT_OVERFLOW, result["contacts"]],
-            outputs=[result["overflow"]],
+            inputs=[data.nacon, data.ncollision, self.pool, room, CONTACT_OVERFLOW, arrays["contacts"]],
+            outputs=[arrays["overflow"]],
         )
 
 
@@ -401,8 +399,7 @@ def _step(
     iterations: wp.array(dtype=int),
     workspace: wp.array2d(dtype=float),
 ):
-    everything = locals()
-    _STEPS[step].launch(everything, everything)
+    _STEPS[step].launch(locals())
 
 
 def _step_callable() -> Any:

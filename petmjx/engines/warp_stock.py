@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from mujoco import mjx
 
 from petmjx.config import Cone, Physics
-from petmjx.engines.template import FIRST_BOX_GEOM
+from petmjx.engines.template import FIRST_BOX_GEOM, ROWS_PER_CONTACT
 from petmjx.metrics.force import contact_force_z, pressed_box
 from petmjx.outcome import Flag
 
@@ -53,7 +53,7 @@ class StockStepper:
     def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
         pool = scratch._impl
         pyramidal = self.physics.cone is Cone.PYRAMIDAL
-        address = pool.contact__efc_address[:, : 4 if pyramidal else 3]
+        address = pool.contact__efc_address[:, : ROWS_PER_CONTACT[self.physics.cone]]
         used = (jnp.arange(self.contacts) < pool.nacon[0]) & (address[:, 0] >= 0)
         lane = jnp.where(used, pool.contact__worldid, 0)
         rows = pool.efc__force[lane[:, None], jnp.clip(address, 0, self.rows - 1)]
