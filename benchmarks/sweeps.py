@@ -3,6 +3,7 @@
     python benchmarks/sweeps.py forks --plans plans.json --limit 100 --engine mjx-warp --repeat 2
     python benchmarks/sweeps.py forks --plans plans.json --limit 100 --engine mujoco --threads 16 --max-seconds 300
     python benchmarks/sweeps.py statistics --engine mujoco,mjx-warp
+    python benchmarks/sweeps.py verdicts --plans plans.json --limit 16 --engine mujoco,mjx-warp --threads 16
 
 ``forks`` places each plan once and forks its settled state into the 64 worlds of ``sweeps/eumos.toml`` (4 directions ×
 16 levels). Placements and forks are timed apart. With ``--max-seconds`` plans are taken in blocks, in an order drawn
@@ -11,6 +12,9 @@ second run on the same engine (``--repeat 2``) finds its programs compiled.
 
 ``statistics`` places each plan with 32 seeds of placement errors and compares the shares that stand: engines agree on a
 plan where each one's share lies in the other's Wilson 95 % interval.
+
+``verdicts`` shakes each plan in the 64 worlds of ``sweeps/eumos.toml`` on both engines and compares world by world. By
+level of the drive, since most worlds of a level are plain and those where the plan just holds are not.
 
 JSON lines on stdout, and appended to ``--out``. Plans are the bundled ones unless ``--plans`` names others.
 """
@@ -152,12 +156,39 @@ def statistics(plans: Sequence[Plan], names: Sequence[str], options: argparse.Na
     return lines
 
 
+def verdicts(plans: Sequence[Plan], names: Sequence[str], options: argparse.Namespace) -> list[dict[str, Any]]:
+    """A line for each engine after the first, compared with the first."""
+    runs, wall_s = [], {}
+    for name in names:
+        results = petmjx.sweep(find_sweep("eumos"), plans, engine=engine_of(name, options))
+        runs.append(results.worlds.set_index(["plan_id", "variant"])[["verdict", "reason", "level_g"]])
+        wall_s[name] = float(results.info["timings"]["wall_s"])
+    lines = []
+    for name, other in zip(names[1:], runs[1:], strict=True):
+        both = runs[0].join(other[["verdict", "reason"]].add_suffix("_b"), how="outer")
+        same = both["verdict"] == both["verdict_b"]
+        by_level = same.groupby(both["level_g"].round(6))
+        lines.append(
+            {
+                "engines": [names[0], name],
+                "plans": len(plans),
+                "worlds": len(both),
+                "same": int(same.sum()),
+                "same_reason": int((same & (both["reason"] == both["reason_b"])).sum()),
+                "differ_by_level_g": {str(level): int((~part).sum()) for level, part in by_level if not part.all()},
+                "plans_all_the_same": int(same.groupby(level="plan_id").all().sum()),
+                "wall_s": wall_s,
+            }
+        )
+    return lines
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("case", choices=["forks", "statistics"])
+    parser.add_argument("case", choices=["forks", "statistics", "verdicts"])
     parser.add_argument("--plans", type=Path, help="file of plans (default: the bundled ones)")
     parser.add_argument("--limit", type=int, help="take only so many plans")
-    parser.add_argument("--engine", default="mujoco", help="a name; statistics: two names with a comma")
+    parser.add_argument("--engine", default="mujoco", help="a name; otherwise than with forks two with a comma")
     parser.add_argument("--threads", type=int)
     parser.add_argument("--lanes", type=int)
     parser.add_argument("--repeat", type=int, default=1)
@@ -182,7 +213,8 @@ def main() -> None:
             for run, line in enumerate(forks(plans, name, options), start=1)
         ]
     else:
-        lines = [{"device": device_of(names[-1]), **line} for line in statistics(plans, names, options)]
+        compared = statistics if options.case == "statistics" else verdicts
+        lines = [{"device": device_of(names[-1]), **line} for line in compared(plans, names, options)]
     text = "".join(json.dumps({**fixed, **line}) + "\n" for line in lines)
     sys.stdout.write(text)
     if options.out is not None:

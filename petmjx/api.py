@@ -111,10 +111,12 @@ def score(
     Args:
         plans: a file, a folder, several of them, a ``PlanSet`` or a list of ``Plan``; None: the bundled samples.
         check: ``one-by-one`` places a box after the other, ``static`` has all of them stand from the start.
-        schedule: ``adaptive`` places the next box as soon as the pallet is quiet, ``fixed`` every ``interval_s``.
+        schedule: ``adaptive`` places the next box as soon as the pallet is quiet and nothing creeps; ``brisk`` as soon
+            as it is quiet (about twice as fast on a GPU; 1.5 % of verdicts differ from ``fixed``); ``fixed`` every
+            ``interval_s``.
         engine: ``auto``, ``mujoco``, ``mjx-jax``, ``mjx-warp``, or an engine of your own.
         physics: ``pallet``, ``reference``, or a :class:`~petmjx.config.Physics` of your own.
-        interval_s: time between two placements (adaptive: at the latest), s.
+        interval_s: time between two placements, s; the longest where they wait for quiet.
         duration_s: length of the static check, s.
         sample_interval_s: time between two samples of the metrics, s.
         size_reduction_mm: each box dimension is reduced by this, mm.

@@ -254,7 +254,7 @@ class SweepPlan:
         duration_s = (plan.n_boxes + 1) * simulation.interval_s if one_by_one else simulation.duration_s
         if self.sweep.profiles:
             duration_s = self.drive_start_s(plan)
-        share = ADAPTIVE_SHARE if simulation.schedule is Schedule.ADAPTIVE else 1.0
+        share = 1.0 if simulation.schedule is Schedule.FIXED else ADAPTIVE_SHARE
         return 2 * SOFT_START_STEPS + int(share * seconds_to_steps(duration_s, timestep_s))
 
     def drive_steps(self, profile: Profile) -> int:

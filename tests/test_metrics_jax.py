@@ -75,9 +75,10 @@ def test_shifts_under_the_floor_are_none() -> None:
     np.testing.assert_allclose(motion.shift(pos, jnp.zeros((1, 1, 3)), 0.001), [[[0.0, -0.0011, 0.5]]])
 
 
-def test_slow_means_both_speeds() -> None:
-    vel = jnp.array([[[0.009, 0, 0, 0, 0, 0.049], [0.0071, 0.0071, 0, 0, 0, 0], [0, 0, 0, 0.036, 0.036, 0]]])
-    assert motion.is_slow(vel, Quiet()).tolist() == [[True, False, False]]
+def test_the_pace_is_the_larger_of_both_speeds_in_units_of_their_limits() -> None:
+    vel = jnp.array([[[0.009, 0, 0, 0, 0, 0.049], [0.003, 0.004, 0, 0, 0, 0], [0, 0, 0, 0.03, 0.04, 0]]])
+    pace = jnp.sqrt(motion.pace_squared(vel, Quiet()))
+    np.testing.assert_allclose(pace, [[0.98, 0.5, 1.0]], rtol=1e-5)
 
 
 # ---------------------------------------------------------------------- contact forces

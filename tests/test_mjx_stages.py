@@ -36,7 +36,7 @@ class Plain:
 
 def plainly(masses: Sequence[float], sim: SimConfig) -> Plain:
     """The rules for a world of the fake stepper's boxes, step by step, in float64 as MuJoCo's clock runs."""
-    n, adaptive = len(masses), sim.schedule is Schedule.ADAPTIVE
+    n, adaptive = len(masses), sim.schedule is not Schedule.FIXED
     static = sim.check is Check.STATIC
     rest_steps = int(sim.rest_window_s / DT)
     placed_at = [0] * n if static else []

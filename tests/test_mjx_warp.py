@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -25,6 +28,7 @@ from mjx_worlds import boxes_by_plan, make_plan, simulate
 
 from petmjx.engines import mjx_warp
 from petmjx.engines.mjx_warp import MjxWarpEngine
+from petmjx.engines.warp_step import PalletStepper, StepResult, lane_bytes
 
 SAME_PLACE_M = 1e-3
 """Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
@@ -34,6 +38,8 @@ SMALL_FORCE_N = 1.0
 
 TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-beside-carrier", "corner overhang of 30 %")
 CAPACITY = 3
+
+SHORT = SimConfig(interval_s=0.1, rest_window_s=0.1)
 
 on_gpu = pytest.mark.gpu
 
@@ -88,6 +94,55 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(device: str, monkeypa
     assert found["hand-bridge"].flags & Flag.RERUN_AFTER_OVERFLOW
     assert not any(outcome.flags & Flag.CONTACT_OVERFLOW for outcome in found.values())
     assert_twins(found, exact())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=on_gpu)])
+def test_a_world_that_turns_into_no_number_harms_no_other(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    marked = "hand-bridge"
+    some = tiny_scenes(("hand-one-box", marked, "hand-overhang-45"))
+    heavy = 0.5 * float(some[marked].mass[0])
+    some[marked] = replace(some[marked], mass=some[marked].mass - heavy)
+    healthy = simulate(engine(), some, SHORT)
+
+    class Poisoned(PalletStepper):
+        def step(self, overrides: dict[str, jax.Array], *given: Any) -> StepResult:
+            result = super().step(overrides, *given)
+            ill = jnp.isclose(overrides["body_mass"], heavy).any(-1)
+            return result._replace(qpos=jnp.where(ill[:, None], jnp.nan, result.qpos))
+
+    monkeypatch.setattr(mjx_warp, "PalletStepper", Poisoned)
+    found = simulate(engine(), some, SHORT)
+    assert (found[marked].verdict, found[marked].reason) == (Verdict.INVALID, Reason.NONFINITE)
+    for name in some.keys() - {marked}:
+        assert found[name].verdict is healthy[name].verdict
+        np.testing.assert_array_equal(found[name].boxes.pos, healthy[name].boxes.pos)
+
+
+@pytest.mark.gpu
+def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes() -> None:
+    lanes = 256
+    some = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(lanes // len(TINY) + 1)}
+    crowded = MjxWarpEngine(lanes, capacities=(80,))
+    left = lanes * lane_bytes(81, mjx_warp.LANE_CONTACTS_PER_BOX * 82) // 2
+    ballast = []
+    for piece in (1 << 30, 1 << 26):
+        while (free := free_bytes()) > left + piece:
+            ballast.append(jax.block_until_ready(jnp.zeros(piece, jnp.uint8)))
+    assert free < left + piece
+    found = simulate(crowded, some, SHORT)
+    assert crowded._lane_limit < lanes
+    del ballast
+    alone = simulate(MjxWarpEngine(lanes, capacities=(80,)), some, SHORT)
+    for name, outcome in alone.items():
+        assert found[name].verdict is outcome.verdict
+        np.testing.assert_array_equal(found[name].boxes.pos, outcome.boxes.pos)
+
+
+def free_bytes() -> int:
+    """Device memory that JAX can still take."""
+    stats = jax.devices()[0].memory_stats()
+    return stats["bytes_limit"] - stats["bytes_in_use"]
 
 
 @pytest.mark.gpu

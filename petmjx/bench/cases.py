@@ -77,6 +77,7 @@ Case = StackCase | WorkloadCase | PlainLoopCase
 _DECLARED: tuple[Case, ...] = (
     *(StackCase(f"stacks-{n}", f"full stack of {n} boxes, static: steps per second", n) for n in STACK_BOXES),
     WorkloadCase("W-adaptive", "workload W, adaptive schedule", Schedule.ADAPTIVE),
+    WorkloadCase("W-brisk", "workload W, brisk schedule: creep holds nothing up", Schedule.BRISK),
     WorkloadCase("W-adaptive-reference", "workload W, adaptive, physics reference", Schedule.ADAPTIVE, "reference"),
     WorkloadCase("W-fixed", "workload W, fixed schedule", Schedule.FIXED),
     WorkloadCase("W-fixed-reference", "workload W, fixed, physics reference (an oracle)", Schedule.FIXED, "reference"),
@@ -92,7 +93,7 @@ CASES: dict[str, Case] = {case.name: case for case in _DECLARED}
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "stacks": tuple(case.name for case in _DECLARED if isinstance(case, StackCase)),
-    "W": ("W-adaptive", "W-adaptive-reference", "W-fixed"),
+    "W": ("W-adaptive", "W-brisk", "W-adaptive-reference", "W-fixed"),
     "scale": tuple(case.name for case in _DECLARED if case.name.startswith("scale-")),
     "plain": ("plain-loop", "plain-loop-floor"),
 }

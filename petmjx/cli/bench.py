@@ -139,10 +139,10 @@ def _words(text: str) -> list[str]:
 
 
 def _oracle_schedule(name: str) -> Schedule:
-    for schedule in (Schedule.FIXED, Schedule.ADAPTIVE):
+    for schedule in Schedule:
         if name == f"mujoco-{schedule.value}":
             return schedule
-    raise InputError(f"unknown oracle {name!r}; there are mujoco-fixed and mujoco-adaptive")
+    raise InputError(f"unknown oracle {name!r}; there are {', '.join(f'mujoco-{each.value}' for each in Schedule)}")
 
 
 def _labelled(entry: str) -> tuple[str, tuple[Path, ...]]:

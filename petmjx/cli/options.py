@@ -44,7 +44,8 @@ ScheduleOption = Annotated[
     typer.Option(
         "--schedule",
         metavar="NAME",
-        help="adaptive: place the next box as soon as the pallet is quiet. fixed: one every --interval.",
+        help="adaptive: place the next box as soon as the pallet is quiet and nothing creeps. "
+        "brisk: creeping boxes hold nothing up. fixed: one every --interval.",
     ),
 ]
 EngineOption = Annotated[
@@ -66,7 +67,7 @@ PhysicsOption = Annotated[
 ]
 IntervalOption = Annotated[
     float,
-    typer.Option("--interval", metavar="S", help="Time between two placements, s (adaptive: at the latest)."),
+    typer.Option("--interval", metavar="S", help="Time between two placements, s; the longest unless fixed."),
 ]
 DurationOption = Annotated[float, typer.Option("--duration", metavar="S", help="Length of the static check, s.")]
 SampleIntervalOption = Annotated[

@@ -70,13 +70,14 @@ class WorldRun:
         self._clock = Clock(dt)
         self._sample_steps = max(seconds_to_steps(sim.sample_interval_s, dt), 1)
         self._rest_steps = seconds_to_steps(sim.rest_window_s, dt)
-        self._adaptive = sim.schedule is Schedule.ADAPTIVE
+        self._adaptive = sim.schedule is not Schedule.FIXED
         self._pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
         self._step = 0
         self._first_step = 0
         self._last_placement = 0
         self._quiet_steps = 0
+        self._quiet_pace: FloatArray = np.zeros(0)
         self._fast_since = _FAR
         self._placing = True
         self._deadline = _FAR
@@ -269,14 +270,26 @@ class WorldRun:
 
     def _poll_quiet(self) -> bool:
         rule = self._sim.quiet
-        if self._step % rule.poll_steps == 0 and self._step > self._last_placement:
-            velocity = self._live.velocity[: self._live.n_placed]
-            squares = velocity * velocity
-            still = (squares[:, :3].sum(axis=1) < rule.lin_vel_m_s**2) & (
-                squares[:, 3:].sum(axis=1) < rule.ang_vel_rad_s**2
-            )
-            self._quiet_steps = self._quiet_steps + rule.poll_steps if still.all() else 0
-        return self._step % rule.poll_steps == 0 and self._quiet_steps >= rule.steps
+        if self._step % rule.poll_steps or self._step == self._last_placement:
+            return False
+        velocity = self._live.velocity[: self._live.n_placed]
+        linear = np.linalg.norm(velocity[:, :3], axis=1) / rule.lin_vel_m_s
+        angular = np.linalg.norm(velocity[:, 3:], axis=1) / rule.ang_vel_rad_s
+        pace = np.maximum(linear, angular)
+        if not (pace < 1).all():
+            self._quiet_steps = 0
+            return False
+        if self._quiet_steps == 0:
+            self._quiet_pace = pace
+        self._quiet_steps += rule.poll_steps
+        if self._quiet_steps < rule.steps:
+            return False
+        if self._sim.schedule is Schedule.BRISK or self._metrics.culprit >= 0:
+            return True
+        creeps = not (pace < np.maximum(rule.rest_share, rule.slowing * self._quiet_pace)).all()
+        if creeps:
+            self._quiet_steps, self._quiet_pace = rule.poll_steps, pace
+        return not creeps
 
     # ------------------------------------------------------------------ drive
 

@@ -190,14 +190,30 @@ class Rules:
             status=jnp.where(last | stopped | exploded, Status.FINISHED, state.status),
         )
 
+    def _count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> State:
+        """Count the steps for which all boxes have been slow; anew where one creeps."""
+        quiet = self.sim.quiet
+        pace = jnp.where(self.standing(state), motion.pace_squared(state.vel, quiet), 0.0)
+        count = jnp.where((pace < 1).all(-1), state.quiet_steps + quiet.poll_steps, 0)
+        if self.sim.schedule is Schedule.BRISK:
+            return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps))
+
+        def at_begin(count: Array) -> Array:
+            """Paces when the count began."""
+            return jnp.where((poll & (count <= quiet.poll_steps))[:, None], pace, state.quiet_pace)
+
+        slowed = pace < jnp.maximum(quiet.rest_share**2, quiet.slowing**2 * at_begin(count))
+        creeps = ~slowed.all(-1) & (state.metrics.culprit < 0)
+        count = jnp.where((count >= quiet.steps) & creeps, quiet.poll_steps, count)
+        return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps), quiet_pace=at_begin(count))
+
     def _proceed(self, state: State, worlds: Worlds) -> State:
         """Place the next box, hand the world on, or let it come to rest."""
         quiet, table = self.sim.quiet, self.timetable
         counted = state.running & (state.step > 0)
         poll = counted & (state.step % quiet.poll_steps == 0)
-        slow = (motion.is_slow(state.vel, quiet) | ~self.standing(state)).all(-1)
-        quiet_steps = jnp.where(poll, jnp.where(slow, state.quiet_steps + quiet.poll_steps, 0), state.quiet_steps)
-        state = state._replace(quiet_steps=quiet_steps)
+        if self.sim.schedule is not Schedule.FIXED:
+            state = self._count_quiet(state, poll)
         more = state.placed < worlds.n_boxes
         due = state.step >= jnp.asarray(table.due)[state.last_placed_at]
         if self.sim.schedule is Schedule.FIXED:
@@ -207,9 +223,9 @@ class Rules:
         if self.sim.check == "static":
             due = state.step >= table.static_end
         due = jnp.where(~more & worlds.settles, settled, due)
-        if self.sim.schedule is Schedule.ADAPTIVE:
+        if self.sim.schedule is not Schedule.FIXED:
             waited = state.step - state.last_placed_at >= quiet.min_steps
-            due = due | (poll & (quiet_steps >= quiet.steps) & waited)
+            due = due | (poll & (state.quiet_steps >= quiet.steps) & waited)
         go = counted & due
         full = state.placed >= self.capacity
         rests = go & ~more & ~worlds.settles & (state.end == NEVER)

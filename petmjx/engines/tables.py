@@ -92,6 +92,7 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
     quiet_steps: Int[Array, " world"]
+    quiet_pace: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
@@ -106,7 +107,7 @@ class State(NamedTuple):
         return self.status == Status.RUNNING
 
 
-PER_BOX_STATE = {"pose", "vel", "warm"}
+PER_BOX_STATE = {"pose", "vel", "warm", "quiet_pace"}
 PER_BOX_METRICS = {"max_tilt", "max_lin_acc", "max_ang_acc", "max_top_force", "rest_force_sum", "drop_step"} | {
     "max_sway",
     "sway_anchor",
@@ -247,6 +248,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         placed=worlds.n_boxes if all_placed else ints,
         last_placed_at=ints,
         quiet_steps=ints,
+        quiet_pace=zeros,
         violent_since=never,
         driven_from=never,
         rest_from=jnp.where(ends == NEVER, NEVER, ends - rest_steps),

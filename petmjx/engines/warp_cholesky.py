@@ -45,7 +45,8 @@ FACTOR_AND_SOLVE = """
 #if defined(__CUDA_ARCH__)
             if (thread < 32) {
                 // A column of the tile to a lane, then the right-hand side, then the columns of the identity but the
-                // last; all are eliminated alike.
+                // last; all are eliminated alike, two rows at a time, and scaled to the factor's beside that: no root
+                // and no second reciprocal of a row holds up the next.
                 float v[16], inverse = 0.0f;
                 #pragma unroll
                 for (int p = 0; p < 16; ++p) {
@@ -54,13 +55,21 @@ FACTOR_AND_SOLVE = """
                     if (thread == 16) v[p] = rhs[k + p];
                 }
                 #pragma unroll
-                for (int p = 0; p < 16; ++p) {
+                for (int p = 0; p < 16; p += 2) {
                     const float pivot = __shfl_sync(0xffffffffu, v[p], p);
-                    inverse = rsqrtf(pivot);
-                    inverse *= 1.5f - 0.5f * pivot * inverse * inverse;
-                    v[p] *= inverse;
+                    const float beside = __shfl_sync(0xffffffffu, v[p], p + 1);
+                    const float below = __shfl_sync(0xffffffffu, v[p + 1], p + 1);
+                    const float reciprocal = __fdividef(1.0f, pivot), factor = beside * reciprocal;
+                    const float next = below - factor * beside, rest = v[p + 1] - factor * v[p];
+                    const float y = rest * __fdividef(1.0f, next), x = v[p] * reciprocal - factor * y;
                     #pragma unroll
-                    for (int q = p + 1; q < 16; ++q) v[q] -= __shfl_sync(0xffffffffu, v[p], q) * v[p];
+                    for (int q = p + 2; q < 16; ++q) {
+                        v[q] -= __shfl_sync(0xffffffffu, v[p], q) * x;
+                        v[q] -= __shfl_sync(0xffffffffu, v[p + 1], q) * y;
+                    }
+                    v[p] *= rsqrtf(pivot);
+                    inverse = rsqrtf(next);
+                    v[p + 1] = rest * inverse;
                 }
                 if (thread == 16) {
                     #pragma unroll

@@ -19,6 +19,14 @@ ROW_WORDS = 32
 """Numbers kept of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness
 of a row (1), friction (1)."""
 
+SEARCH = 8
+"""Contacts that a thread fetches at a time: loads that wait for one another are what a search costs. Room for
+contacts is a multiple of it."""
+
+TOGETHER = 4
+"""Contacts of a box whose forces a thread fetches at a time."""
+
+vec8i = wp.types.vector(length=SEARCH, dtype=int)
 vec5 = wp.types.vector(length=5, dtype=float)
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP).
@@ -127,19 +135,21 @@ def list_contacts(
     geom: wp.array(dtype=wp.vec2i),
     n_geoms: int,
     n_contacts: wp.array(dtype=int),
-    contact_id: wp.array2d(dtype=int),
-    contact_pair: wp.array2d(dtype=int),
+    contact_key: wp.array2d(dtype=wp.int64),
 ):
-    """Each world's contacts, in the order in which threads happen to come. One thread a contact of the pool."""
+    """Each world's contacts, in the order in which threads happen to come. One thread a contact of the pool.
+
+    A key is the pair of geoms, then the contact's number in the pool: no two are alike.
+    """
     contact = wp.tid()
     if contact >= nacon[0]:
         return
     world = worldid[contact]
     slot = wp.atomic_add(n_contacts, world, 1)
-    if slot < contact_id.shape[1]:
+    if slot < contact_key.shape[1]:
         pair = geom[contact]
-        contact_id[world, slot] = contact
-        contact_pair[world, slot] = wp.min(pair[0], pair[1]) * n_geoms + wp.max(pair[0], pair[1])
+        order = wp.int64(wp.min(pair[0], pair[1]) * n_geoms + wp.max(pair[0], pair[1]))
+        contact_key[world, slot] = order * wp.int64(worldid.shape[0]) + wp.int64(contact)
 
 
 @wp.func
@@ -181,8 +191,7 @@ def make_rows(
     solref: wp.array(dtype=wp.vec2),
     solimp: wp.array(dtype=vec5),
     n_contacts: wp.array(dtype=int),
-    contact_id: wp.array2d(dtype=int),
-    contact_pair: wp.array2d(dtype=int),
+    contact_key: wp.array2d(dtype=wp.int64),
     rows: wp.array3d(dtype=float),
     blocks: wp.array3d(dtype=int),
     n_blocks: wp.array(dtype=int),
@@ -194,16 +203,16 @@ def make_rows(
     are never written down.
     """
     world, slot = wp.tid()
-    count = wp.min(n_contacts[world], contact_id.shape[1])
+    count = wp.min(n_contacts[world], contact_key.shape[1])
     if slot >= count:
         return
-    me = contact_id[world, slot]
-    pair = contact_pair[world, slot]
+    key = contact_key[world, slot]
+    me = int(key % wp.int64(geom.shape[0]))
     place = int(0)
-    for other in range(count):
-        its_pair = contact_pair[world, other]
-        if its_pair < pair or (its_pair == pair and contact_id[world, other] < me):
-            place += 1
+    for begin in range(0, count, SEARCH):
+        for i in range(SEARCH):
+            its_key = contact_key[world, begin + i]
+            place += wp.where(begin + i < count and its_key < key, 1, 0)
     first = geom[me][0]
     second = geom[me][1]
     axes = frame[me]
@@ -261,28 +270,31 @@ def link_blocks(
         return
     count = wp.min(n_contacts[world], blocks.shape[1])
     at = int(0)
-    for k in range(count):
-        one = blocks[world, k, 0]
-        two = blocks[world, k, 1]
-        if one >= 0 and one < block:
-            at += 1
-        if two >= 0 and two < block:
-            at += 1
+    ones = vec8i()
+    twos = vec8i()
+    for begin in range(0, count, SEARCH):
+        for i in range(SEARCH):
+            ones[i] = blocks[world, begin + i, 0]
+            twos[i] = blocks[world, begin + i, 1]
+        for i in range(SEARCH):
+            if begin + i < count:
+                at += wp.where(ones[i] >= 0 and ones[i] < block, 1, 0)
+                at += wp.where(twos[i] >= 0 and twos[i] < block, 1, 0)
     link_begin[world, block] = at
     if block == n_blocks[world]:
         return
     low = int(block)
-    for k in range(count):
-        one = blocks[world, k, 0]
-        two = blocks[world, k, 1]
-        if one == block:
-            links[world, at] = 2 * k
-            at += 1
-        if two == block:
-            links[world, at] = 2 * k + 1
-            at += 1
-            if one >= 0:
-                low = wp.min(low, one)
+    for begin in range(0, count, SEARCH):
+        for i in range(SEARCH):
+            ones[i] = blocks[world, begin + i, 0]
+            twos[i] = blocks[world, begin + i, 1]
+        for i in range(SEARCH):
+            k = begin + i
+            if k < count and (ones[i] == block or twos[i] == block):
+                links[world, at] = 2 * k + wp.where(twos[i] == block, 1, 0)
+                at += 1
+                if twos[i] == block and ones[i] >= 0:
+                    low = wp.min(low, ones[i])
     lowest[world, block] = low
 
 
@@ -341,19 +353,19 @@ def end_step(
     total = wp.float64(0.0)
     if touched:
         z = geom_xpos[world, block + 1 + held][2]
-        for entry in range(link_begin[world, block], link_begin[world, block + 1]):
-            k = links[world, entry] // 2
-            side = links[world, entry] % 2
-            partner = blocks[world, k, 1 - side]
-            its_z = geom_xpos[world, partner + 1 + held][2]
-            lower = z < its_z
-            if side == 1:
-                lower = z <= its_z
-            if lower and wp.abs(rows[world, k, 2]) >= VERTICAL_COSINE:
+        end = link_begin[world, block + 1]
+        for begin in range(link_begin[world, block], end, TOGETHER):
+            # Nothing in here depends on what is in another contact: their loads wait side by side.
+            for i in range(TOGETHER):
+                link = links[world, wp.min(begin + i, end - 1)]
+                k = link // 2
+                side = link % 2
+                its_z = geom_xpos[world, blocks[world, k, 1 - side] + 1 + held][2]
                 up = wp.float64(0.0)
                 for r in range(3):
                     up += wp.float64(rows[world, k, 3 * r + 2]) * force[world, k, r]
-                if side == 1:
-                    up = -up
-                total += up
+                up = wp.where(side == 1, -up, up)
+                vertical = wp.abs(rows[world, k, 2]) >= VERTICAL_COSINE
+                lower = z < its_z or (side == 1 and z == its_z)
+                total += wp.where(begin + i < end and vertical and lower, up, wp.float64(0.0))
     top_force[world, box] = float(total)

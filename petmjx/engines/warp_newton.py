@@ -38,6 +38,9 @@ MANY = (128, 4)
 FEW = (256, 2)
 """The same where there are so few that a step lasts as long as one world's."""
 
+FEW_LANES = 4
+"""Lanes for a multiprocessor up to which there are few: in a run's last stage most stand idle."""
+
 _NEWTON = """
     const int B = @PANEL@, STRIP = 160, MOST = @MAX_PANELS@;
 #if defined(__CUDA_ARCH__)

@@ -103,13 +103,12 @@ class Workspace:
             "residual": (real, (lanes, room, 3)),
             "slope": (real, (lanes, room, 3)),
             "force": (real, (lanes, room, 3)),
+            "contact_key": (wp.int64, (lanes, room)),
             "hessian": (single, (lanes, padded, padded)),
             "rows": (single, (lanes, room, warp_contacts.ROW_WORDS)),
             "curvature": (single, (lanes, room, 6)),
             "inertia": (single, (lanes, dofs)),
             "smooth": (single, (lanes, dofs)),
-            "contact_id": (integer, (lanes, room)),
-            "contact_pair": (integer, (lanes, room)),
             "blocks": (integer, (lanes, room, 2)),
             "links": (integer, (lanes, 2 * room)),
             "link_begin": (integer, (lanes, n_blocks + 1)),
@@ -145,10 +144,11 @@ class PalletStepper:
 
     Args:
         pool: contacts of all lanes together.
-        room: contacts of one lane, at most.
+        room: contacts of one lane, at most; rounded up to what the kernels search at a time.
     """
 
     def __init__(self, template: mujoco.MjModel, lanes: int, pool: int, room: int) -> None:
+        room = -(-room // warp_contacts.SEARCH) * warp_contacts.SEARCH
         self.lanes, self.pool, self.room = lanes, pool, room
         self.held = int(template.nmocap)
         self.n_blocks = template.nbody - 1 - self.held
@@ -270,7 +270,7 @@ class PalletStepper:
             warp_contacts.list_contacts,
             dim=self.pool,
             inputs=[data.nacon, contact.worldid, contact.geom, self.n_geoms],
-            outputs=[arrays["contacts"], work["contact_id"], work["contact_pair"]],
+            outputs=[arrays["contacts"], work["contact_key"]],
         )
         wp.launch(
             warp_contacts.make_rows,
@@ -291,8 +291,7 @@ class PalletStepper:
                 contact.solref,
                 contact.solimp,
                 arrays["contacts"],
-                work["contact_id"],
-                work["contact_pair"],
+                work["contact_key"],
             ],
             outputs=[work["rows"], work["blocks"], work["n_blocks"]],
         )
@@ -306,7 +305,7 @@ class PalletStepper:
         device = wp.get_device()
         threads, together = 1, 1
         if device.is_cuda:
-            few = lanes <= warp_newton.FEW[1] * device.sm_count
+            few = lanes <= warp_newton.FEW_LANES * device.sm_count
             threads, together = warp_newton.FEW if few else warp_newton.MANY
         wp.launch(
             warp_newton.solver(threads, together),

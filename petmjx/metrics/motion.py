@@ -59,8 +59,8 @@ def excess(
     return jnp.where(dropped, jnp.maximum(worst, just_over), worst)
 
 
-def is_slow(vel: Float[Array, "lane box 6"], quiet: Quiet) -> Bool[Array, "lane box"]:
-    """Below the quiet limits of linear and angular speed."""
-    linear = (vel[..., :3] ** 2).sum(-1)
-    angular = (vel[..., 3:] ** 2).sum(-1)
-    return (linear < quiet.lin_vel_m_s**2) & (angular < quiet.ang_vel_rad_s**2)
+def pace_squared(vel: Float[Array, "lane box 6"], quiet: Quiet) -> Float[Array, "lane box"]:
+    """Speed in units of the quiet limits, linear or angular, whichever is larger; squared."""
+    linear = (vel[..., :3] ** 2).sum(-1) / quiet.lin_vel_m_s**2
+    angular = (vel[..., 3:] ** 2).sum(-1) / quiet.ang_vel_rad_s**2
+    return jnp.maximum(linear, angular)
