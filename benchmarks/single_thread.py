@@ -39,6 +39,7 @@ def cases(scene: Scene, physics: Physics) -> dict[str, Callable[[], object]]:
         "plain, parked on the floor": lambda: plain_loop(scene, physics, parked_on_floor=True),
         "mujoco fixed": engine(Schedule.FIXED),
         "mujoco adaptive": engine(Schedule.ADAPTIVE),
+        "mujoco brisk": engine(Schedule.BRISK),
     }
 
 
