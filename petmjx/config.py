@@ -25,7 +25,7 @@ class Schedule(StrEnum):
     """When the next box is placed.
 
     ``fixed``: at fixed times. ``adaptive``: as soon as the pallet is quiet and no box creeps. ``brisk``: as soon as it
-    is quiet, creeping or not.
+    is quiet, creeping or not; with pyramidal cones, which creep by themselves, ``adaptive`` is the same.
     """
 
     FIXED = "fixed"
@@ -112,11 +112,11 @@ class Quiet(_Frozen):
     ``poll_steps``. Quiet is a pallet, on either schedule, whose paces have all been below 1 for ``steps`` on end, and
     not before ``min_steps`` after a placement.
 
-    On the adaptive schedule each box must also be at rest at the end of those steps (its pace below ``rest_share``)
-    or have slowed to ``slowing`` times its pace at their begin; otherwise the count begins anew. What neither comes to
-    rest nor slows down creeps: over a fixed schedule's half minute 1 mm/s, a tenth of the limit, is more than a
-    shift of 20 mm. It is given the whole interval, as the fixed schedule gives it. Once a box has crossed a threshold,
-    where creep leads to is known, and it holds nothing up any more.
+    On the adaptive schedule with elliptic cones each box must also be at rest at the end of those steps (its pace below
+    ``rest_share``) or have slowed to ``slowing`` times its pace at their begin; otherwise the count begins anew. What
+    neither comes to rest nor slows down creeps: over a fixed schedule's half minute 1 mm/s, a tenth of the limit, is
+    more than a shift of 20 mm. It is given the whole interval, as the fixed schedule gives it. Once a box has crossed a
+    threshold, where creep leads to is known, and it holds nothing up any more.
     """
 
     lin_vel_m_s: float = 0.01
@@ -149,6 +149,15 @@ class SimConfig(_Frozen):
         None, gt=0, description="MuJoCo's opt.tolerance; None: the engine's own choice"
     )
     settle_s: float = Field(2.0, ge=0, description="rest between the last placement and a force profile")
+
+    @property
+    def waits_for_creep(self) -> bool:
+        """Whether boxes that creep hold up the next one.
+
+        Not with pyramidal cones: there everything creeps a little, and waiting for it brought next to nothing
+        (benchmarks/README.md).
+        """
+        return self.schedule is Schedule.ADAPTIVE and self.physics.cone is Cone.ELLIPTIC
 
 
 SOFT_START_STEPS = 100

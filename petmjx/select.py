@@ -45,17 +45,18 @@ class BreakEven:
         cpu_step_s: seconds one CPU thread takes for a step of one world, per box².
         gpu_step_s: seconds a device takes for a step of ``full_lanes`` worlds, per box².
         full_lanes: worlds that fill the device.
-        min_lanes: fewer worlds than this take as long as this many.
+        tail_lanes: what the end of a run costs, in worlds: its last ones run on a device that is all but idle.
         gpu_start_s: start-up of the device engine, programs compiled anew.
-        adaptive_share: cost of the adaptive schedule as a share of the fixed one's, collapsing plans included.
+        adaptive_share, brisk_share: cost of a schedule as a share of the fixed one's, collapsing plans included.
     """
 
-    cpu_step_s: float = 3.8e-7
-    gpu_step_s: float = 3.8e-6
+    cpu_step_s: float = 2.4e-7
+    gpu_step_s: float = 2.4e-6
     full_lanes: int = 2048
-    min_lanes: int = 1600
+    tail_lanes: int = 3300
     gpu_start_s: float = 25.0
-    adaptive_share: float = 0.49
+    adaptive_share: float = 0.4
+    brisk_share: float = 0.34
 
     def seconds(self, n_boxes: Sequence[int], sim: SimConfig, threads: int) -> tuple[float, float]:
         """Expected seconds for one world per entry of ``n_boxes``: on CPU threads, and on the device."""
@@ -68,18 +69,18 @@ class BreakEven:
         else:
             # boxes come one by one: the mean of k² over k = 1…n is about n²/3
             box2_steps = boxes**2 / 3 * (boxes + 1) * seconds_to_steps(sim.interval_s, timestep)
-        if sim.schedule is Schedule.ADAPTIVE:
-            box2_steps = box2_steps * self.adaptive_share
-        lanes = max(len(boxes), self.min_lanes) / self.full_lanes
+        shares = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: self.adaptive_share, Schedule.BRISK: self.brisk_share}
+        box2_steps = box2_steps * shares[sim.schedule]
+        lanes = (len(boxes) + self.tail_lanes) / self.full_lanes
         cpu_s = self.cpu_step_s * float(box2_steps.sum()) / threads
         return cpu_s, self.gpu_start_s + self.gpu_step_s * float(box2_steps.mean()) * lanes
 
 
 H100 = BreakEven()
 """Fitted to generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads (benchmarks/README.md).
-Measured there: mjx-warp compiles for 15 to 22 s (7 s with programs kept from an earlier run) and runs 14 s for 500
-plans, 17 s for 2,000 and 33 s for 4,000; mujoco scores 8 to 10 plans/s. So a GPU pays from about 400 such plans on.
-Other sizes and other devices have not been fitted."""
+Measured there: mjx-warp compiles for 22 s (7 s with programs kept from an earlier run) and runs 18 s for 500 plans,
+24 s for 2,000, 41 s for 4,000 and 63 s for 8,000; mujoco scores 13.8 plans/s. So a GPU pays from about 650 such plans
+on. Other sizes and other devices have not been fitted."""
 
 
 def choose_engine(

@@ -36,10 +36,10 @@ def sweep_seconds(plan: SweepPlan, threads: int, costs: BreakEven = H100) -> dic
     box2_steps = float((boxes**2 * (GROWING_SHARE * placing + SHAKEN_FACTOR * driving)).sum())
 
     def device_s(worlds: float, steps: float) -> float:
-        """A phase of many worlds: as long as its steps take while the device is as full as they can make it."""
+        """A phase of many worlds: their steps on a full device, and the end of it, when few still run."""
         if not worlds:
             return 0.0
-        lanes = max(worlds, costs.min_lanes) / costs.full_lanes
+        lanes = (worlds + costs.tail_lanes) / costs.full_lanes
         return costs.gpu_step_s * lanes * steps
 
     total = len(boxes) * (n_placements + n_drives)

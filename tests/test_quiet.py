@@ -118,6 +118,13 @@ def test_what_creeps_is_waited_for_until_a_box_crosses_a_threshold(
     assert (found.index(True) if True in found else None) == first_quiet
 
 
+@pytest.mark.parametrize("find", [quiet_on_c, quiet_on_mjx])
+def test_pyramidal_cones_creep_by_themselves(find: object) -> None:
+    assert callable(find)
+    found = find(STEADY, SimConfig(physics=PHYSICS["reference"]), False)
+    assert found.index(True) == 4
+
+
 def test_a_plan_that_creeps_until_it_fails_stands_only_on_the_brisk_schedule(tmp_path: Path) -> None:
     """Box 20 of this generated plan moves 33 mm in 20 s, 1 to 2 mm/s: below the limit of quiet all the time."""
     path = tmp_path / "plans.json"

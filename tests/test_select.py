@@ -6,7 +6,7 @@ import pytest
 
 from petmjx.config import Check, Schedule, SimConfig
 from petmjx.errors import EngineUnavailable, InputError
-from petmjx.select import ENGINES, H100, BreakEven, choose_engine, make_engine, resolve_engine
+from petmjx.select import ENGINES, H100, choose_engine, make_engine, resolve_engine
 
 SIM = SimConfig()
 THREADS = 16
@@ -49,10 +49,20 @@ def test_expected_times_follow_the_work() -> None:
     assert cpu_s(SIM) == pytest.approx(cpu_s(fixed) * H100.adaptive_share)
     static = fixed.model_copy(update={"check": Check.STATIC, "duration_s": 1.0})
     assert cpu_s(static, boxes=40) == pytest.approx(4 * cpu_s(static, boxes=20))
-    # a hand calculation: 10 worlds × 500 steps × 40² boxes² × 3.8e-7 s
-    assert cpu_s(static) == pytest.approx(10 * 500 * 1600 * 3.8e-7)
-    few, full = (BreakEven(gpu_start_s=0.0).seconds([40] * n, SIM, 1)[1] for n in (10, H100.min_lanes))
-    assert few == pytest.approx(full)
+    # a hand calculation: 10 worlds × 500 steps × 40² boxes² × 2.4e-7 s
+    assert cpu_s(static) == pytest.approx(10 * 500 * 1600 * 2.4e-7)
+    brisk = SIM.model_copy(update={"schedule": Schedule.BRISK})
+    assert cpu_s(brisk) < cpu_s(SIM)
+
+
+@pytest.mark.parametrize(
+    ("plans", "measured_s"), [(500, 18.4), (1_000, 23.6), (2_000, 24.2), (4_000, 40.6), (8_000, 62.8)]
+)
+def test_expected_times_are_those_measured_on_the_h100(plans: int, measured_s: float) -> None:
+    # Plans of 46 boxes take as many box² steps as the workload's do on average (43 ± 14 boxes).
+    cpu_s, gpu_s = H100.seconds([46] * plans, SIM, 16)
+    assert gpu_s - H100.gpu_start_s == pytest.approx(measured_s, rel=0.25)
+    assert cpu_s == pytest.approx(plans / 13.8, rel=0.1)
 
 
 def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -284,7 +284,7 @@ class WorldRun:
         self._quiet_steps += rule.poll_steps
         if self._quiet_steps < rule.steps:
             return False
-        if self._sim.schedule is Schedule.BRISK or self._metrics.culprit >= 0:
+        if not self._sim.waits_for_creep or self._metrics.culprit >= 0:
             return True
         creeps = not (pace < np.maximum(rule.rest_share, rule.slowing * self._quiet_pace)).all()
         if creeps:

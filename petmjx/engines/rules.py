@@ -195,7 +195,7 @@ class Rules:
         quiet = self.sim.quiet
         pace = jnp.where(self.standing(state), motion.pace_squared(state.vel, quiet), 0.0)
         count = jnp.where((pace < 1).all(-1), state.quiet_steps + quiet.poll_steps, 0)
-        if self.sim.schedule is Schedule.BRISK:
+        if not self.sim.waits_for_creep:
             return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps))
 
         def at_begin(count: Array) -> Array:
