@@ -37,6 +37,7 @@ import numpy as np
 import petmjx
 from petmjx.api import gather_plans
 from petmjx.bench.record import device_of, environment
+from petmjx.compare import KEY, compare_runs
 from petmjx.outcome import Engine, Progress
 from petmjx.plans import Plan
 from petmjx.readymade import find_sweep
@@ -161,22 +162,22 @@ def verdicts(plans: Sequence[Plan], names: Sequence[str], options: argparse.Name
     runs, wall_s = [], {}
     for name in names:
         results = petmjx.sweep(find_sweep("eumos"), plans, engine=engine_of(name, options))
-        runs.append(results.worlds.set_index(["plan_id", "variant"])[["verdict", "reason", "level_g"]])
+        runs.append(results)
         wall_s[name] = float(results.info["timings"]["wall_s"])
     lines = []
     for name, other in zip(names[1:], runs[1:], strict=True):
-        both = runs[0].join(other[["verdict", "reason"]].add_suffix("_b"), how="outer")
-        same = both["verdict"] == both["verdict_b"]
-        by_level = same.groupby(both["level_g"].round(6))
+        found = compare_runs(runs[0], other)
+        flips = found.flips.merge(runs[0].worlds[[*KEY, "level_g"]], on=KEY)
+        by_level = flips["level_g"].round(6).value_counts(sort=False).sort_index()
         lines.append(
             {
                 "engines": [names[0], name],
                 "plans": len(plans),
-                "worlds": len(both),
-                "same": int(same.sum()),
-                "same_reason": int((same & (both["reason"] == both["reason_b"])).sum()),
-                "differ_by_level_g": {str(level): int((~part).sum()) for level, part in by_level if not part.all()},
-                "plans_all_the_same": int(same.groupby(level="plan_id").all().sum()),
+                "worlds": found.n_common,
+                "same": found.n_agree,
+                "same_reason": int(found.confusion.loc["stable", "stable"]) + found.same_reason,
+                "differ_by_level_g": {str(level): int(count) for level, count in by_level.items()},
+                "plans_all_the_same": len(plans) - flips["plan_id"].nunique(),
                 "wall_s": wall_s,
             }
         )
@@ -213,7 +214,7 @@ def main() -> None:
             for run, line in enumerate(forks(plans, name, options), start=1)
         ]
     else:
-        compared = statistics if options.case == "statistics" else verdicts
+        compared = {"statistics": statistics, "verdicts": verdicts}[options.case]
         lines = [{"device": device_of(names[-1]), **line} for line in compared(plans, names, options)]
     text = "".join(json.dumps({**fixed, **line}) + "\n" for line in lines)
     sys.stdout.write(text)

@@ -40,7 +40,14 @@ def why_no_cuda() -> str:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gpu") and (reason := why_no_cuda()):
+            # The reason is what why_no_cuda found missing here.
             item.add_marker(pytest.mark.skip(reason=reason))
+
+
+@pytest.fixture
+def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages name files as given; tests give short relative names."""
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -27,6 +27,7 @@ from petmjx.forces import (
     read_windows,
     resolve,
 )
+from petmjx.profiles.base import Profile
 from petmjx.profiles.vibration import read_psd_csv
 from petmjx.profiles.windows import JOLTS, RADIAL, RADIAL_CHAIN, SINE
 from petmjx.seeds import WorldKey
@@ -42,8 +43,8 @@ ROUNDING = 1e-12
 PSD = ((1.0, 1e-4), (4.0, 1e-2), (16.0, 1e-2), (40.0, 1e-3), (200.0, 1e-5))
 
 
-def samples(profile: object, start_s: float = 0.0) -> np.ndarray:
-    return profile.excitation(DT, start_s).samples  # type: ignore[attr-defined]
+def samples(profile: Profile, start_s: float = 0.0) -> np.ndarray:
+    return profile.excitation(DT, start_s).samples
 
 
 def test_radial_is_ten_windows_of_fifteen_or_so_steps_with_the_table_s_vectors() -> None:

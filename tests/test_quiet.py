@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,6 +24,8 @@ from petmjx.plans import load_plans
 from petmjx.samples import generate_one, write_plans
 from petmjx.scene import build_scene
 
+Finder = Callable[[np.ndarray, SimConfig, bool], list[bool]]
+
 BOXES = 3
 QUIET = SimConfig().quiet
 
@@ -42,11 +45,11 @@ def velocities(pace: np.ndarray) -> np.ndarray:
 def quiet_on_c(paces: np.ndarray, sim: SimConfig, sign: bool) -> list[bool]:
     """Whether the C engine calls the pallet quiet at each poll. ``paces``: (poll, box)."""
     world = WorldRun(0, job(), sim, lambda: False)
-    world._metrics = SimpleNamespace(culprit=0 if sign else -1)  # type: ignore[assignment]
+    world._metrics = SimpleNamespace(culprit=0 if sign else -1)  # type: ignore[assignment]  # a stand-in
     found = []
     for poll, pace in enumerate(paces):
         world._step = (poll + 1) * QUIET.poll_steps
-        world._live = SimpleNamespace(n_placed=BOXES, velocity=velocities(pace))  # type: ignore[assignment]
+        world._live = SimpleNamespace(n_placed=BOXES, velocity=velocities(pace))  # type: ignore[assignment]  # a stand-in
         found.append(world._poll_quiet())
     return found
 
@@ -111,22 +114,20 @@ ONE_CREEPS = np.where(np.arange(BOXES) == 1, 0.3, FADING)
     ],
 )
 def test_what_creeps_is_waited_for_until_a_box_crosses_a_threshold(
-    find: object, paces: np.ndarray, schedule: Schedule, sign: bool, first_quiet: int | None
+    find: Finder, paces: np.ndarray, schedule: Schedule, sign: bool, first_quiet: int | None
 ) -> None:
-    assert callable(find)
     found = find(paces, SimConfig(schedule=schedule), sign)
     assert (found.index(True) if True in found else None) == first_quiet
 
 
 @pytest.mark.parametrize("find", [quiet_on_c, quiet_on_mjx])
-def test_pyramidal_cones_creep_by_themselves(find: object) -> None:
-    assert callable(find)
+def test_pyramidal_cones_creep_by_themselves(find: Finder) -> None:
     found = find(STEADY, SimConfig(physics=PHYSICS["reference"]), False)
     assert found.index(True) == 4
 
 
 def test_a_plan_that_creeps_until_it_fails_stands_only_on_the_brisk_schedule(tmp_path: Path) -> None:
-    """Box 20 of this generated plan moves 33 mm in 20 s, 1 to 2 mm/s: below the limit of quiet all the time."""
+    """Box 20 of this generated plan moves at 4 mm/s whenever the next box comes: below the limit of quiet."""
     path = tmp_path / "plans.json"
     write_plans(path, [generate_one(432, SEED)])
     scene = build_scene(load_plans(path).plans[0], PHYSICS["pallet"])

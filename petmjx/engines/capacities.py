@@ -29,7 +29,7 @@ def growing_capacities(sizes: Sequence[int], max_stages: int) -> list[int]:
         max_stages: at most so many; each stage is one compiled program.
     """
     counts = np.asarray(sizes)
-    top = _round_up(int(counts.max()))
+    top = round_up(int(counts.max()))
     work = {capacity: int(np.minimum(counts, capacity).sum()) for capacity in range(0, top + 1, GRANULE)}
     return _cheapest_chain(work, max_stages)
 
@@ -40,7 +40,7 @@ def class_capacities(sizes: Sequence[int], max_classes: int) -> list[int]:
     The work below a capacity is the number of plans that fit into it.
     """
     counts = np.asarray(sizes)
-    work = {capacity: int((counts <= capacity).sum()) for capacity in {0, *map(_round_up, counts.tolist())}}
+    work = {capacity: int((counts <= capacity).sum()) for capacity in {0, *map(round_up, counts.tolist())}}
     return _cheapest_chain(work, max_classes)
 
 
@@ -68,5 +68,6 @@ def _cheapest_chain(work: dict[int, int], max_stages: int) -> list[int]:
     return min(finished)[1]
 
 
-def _round_up(n: int) -> int:
-    return -(-n // GRANULE) * GRANULE
+def round_up(n: int, granule: int = GRANULE) -> int:
+    """The least multiple of a granule that holds n."""
+    return -(-n // granule) * granule

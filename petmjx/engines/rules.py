@@ -198,14 +198,15 @@ class Rules:
         if not self.sim.waits_for_creep:
             return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps))
 
-        def at_begin(count: Array) -> Array:
-            """Paces when the count began."""
-            return jnp.where((poll & (count <= quiet.poll_steps))[:, None], pace, state.quiet_pace)
-
-        slowed = pace < jnp.maximum(quiet.rest_share**2, quiet.slowing**2 * at_begin(count))
-        creeps = ~slowed.all(-1) & (state.metrics.culprit < 0)
-        count = jnp.where((count >= quiet.steps) & creeps, quiet.poll_steps, count)
-        return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps), quiet_pace=at_begin(count))
+        at_begin = jnp.where((count <= quiet.poll_steps)[:, None], pace, state.quiet_pace)
+        slowed = pace < jnp.maximum(quiet.rest_share**2, quiet.slowing**2 * at_begin)
+        anew = (count >= quiet.steps) & ~slowed.all(-1) & (state.metrics.culprit < 0)
+        count = jnp.where(anew, quiet.poll_steps, count)
+        at_begin = jnp.where(anew[:, None], pace, at_begin)
+        return state._replace(
+            quiet_steps=jnp.where(poll, count, state.quiet_steps),
+            quiet_pace=jnp.where(poll[:, None], at_begin, state.quiet_pace),
+        )
 
     def _proceed(self, state: State, worlds: Worlds) -> State:
         """Place the next box, hand the world on, or let it come to rest."""

@@ -23,6 +23,7 @@ from mujoco.mjx.third_party.mujoco_warp._src.collision_core import create_collis
 
 from petmjx.config import Cone
 from petmjx.engines import warp_cholesky, warp_contacts, warp_newton
+from petmjx.engines.capacities import round_up
 from petmjx.engines.template import CARRIER_BODY, ROWS_PER_CONTACT
 from petmjx.outcome import Flag
 
@@ -93,7 +94,7 @@ class Workspace:
 
     def __init__(self, lanes: int, n_blocks: int, room: int) -> None:
         dofs = 6 * n_blocks
-        padded = -(-dofs // warp_cholesky.PANEL) * warp_cholesky.PANEL
+        padded = round_up(dofs, warp_cholesky.PANEL)
         real, single, integer = wp.float64, wp.float32, wp.int32
         # Those of eight bytes first, so that every one is aligned.
         self.arrays: dict[str, tuple[Any, tuple[int, ...]]] = {
@@ -148,7 +149,7 @@ class PalletStepper:
     """
 
     def __init__(self, template: mujoco.MjModel, lanes: int, pool: int, room: int) -> None:
-        room = -(-room // warp_contacts.SEARCH) * warp_contacts.SEARCH
+        room = round_up(room, warp_contacts.SEARCH)
         self.lanes, self.pool, self.room = lanes, pool, room
         self.held = int(template.nmocap)
         self.n_blocks = template.nbody - 1 - self.held
