@@ -17,13 +17,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from petmjx.bench.plain import INTERVAL_S, plain_loop
-from petmjx.bench.record import device_of, environment
+from benchmarks.plain import INTERVAL_S, plain_loop
+from benchmarks.record import device_of, environment
 from petmjx.config import PHYSICS, Physics, Schedule, SimConfig
-from petmjx.engines.mujoco_world import WorldRun
-from petmjx.outcome import Job
-from petmjx.plans import load_plans
-from petmjx.scene import Scene, build_scene
+from petmjx.engines.cpu.world import WorldRun
+from petmjx.plans.read import load_plans
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene, build_scene
 
 
 def cases(scene: Scene, physics: Physics) -> dict[str, Callable[[], object]]:

@@ -35,17 +35,17 @@ from typing import Any
 import numpy as np
 
 import petmjx
+from benchmarks.record import device_of, environment
 from petmjx.api import gather_plans
-from petmjx.bench.record import device_of, environment
-from petmjx.compare import KEY, compare_runs
-from petmjx.outcome import Engine, Progress
-from petmjx.plans import Plan
-from petmjx.readymade import find_sweep
-from petmjx.select import make_engine
-from petmjx.statistics import wilson_interval
-from petmjx.sweepfile import load_sweep
-from petmjx.sweeping import SweepRun
-from petmjx.sweepplan import SweepPlan
+from petmjx.engines.base import Engine, Progress
+from petmjx.engines.choose import make_engine
+from petmjx.plans.plan import Plan
+from petmjx.results.compare import KEY, compare_runs
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.ready import find_sweep
+from petmjx.sweeps.run import SweepRun
+from petmjx.sweeps.shares import wilson_interval
 
 BLOCK_PLANS = 8
 """Plans a block, where time is limited: 512 forks keep 16 threads busy nearly to the end."""

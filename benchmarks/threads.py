@@ -15,13 +15,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from petmjx.bench.record import device_of, environment
+from benchmarks.record import device_of, environment
 from petmjx.config import PHYSICS, SimConfig
-from petmjx.engines.mujoco import MujocoEngine
-from petmjx.outcome import Job
-from petmjx.plans import load_plans
-from petmjx.samples import generate, write_plans
-from petmjx.scene import build_scene
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.plans.read import load_plans
+from petmjx.plans.samples import generate, write_plans
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
 
 
 def sample_jobs(count: int, seed: int, sim: SimConfig) -> list[Job]:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from petmjx.api import score, sweep
-    from petmjx.compare import compare_runs
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
-    from petmjx.plans import Plan, PlanSet, load_plans
-    from petmjx.store import RunResults, load_run
+    from petmjx.plans.plan import Plan, PlanSet
+    from petmjx.plans.read import load_plans
+    from petmjx.results.compare import compare_runs
+    from petmjx.results.reader import RunResults, load_run
 
 __version__ = "0.1.0"
 
@@ -38,10 +39,10 @@ _HOME = {
     "PetmjxError": "petmjx.errors",
     "Plan": "petmjx.plans",
     "PlanSet": "petmjx.plans",
-    "RunResults": "petmjx.store",
-    "compare_runs": "petmjx.compare",
+    "RunResults": "petmjx.results.reader",
+    "compare_runs": "petmjx.results.compare",
     "load_plans": "petmjx.plans",
-    "load_run": "petmjx.store",
+    "load_run": "petmjx.results.reader",
     "score": "petmjx.api",
     "sweep": "petmjx.api",
 }

@@ -13,21 +13,22 @@ from typing import Any, Protocol
 from pydantic import ValidationError
 
 from petmjx.config import CARRIER_EXTENT_M, PHYSICS, Carrier, Check, Physics, Schedule, SimConfig, Thresholds
-from petmjx.devices import cpu_name, cpu_threads, cuda_devices, package_versions
+from petmjx.engines.base import Engine, Progress
+from petmjx.engines.choose import AUTO, Choice, resolve_engine
+from petmjx.engines.retry import WorldResult, nominal_worlds, score_worlds
 from petmjx.errors import InputError
-from petmjx.outcome import Engine, Progress
-from petmjx.plans import Plan, PlanSet, Skipped, load_plans
-from petmjx.readymade import find_sweep
-from petmjx.runner import WorldResult, nominal_worlds, score_worlds
-from petmjx.samples import bundled_path
-from petmjx.scene import DEFAULT_SIZE_REDUCTION_MM
-from petmjx.select import AUTO, Choice, resolve_engine
-from petmjx.store import RunResults, RunWriter, load_run, write_summary
-from petmjx.sweepcost import sweep_engine, sweep_seconds
-from petmjx.sweepfile import load_sweep
-from petmjx.sweeping import Batching, SweepRun, SweptWorld
-from petmjx.sweepplan import SweepPlan
-from petmjx.sweepsummary import (
+from petmjx.machine import cpu_name, cpu_threads, cuda_devices, package_versions
+from petmjx.plans.plan import Plan, PlanSet, Skipped
+from petmjx.plans.read import load_plans
+from petmjx.plans.samples import bundled_path
+from petmjx.results.reader import RunResults, load_run
+from petmjx.results.writer import RunWriter, write_summary
+from petmjx.sweeps.cost import sweep_engine, sweep_seconds
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.ready import find_sweep
+from petmjx.sweeps.run import Batching, SweepRun, SweptWorld
+from petmjx.sweeps.summary import (
     SweepColumns,
     search_frame,
     search_row,
@@ -36,6 +37,7 @@ from petmjx.sweepsummary import (
     summary_units,
 )
 from petmjx.units import MM_PER_M
+from petmjx.world.scene import DEFAULT_SIZE_REDUCTION_MM
 
 PathArgument = str | PathLike[str]
 PlanSource = PathArgument | Sequence[PathArgument] | Sequence[Plan] | PlanSet

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from petmjx.config import SimConfig
-from petmjx.devices import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
+from petmjx.engines.choose import ENGINES, make_engine
 from petmjx.errors import EngineUnavailable
-from petmjx.outcome import Job, Verdict
-from petmjx.plans import Plan
-from petmjx.scene import build_scene
-from petmjx.select import ENGINES, make_engine
+from petmjx.machine import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
+from petmjx.plans.plan import Plan
+from petmjx.verdict import Verdict
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def _one_box() -> Plan:
 
 
 def _caches() -> dict[str, str]:
-    from petmjx.engines.jax_setup import cache_dir
+    from petmjx.engines.batch.setup import cache_dir
 
     folders = {
         "JAX programs": os.environ.get("JAX_COMPILATION_CACHE_DIR", str(cache_dir() / "jax")),

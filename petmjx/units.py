@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+FloatArray = NDArray[np.float64]
+
 MM_PER_M = 1000.0
 MICROMETRES_PER_M = 1_000_000.0
 

@@ -12,8 +12,9 @@ from typing import Annotated
 import typer
 
 from petmjx import __version__
-from petmjx.cli import bench, score, sweep, tools
+from petmjx.cli import compare, doctor, export, samples, score, sweep
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.text import one_line
 
 
 class ExitCode(IntEnum):
@@ -49,11 +50,10 @@ app = typer.Typer(
 )
 app.command("score")(score.score)
 app.command("sweep")(sweep.sweep)
-app.command("compare")(tools.compare)
-app.command("samples")(tools.samples)
-app.command("export")(tools.export)
-app.command("doctor")(tools.doctor)
-app.command("bench")(bench.bench)
+app.command("compare")(compare.compare)
+app.command("samples")(samples.samples)
+app.command("export")(export.export)
+app.command("doctor")(doctor.doctor)
 
 
 def _print_version(wanted: bool) -> None:
@@ -82,8 +82,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; None: the process's own.
     """
     _SETTINGS.debug = False
+    return run_app(app, arguments)
+
+
+def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) -> int:
+    """Run an application, with errors as one line and an exit code."""
     try:
-        result = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+        result = application(args=None if arguments is None else list(arguments), standalone_mode=False)
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)
@@ -101,8 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
     except Exception as error:
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        return _report(f"failure inside petmjx: {text}; petmjx --debug … shows where", ExitCode.FAILURE)
+        return _report(f"failure inside petmjx: {one_line(error)}; petmjx --debug … shows where", ExitCode.FAILURE)
 
 
 def _report(message: str, code: ExitCode) -> int:

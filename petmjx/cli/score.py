@@ -18,12 +18,12 @@ from petmjx.cli.console import results_console
 from petmjx.config import Carrier, Check, Schedule, SimConfig, Thresholds
 
 if TYPE_CHECKING:
-    from petmjx.outcome import Progress
-    from petmjx.report import ProgressBar
-    from petmjx.runner import WorldResult
-    from petmjx.select import Choice
-    from petmjx.store import RunResults
-    from petmjx.sweeping import SweptWorld
+    from petmjx.engines.base import Progress
+    from petmjx.engines.choose import Choice
+    from petmjx.engines.retry import WorldResult
+    from petmjx.results.reader import RunResults
+    from petmjx.show.progress import ProgressBar
+    from petmjx.sweeps.run import SweptWorld
 
 _SIM = SimConfig()
 _REFRESH_S = 0.5
@@ -110,7 +110,7 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
         self._refresher: threading.Thread | None = None
 
     def begin(self, total: int | None, choice: Choice, progress: Progress) -> None:
-        from petmjx.report import progress as progress_bar
+        from petmjx.show.progress import progress as progress_bar
 
         self.total = total
         what = self._what.removesuffix("s") if total == 1 else self._what
@@ -164,7 +164,7 @@ def _thresholds(shift_limit_m: float, tilt_limit_deg: float) -> Thresholds:
 def how_far(folder: Path, total: int | None, what: str = "plans") -> str:
     """What an interrupted run left behind, in words."""
     from petmjx.errors import InputError
-    from petmjx.store import load_run
+    from petmjx.results.reader import load_run
 
     try:
         done = load_run(folder).info["counts"]["worlds"]
@@ -178,7 +178,7 @@ def _show(results: RunResults, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"out": str(results.path), **brief(results.info)}, indent=2))
         return
-    from petmjx.report import FEW_PLANS, summary_table, worlds_table
+    from petmjx.show.tables import FEW_PLANS, summary_table, worlds_table
 
     console = results_console()
     if len(results.worlds) <= FEW_PLANS:

@@ -14,7 +14,7 @@ from petmjx.cli.console import results_console
 from petmjx.cli.score import BarWatcher, Interrupted, brief, default_folder, how_far, print_notes
 
 if TYPE_CHECKING:
-    from petmjx.store import RunResults
+    from petmjx.results.reader import RunResults
 
 
 class _SweepWatcher(BarWatcher):
@@ -87,8 +87,8 @@ def _show(results: RunResults, as_json: bool) -> None:
         records = [] if summary is None else json.loads(summary.to_json(orient="records"))
         print(json.dumps({"out": str(results.path), **brief(results.info), "summary": records}, indent=2))
         return
-    from petmjx.report import summary_table
-    from petmjx.sweepreport import sweep_tables
+    from petmjx.show.sweep_tables import sweep_tables
+    from petmjx.show.tables import summary_table
 
     console = results_console()
     if results.summary is not None:

@@ -1,0 +1,55 @@
+"""``petmjx samples``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from petmjx.errors import InputError
+from petmjx.plans.samples import DEFAULT_LOOSE_SHARE
+
+
+def samples(
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; *.gz is gzipped.")],
+    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of plans.")] = 100,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="SEED", help="Plan i depends on the seed, i and --loose-share alone.")
+    ] = 0,
+    loose_share: Annotated[
+        float,
+        typer.Option(
+            "--loose-share", metavar="0…1", help="Share of plans packed with a support rule too loose to be safe."
+        ),
+    ] = DEFAULT_LOOSE_SHARE,
+    orders: Annotated[
+        Path | None,
+        typer.Option("--orders", metavar="FILE", help="Pack the orders of this BED-BPP file instead of drawn ones."),
+    ] = None,
+) -> None:
+    """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a baseline packer.
+
+    With --orders it packs the orders of a file instead; -n and --loose-share then do not apply.
+    """
+    from petmjx.plans.samples import pack_orders, write_plans, write_samples
+    from petmjx.show.progress import progress
+
+    if orders is None:
+        with progress(n) as bar:
+            write_samples(out, n, seed, loose_share=loose_share, progress=bar.update)
+        print(f"{n:,} plans in {out}")
+        return
+    bad: list[InputError] = []
+    written = 0
+
+    def count(done: int) -> None:
+        nonlocal written
+        written = done
+        bar.update(done)
+
+    with progress(None) as bar:
+        write_plans(out, pack_orders(orders, seed=seed, on_bad_order=bad.append), progress=count)
+    for error in bad:
+        typer.echo(f"skipped: {error}", err=True)
+    print(f"{written:,} plans in {out}")

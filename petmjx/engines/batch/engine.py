@@ -1,0 +1,342 @@
+"""What both MJX engines share: groups of worlds, stages, hand-over between capacities, streaming of outcomes."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Check, Cone, Schedule, SimConfig
+from petmjx.engines.base import Progress
+from petmjx.engines.batch.capacities import class_capacities, growing_capacities
+from petmjx.engines.batch.outcomes import handed_on, judge, outcomes, started_states
+from petmjx.engines.batch.rules import Rules
+from petmjx.engines.batch.setup import set_up_jax
+from petmjx.engines.batch.stage import Queue, Stage, Stepper
+from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, upload_worlds
+from petmjx.engines.batch.timetable import Timetable, build_timetable
+from petmjx.verdict import Flag, Outcome
+from petmjx.world.job import Job
+
+MAX_GROWTH = 8
+"""Buffers that overflowed are doubled up to this factor; a world that needs more is invalid."""
+
+MAX_LANES = 1 << 16
+MIN_LANES = 16
+"""Fewer lanes than this save no memory worth having."""
+
+OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
+
+
+@dataclass(frozen=True)
+class StageKey:
+    """What a compiled stage depends on. ``drive`` is "", "force" or "acceleration"."""
+
+    sim: SimConfig
+    capacity: int
+    lanes: int
+    drive: str
+    growth: int
+    table_steps: int
+
+
+@dataclass
+class _Group:
+    """Worlds that go through the stages together."""
+
+    jobs: Sequence[Job]
+    first_job: int
+    sim: SimConfig
+    timetable: Timetable
+    worlds: Worlds
+    table: State
+    profiles: jax.Array
+    progress: Progress
+
+    def status(self) -> NDArray[np.int32]:
+        """Statuses of the jobs' rows, on the host."""
+        return np.asarray(self.table.status)[: len(self.jobs)]
+
+    def overflowed(self) -> NDArray[np.int64]:
+        """Rows that a stage gave back as they had entered it, because a buffer was too small."""
+        flags = np.asarray(self.table.flags)[: len(self.jobs)]
+        return np.flatnonzero((flags & OVERFLOW_BITS != 0) & (self.status() != Status.FINISHED))
+
+    def retry(self, rows: NDArray[np.int64]) -> None:
+        """Clear overflow bits: a re-run in buffers that are large enough is as true as any other, and says so."""
+        at = jnp.asarray(rows)
+        flags = (self.table.flags[at] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
+        self.table = self.table._replace(flags=self.table.flags.at[at].set(flags))
+
+    def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
+        """End worlds that this device cannot simulate."""
+        at = jnp.asarray(rows)
+        self.table = self.table._replace(
+            flags=self.table.flags.at[at].set(self.table.flags[at] | int(flag)),
+            status=self.table.status.at[at].set(Status.FINISHED),
+        )
+
+
+class MjxEngine(ABC):
+    """Simulates worlds in batches on one JAX device.
+
+    Args:
+        lanes: worlds stepped side by side, at most; fewer where fewer worlds are there or memory runs out.
+        group_size: worlds whose states are on the device at a time; bounds memory whatever the number of jobs.
+        max_stages: capacities in use, at most; each is compiled once.
+        capacities: fixed capacities instead of ones chosen from the plans (tests).
+        chunk_steps: steps between two looks at which lanes are through.
+        drain_share: a stage hands worlds that lag on to the next capacity once fewer than this share of its lanes
+            run. The last stage, and a single one, runs all to their end.
+    """
+
+    name = "mjx"
+
+    def __init__(
+        self,
+        lanes: int | None = None,
+        *,
+        group_size: int = 8192,
+        max_stages: int = 6,
+        capacities: Sequence[int] | None = None,
+        chunk_steps: int = 25,
+        drain_share: float = 0.25,
+    ) -> None:
+        set_up_jax()
+        self.lanes = lanes
+        self.group_size = group_size
+        self.max_stages = max_stages
+        self.capacities = capacities
+        self.chunk_steps = chunk_steps
+        self.drain_share = drain_share
+        self._stages: dict[StageKey, Stage] = {}
+        self._warm: set[Stage] = set()
+        self._growth: dict[tuple[Cone, int], int] = {}
+        self._lane_limit = MAX_LANES
+
+    @abstractmethod
+    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Stepper:
+        """The implementation's stepper for a shape; ``growth`` multiplies its contact and constraint buffers."""
+
+    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+        """Simulate each job once. Outcomes come stage by stage, as worlds reach their end."""
+        progress = progress or Progress()
+        sizes = [job.scene.n_boxes for job in jobs]
+        if not sizes:
+            return
+        plan = self._choose_capacities(jobs, sim)
+        timetable = build_timetable(sim, max(sizes))
+        n_groups = math.ceil(len(jobs) / self.group_size)
+        size = math.ceil(len(jobs) / n_groups)
+        for first in range(0, len(jobs), size):
+            yield from self._run_group(jobs[first : first + size], first, sim, timetable, plan, progress)
+
+    def _choose_capacities(self, jobs: Sequence[Job], sim: SimConfig) -> dict[str, list[int]]:
+        """Capacities of the placement stages ("") and of the stages of each kind of drive."""
+        if self.capacities is not None:
+            chosen = list(self.capacities)
+            return {"": chosen, "force": chosen, "acceleration": chosen}
+        choice: dict[str, list[int]] = {}
+        placed = [job.scene.n_boxes for job in jobs if job.start is None]
+        if placed:
+            grow = growing_capacities if sim.check is Check.ONE_BY_ONE else class_capacities
+            choice[""] = grow(placed, self.max_stages)
+        for kind in ("force", "acceleration"):
+            sizes = [job.scene.n_boxes for job in jobs if job.drive and job.drive.excitation.kind == kind]
+            if sizes:
+                choice[kind] = class_capacities(sizes, self.max_stages)
+        return choice
+
+    def _run_group(
+        self,
+        jobs: Sequence[Job],
+        first_job: int,
+        sim: SimConfig,
+        timetable: Timetable,
+        capacities: dict[str, list[int]],
+        progress: Progress,
+    ) -> Iterator[Outcome]:
+        group = self._load_group(jobs, first_job, sim, timetable, max(max(c) for c in capacities.values()), progress)
+        emitted = np.zeros(len(jobs), bool)
+
+        def finished() -> Iterator[Outcome]:
+            status = group.status()
+            rows = [row for row in np.flatnonzero(~emitted) if handed_on(int(status[row]), jobs[int(row)])]
+            if rows:
+                emitted[rows] = True
+                results = judge(group.table, group.worlds, sim)
+                yield from outcomes(np.array(rows), jobs, first_job, group.table, results, timetable, sim)
+
+        n_boxes = np.array([job.scene.n_boxes for job in jobs])
+        if "" in capacities:
+            yield from self._run_stages(group, capacities[""], "", n_boxes, finished)
+        for kind in ("force", "acceleration"):
+            mine = np.array([job.drive is not None and job.drive.excitation.kind == kind for job in jobs])
+            if mine.any():
+                yield from self._run_stages(group, capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
+
+    def _load_group(
+        self,
+        jobs: Sequence[Job],
+        first_job: int,
+        sim: SimConfig,
+        timetable: Timetable,
+        width: int,
+        progress: Progress,
+    ) -> _Group:
+        excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
+        steps = max([len(e.samples) for e in excitations.values()], default=1)
+        profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
+        for row, excitation in enumerate(excitations.values()):
+            profiles[row, : len(excitation.samples)] = excitation.samples
+        profile_row = {key: row for row, key in enumerate(excitations)}
+        rows = 1 << (len(jobs) - 1).bit_length()
+        worlds = upload_worlds(jobs, rows, width, profile_row, sim.physics.timestep_s)
+        static = sim.check is Check.STATIC
+        ends = np.full(rows, NEVER, np.int32)
+        if sim.schedule is Schedule.FIXED:
+            for row, job in enumerate(jobs):
+                if job.drive is None and not job.keep_state:
+                    n = job.scene.n_boxes
+                    ends[row] = timetable.static_end if static else timetable.one_by_one_end[n]
+        fresh = fresh_state(worlds, all_placed=static, ends=jnp.asarray(ends), rest_steps=timetable.rest_steps)
+        table = started_states(jobs, fresh)
+        return _Group(jobs, first_job, sim, timetable, worlds, table, jnp.asarray(profiles), progress)
+
+    def _run_stages(
+        self,
+        group: _Group,
+        capacities: Sequence[int],
+        drive: str,
+        n_boxes: NDArray[np.int64],
+        finished: Callable[[], Iterator[Outcome]],
+    ) -> Iterator[Outcome]:
+        """All worlds of a stage before the next. ``n_boxes`` is NEVER for worlds that are none of these stages'."""
+        grows = drive == "" and group.sim.check is Check.ONE_BY_ONE
+        waiting = (Status.SETTLED, Status.RUNNING) if drive else (Status.READY, Status.RUNNING)
+        for capacity in capacities:
+            last = capacity == capacities[-1]
+            status = group.status()
+            fits = n_boxes < NEVER if grows else n_boxes <= capacity
+            rows = np.flatnonzero(np.isin(status, waiting) & fits)
+            if len(rows):
+                self._run_stage(group, capacity, drive, rows, may_drain=not last)
+                yield from finished()
+
+    def _run_stage(self, group: _Group, capacity: int, drive: str, rows: NDArray[np.int64], *, may_drain: bool) -> None:
+        """Run a stage over some worlds; again with larger buffers for those that overflowed."""
+        growth = self._growth.get((group.sim.physics.cone, capacity), 1)
+        while len(rows):
+            lanes = self._lane_count(capacity, len(rows))
+            entered = group.table
+            try:
+                stage = self._stage(group, capacity, lanes, drive, growth)
+                self._drive_lanes(group, stage, rows, may_drain=may_drain)
+            except Exception as error:
+                if not is_out_of_memory(error):
+                    raise
+                group.table = entered
+                self._stages.clear()
+                self._warm.clear()
+                self.release()
+                if lanes <= MIN_LANES:
+                    group.give_up(rows, Flag.OUT_OF_MEMORY)
+                    return
+                self._lane_limit = lanes // 2
+                group.progress.message = f"out of device memory with {lanes} lanes, again with {self._lane_limit}"
+                continue
+            rows = group.overflowed()
+            self.release()
+            if len(rows) == 0:
+                return
+            if growth >= MAX_GROWTH:
+                group.give_up(rows, Flag.NONE)
+                return
+            growth *= 2
+            self._growth[group.sim.physics.cone, capacity] = growth
+            group.progress.message = f"{len(rows)} worlds overflowed their buffers, again with {growth}× as large ones"
+            group.retry(rows)
+
+    def release(self) -> None:  # noqa: B027 (most implementations hold nothing)
+        """Give back device memory that an implementation holds between stages. Called when nothing runs."""
+
+    def _lane_count(self, capacity: int, n_worlds: int) -> int:
+        """Lanes for a stage: a power of two, so that few shapes are compiled."""
+        wanted = max(MIN_LANES, 1 << (n_worlds - 1).bit_length())
+        limit: int = min(self.lanes or self.default_lanes(capacity), self._lane_limit)
+        return min(wanted, limit)
+
+    def default_lanes(self, capacity: int) -> int:
+        """Lanes at a capacity where the user names no number."""
+        return 256
+
+    def _stage(self, group: _Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
+        key = StageKey(group.sim, capacity, lanes, drive, growth, len(group.timetable.clock))
+        if key not in self._stages:
+            held = drive == "acceleration"
+            sim = group.sim
+            begin = time.perf_counter()
+            stepper = self.make_stepper(capacity, lanes, sim, held=held, growth=growth)
+            rules = Rules(sim, group.timetable, capacity, driven=bool(drive))
+            self._stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
+            group.progress.compile_s += time.perf_counter() - begin
+        return self._stages[key]
+
+    def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
+        """Chunks and refills until the stage's worlds are through, or so few run that they are better handed on.
+
+        The counters that decide are those of the chunk before: the host asks for the next chunk first, so that the
+        device never waits for it.
+        """
+        progress, capacity = group.progress, stage.rules.capacity
+        padded = np.zeros(len(group.table.step), np.int32)
+        padded[: len(rows)] = rows
+        queue = Queue(jnp.asarray(padded), jnp.int32(len(rows)), jnp.int32(0))
+        fresh = stage not in self._warm
+        begin = time.perf_counter()
+        chunks = lane_steps = 0
+        # Placement knows no profiles: with their table as it is, each new shape of it would compile again.
+        profiles = group.profiles if stage.rules.driven else jnp.zeros((1, 1, 3))
+        if fresh:
+            progress.message = f"compiling capacity {capacity} for {stage.lanes} lanes"
+        lanes = stage.empty(group.worlds, group.table)
+        lanes, table, queue, counters = stage.refill(lanes, group.table, group.worlds, queue)
+        while True:
+            lanes = stage.run_chunk(lanes, profiles)
+            lanes, table, queue, following = stage.refill(lanes, table, group.worlds, queue)
+            running, queued, contacts, constraint_rows, iterations, slowest = (int(n) for n in np.asarray(counters))
+            counters = following
+            if fresh:
+                following.block_until_ready()
+                self._warm.add(stage)
+                progress.compile_s += time.perf_counter() - begin
+                fresh = False
+            progress.message = f"capacity {capacity}: {running} worlds running, {queued} waiting"
+            progress.world_steps += running * stage.chunk_steps
+            lane_steps += running * stage.chunk_steps
+            chunks += 1
+            if queued == 0 and (running == 0 or (may_drain and running < self.drain_share * stage.lanes)):
+                break
+        group.table = stage.unload(lanes, table)
+        key = f"{stage.label} capacity {capacity}"
+        seconds = time.perf_counter() - begin
+        spent = {"seconds": seconds, "chunks": chunks, "lane-steps": lane_steps}
+        spent |= {"iterations": iterations, "slowest iterations": slowest}
+        for what, amount in spent.items():
+            progress.extra[f"{key} {what}"] = progress.extra.get(f"{key} {what}", 0) + amount
+        progress.extra[f"{key} lanes"] = stage.lanes
+        progress.extra[f"{key} contacts"] = max(progress.extra.get(f"{key} contacts", 0), contacts)
+        progress.extra[f"{key} rows"] = max(progress.extra.get(f"{key} rows", 0), constraint_rows)
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether an error of JAX, XLA or Warp says that device memory ran out."""
+    text = str(error).lower()
+    return any(words in text for words in ("resource_exhausted", "out of memory", "failed to allocate"))

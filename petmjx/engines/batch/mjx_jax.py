@@ -1,0 +1,99 @@
+"""Engine ``mjx-jax``: MJX in pure JAX. For tests and for machines where nothing else runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from jaxtyping import Array, Float, Int
+from mujoco import mjx
+
+from petmjx.config import Cone, Physics, SimConfig
+from petmjx.engines.batch.engine import MjxEngine
+from petmjx.engines.batch.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.metrics.force_jax import contact_force_z, pressed_box
+
+LINE_SEARCH_ITERATIONS = 10
+"""Under ``vmap`` every step of a line search is computed, needed or not: MuJoCo's 50 would cost five times as much."""
+
+
+class JaxStepper:
+    """Steps lanes with ``mjx.step`` under ``vmap``. Contacts have fixed slots, so nothing can overflow."""
+
+    def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics) -> None:
+        self.template = template
+        self.lanes = lanes
+        self.physics = physics
+        self.model: Any = mjx.put_model(template, impl="jax")
+
+    def scratch(self) -> Any:
+        one = mjx.make_data(self.template, impl="jax")
+        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (self.lanes, *jnp.shape(leaf))), one)
+
+    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: Any) -> Any:
+        def one_lane(fields: dict[str, jax.Array], data: Any) -> Any:
+            model = self.model.tree_replace(fields)
+            done = mjx.forward(model, data)
+            # MJX's line search takes the root of a tangential force² that float32 can make a little negative where
+            # contacts are all but at rest (3.17: solver.py, _LSPoint). There the last step's accelerations and
+            # forces are as good: they are what the solver started from.
+            lost = ~jnp.isfinite(done.qacc).all()
+            qacc = jnp.where(lost, data.qacc_warmstart, done.qacc)
+            done = done.replace(qacc=qacc, qacc_warmstart=qacc)
+            forces = jnp.where(lost, data._impl.efc_force, done._impl.efc_force)
+            return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
+
+        return jax.vmap(one_lane)(overrides, scratch.replace(**inputs))
+
+    def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
+        contact = scratch._impl.contact
+        pyramidal = self.physics.cone is Cone.PYRAMIDAL
+        rows_per_contact = 4 if pyramidal else 3
+        geom = contact.geom[0]
+        # Every candidate contact owns the same rows in every lane; inactive ones carry no force.
+        row = jnp.asarray(contact.efc_address)[:, None] + jnp.arange(rows_per_contact)
+        rows = scratch._impl.efc_force[:, row]
+        rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))
+        force = contact_force_z(rows, contact.frame[..., 2], contact.friction[..., :2], pyramidal=pyramidal)
+        geom_z = scratch.geom_xpos[..., 2][:, geom]
+        geom = jnp.broadcast_to(geom, geom_z.shape)
+        box, sign, counts = pressed_box(geom, geom_z, contact.frame[..., 0, 2], FIRST_BOX_GEOM)
+        capacity = self.template.ngeom - FIRST_BOX_GEOM
+        lane = jnp.arange(self.lanes)[:, None]
+        return (
+            jnp.zeros((self.lanes, capacity))
+            .at[lane, jnp.where(counts, box, capacity)]
+            .add(jnp.where(counts, sign * force, 0.0), mode="drop")
+        )
+
+    def overflow(self, scratch: Any) -> Int[Array, " lane"]:
+        return jnp.zeros(self.lanes, jnp.int32)
+
+    def usage(self, scratch: Any) -> Int[Array, " 2"]:
+        return jnp.zeros(2, jnp.int32)
+
+    def iterations(self, scratch: Any) -> Int[Array, " lane"]:
+        return jnp.zeros(self.lanes, jnp.int32)
+
+
+class MjxJaxEngine(MjxEngine):
+    """Batched MJX in pure JAX, on whatever device JAX has."""
+
+    name = "mjx-jax"
+
+    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> JaxStepper:
+        template = padded_template(
+            capacity,
+            sim.physics,
+            held=held,
+            solver=sim.solver,
+            tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
+            iterations=sim.solver_iterations or MAX_ITERATIONS,
+            native_ccd=True,
+            line_search_iterations=LINE_SEARCH_ITERATIONS,
+        )
+        # Nothing is damped here. Left on, each step solves for its accelerations anew, from forces.
+        template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+        return JaxStepper(template, lanes, sim.physics)

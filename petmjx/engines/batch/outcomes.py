@@ -1,0 +1,173 @@
+"""Metrics and verdicts of finished worlds: reduced on the device, then read out as outcomes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.config import SimConfig
+from petmjx.engines.batch.state import State, Status, Worlds
+from petmjx.engines.batch.timetable import Timetable
+from petmjx.metrics import motion_jax as motion
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.world.job import Job
+
+REASONS = (
+    Reason.NONE,
+    Reason.NONFINITE,
+    Reason.OVERFLOW,
+    Reason.OUT_OF_MEMORY,
+    Reason.EXPLOSION,
+    Reason.DROP,
+    Reason.TILT,
+    Reason.SHIFT,
+)
+"""In the order in which they are looked at; the device speaks of them by index."""
+
+FIRST_UNSTABLE = REASONS.index(Reason.DROP)
+
+
+class Results(NamedTuple):
+    """Device-side results of worlds; ``reason`` indexes REASONS."""
+
+    reason: Int[Array, " world"]
+    shift: Float[Array, "world box 3"]
+    rest_force: Float[Array, "world box"]
+
+
+@partial(jax.jit, static_argnames="sim")
+def judge(state: State, worlds: Worlds, sim: SimConfig) -> Results:
+    """Verdicts (as reasons) and the metrics that need the whole run, for every world of a table."""
+    limits, m = sim.thresholds, state.metrics
+    box = jnp.arange(worlds.mass.shape[1])
+    placed = box < state.placed[:, None]
+    shift = motion.shift(state.pose[..., :3], worlds.target, limits.shift_floor_m)
+    shift = jnp.where(placed[..., None], shift, 0.0)
+    flags = state.flags
+
+    def flagged(*kinds: Flag) -> Array:
+        mask = sum(int(kind) for kind in kinds)
+        return (flags & mask) != 0
+
+    tests = {
+        Reason.NONFINITE: flagged(Flag.NONFINITE),
+        Reason.OVERFLOW: flagged(Flag.CONTACT_OVERFLOW, Flag.CONSTRAINT_OVERFLOW, Flag.OTHER_OVERFLOW),
+        Reason.OUT_OF_MEMORY: flagged(Flag.OUT_OF_MEMORY),
+        Reason.EXPLOSION: flagged(Flag.EXPLOSION),
+        Reason.DROP: (placed & (m.drop_step >= 0)).any(-1),
+        Reason.TILT: (placed & (m.max_tilt > limits.tilt_deg)).any(-1),
+        Reason.SHIFT: (jnp.abs(shift) > limits.shift_m).any((-1, -2)),
+    }
+    reason = jnp.zeros(len(state.step), jnp.int32)
+    for index, kind in reversed(list(enumerate(REASONS))):
+        if kind is not Reason.NONE:
+            reason = jnp.where(tests[kind], index, reason)
+    rested = (m.rest_samples > 0) & (state.step >= state.end)
+    mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
+    return Results(reason, shift, jnp.where(rested[:, None], mean, jnp.nan))
+
+
+def doubles(values: Any) -> NDArray[np.float64]:
+    """Fetched values as outcomes hold them."""
+    return np.asarray(values, np.float64)
+
+
+def outcomes(
+    rows: NDArray[np.int64],
+    jobs: Sequence[Job],
+    first_job: int,
+    state: State,
+    results: Results,
+    timetable: Timetable,
+    sim: SimConfig,
+) -> Iterator[Outcome]:
+    """Outcomes of some rows of a table. The whole table is fetched: picking rows on the device would compile a
+    program for every number of them."""
+    fetched: tuple[State, Results] = jax.device_get((state, results))
+    host, found = jax.tree.map(lambda a: a[rows], fetched)
+    m, clock, dt = host.metrics, timetable.clock, sim.physics.timestep_s
+
+    def seconds(step: int) -> float:
+        return float(clock[step]) if step < len(clock) else step * dt
+
+    for i, row in enumerate(rows):
+        job = jobs[row]
+        n = job.scene.n_boxes
+        reason = REASONS[found.reason[i]]
+        stable = reason is Reason.NONE
+        driven = job.drive is not None and host.driven_from[i] <= host.step[i]
+        drops = m.drop_step[i, :n]
+        boxes = BoxMetrics(
+            shift_m=doubles(found.shift[i, :n]),
+            max_tilt_deg=doubles(m.max_tilt[i, :n]),
+            max_lin_acc=doubles(m.max_lin_acc[i, :n]),
+            max_ang_acc=doubles(m.max_ang_acc[i, :n]),
+            max_top_force_n=doubles(m.max_top_force[i, :n]),
+            rest_top_force_n=doubles(found.rest_force[i, :n]),
+            dropped=np.asarray(drops >= 0),
+            drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops]),
+            max_sway_m=doubles(m.max_sway[i, :n]) if driven else np.full(n, np.nan),
+            pos=doubles(host.pose[i, :n, :3]),
+            quat=doubles(host.pose[i, :n, 3:]),
+        )
+        verdict = Verdict.STABLE if stable else Verdict.UNSTABLE
+        if not stable and found.reason[i] < FIRST_UNSTABLE:
+            verdict = Verdict.INVALID
+        known = not stable and m.culprit[i] >= 0
+        flags = Flag(int(host.flags[i])) | (Flag.FORKED if job.start is not None else Flag.NONE)
+        yield Outcome(
+            job=first_job + int(row),
+            verdict=verdict,
+            reason=reason,
+            culprit=int(m.culprit[i]) if known else -1,
+            first_sign_s=seconds(int(m.sign_step[i])) if known else float("nan"),
+            n_boxes=n,
+            n_placed=int(host.placed[i]),
+            sim_time_s=seconds(max(int(host.step[i]), 0)),
+            n_steps=int(host.steps_done[i]),
+            flags=flags,
+            boxes=boxes,
+            solver=sim.solver.value,
+            state=jax.tree.map(lambda a, i=i: a[i], host) if job.keep_state else None,
+        )
+
+
+def started_states(jobs: Sequence[Job], fresh: State) -> State:
+    """A group's first states: fresh ones, and for jobs that start from a kept state that one.
+
+    Each distinct kept state goes to the device once and is forked there into all the worlds that start from it.
+    """
+    starts: list[Any] = list({id(job.start): job.start for job in jobs if job.start is not None}.values())
+    if not starts:
+        return fresh
+    row_of = {id(start): row for row, start in enumerate(starts)}
+    spare = [0] * (len(fresh.step) - len(jobs))
+    source = jnp.asarray([row_of.get(id(job.start), 0) for job in jobs] + spare)
+    forked = jnp.asarray([job.start is not None for job in jobs] + spare, bool)
+
+    def fork(new: jax.Array, *kept: Any) -> jax.Array:
+        stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)
+        for row, values in enumerate(kept):
+            if stacked.ndim > 1 and np.ndim(values):
+                stacked[row][tuple(slice(0, n) for n in np.shape(values))] = values
+            else:
+                stacked[row] = values
+        spread = jnp.asarray(stacked)[source]
+        return jnp.where(forked.reshape(-1, *[1] * (new.ndim - 1)), spread, new)
+
+    forked_states: State = jax.tree.map(fork, fresh, *starts)
+    return forked_states._replace(steps_done=fresh.steps_done)
+
+
+def handed_on(status: int, job: Job) -> bool:
+    """Whether a world of this status is at its end for this run of jobs (or goes on to another stage)."""
+    if status == Status.FINISHED:
+        return True
+    return status == Status.SETTLED and job.drive is None

@@ -1,0 +1,260 @@
+"""Worlds on the device: what is constant about them, and the state that stages take and hand on.
+
+Rows are worlds; box columns are padded to the largest capacity of the group. Lanes of a stage hold the same
+records with a lane axis and the stage's capacity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.units import STANDARD_GRAVITY
+from petmjx.world.job import Job
+from petmjx.world.scene import IDENTITY_QUAT
+
+NEVER = np.iinfo(np.int32).max
+"""A step that is never reached: an end that is not known yet."""
+
+SOFT_START_BEGIN = -200
+"""Step counter of a fresh world: the soft start's steps come before step 0 (spec, section 4)."""
+
+
+class Status:
+    """Where a world is. Plain integers, because they live in device arrays."""
+
+    RUNNING = 0
+    READY = 1
+    """All boxes of this capacity stand; the next box waits for a larger one."""
+    SETTLED = 2
+    """Placement is over and a drive follows."""
+    FINISHED = 3
+    OVERFLOWED = 4
+    """A buffer was too small: the stage is to be run again from where the world entered it."""
+
+
+class Worlds(NamedTuple):
+    """Constants of worlds.
+
+    ``friction`` rows are floor, carrier, box. ``drive_yaw`` is (cos, sin); ``drive_steps`` counts from the drive's
+    first step to the world's end. ``settles``: the placement ends in a settled state (for a drive, or to keep)
+    instead of a rest window.
+    """
+
+    n_boxes: Int[Array, " world"]
+    half: Float[Array, "world box 3"]
+    mass: Float[Array, "world box"]
+    target: Float[Array, "world box 3"]
+    start: Float[Array, "world box 7"]
+    carrier_half: Float[Array, "world 3"]
+    carrier_mass: Float[Array, " world"]
+    friction: Float[Array, "world 3 3"]
+    profile: Int[Array, " world"]
+    drive_scale: Float[Array, " world"]
+    drive_yaw: Float[Array, "world 2"]
+    drive_steps: Int[Array, " world"]
+    settles: Bool[Array, " world"]
+
+
+class Metrics(NamedTuple):
+    """Running statistics of boxes; everything over the samples since a box was placed."""
+
+    max_tilt: Float[Array, "world box"]
+    max_lin_acc: Float[Array, "world box"]
+    max_ang_acc: Float[Array, "world box"]
+    max_top_force: Float[Array, "world box"]
+    rest_force_sum: Float[Array, "world box"]
+    rest_samples: Int[Array, " world"]
+    drop_step: Int[Array, "world box"]
+    max_sway: Float[Array, "world box"]
+    sway_anchor: Float[Array, "world box 2"]
+    culprit: Int[Array, " world"]
+    sign_step: Int[Array, " world"]
+
+
+class State(NamedTuple):
+    """What a stage takes and hands on. Boxes first: pose 7, velocity 6, warm-start acceleration 6."""
+
+    pose: Float[Array, "world box 7"]
+    vel: Float[Array, "world box 6"]
+    warm: Float[Array, "world box 6"]
+    carrier_pose: Float[Array, "world 7"]
+    carrier_vel: Float[Array, "world 6"]
+    carrier_warm: Float[Array, "world 6"]
+    step: Int[Array, " world"]
+    placed: Int[Array, " world"]
+    last_placed_at: Int[Array, " world"]
+    quiet_steps: Int[Array, " world"]
+    quiet_pace: Float[Array, "world box"]
+    violent_since: Int[Array, " world"]
+    driven_from: Int[Array, " world"]
+    rest_from: Int[Array, " world"]
+    end: Int[Array, " world"]
+    status: Int[Array, " world"]
+    flags: Int[Array, " world"]
+    steps_done: Int[Array, " world"]
+    metrics: Metrics
+
+    @property
+    def running(self) -> Bool[Array, " world"]:
+        return self.status == Status.RUNNING
+
+
+PER_BOX_STATE = {"pose", "vel", "warm", "quiet_pace"}
+PER_BOX_METRICS = {"max_tilt", "max_lin_acc", "max_ang_acc", "max_top_force", "rest_force_sum", "drop_step"} | {
+    "max_sway",
+    "sway_anchor",
+}
+PER_BOX_WORLDS = {"half", "mass", "target", "start"}
+
+
+def narrow(record: Any, capacity: int) -> Any:
+    """The first ``capacity`` box columns of a Worlds or State record."""
+    if isinstance(record, Worlds):
+        return record._replace(**{name: getattr(record, name)[:, :capacity] for name in PER_BOX_WORLDS})
+    metrics = record.metrics
+    return record._replace(
+        **{name: getattr(record, name)[:, :capacity] for name in PER_BOX_STATE},
+        metrics=metrics._replace(**{name: getattr(metrics, name)[:, :capacity] for name in PER_BOX_METRICS}),
+    )
+
+
+def put_rows(table: State, rows: Int[Array, " lane"], lanes: State) -> State:
+    """Write lanes' states into rows of a wider table. Rows beyond its end are dropped."""
+
+    def put(wide: jax.Array, narrow_values: jax.Array) -> jax.Array:
+        if wide.ndim > 1 and narrow_values.shape[1] < wide.shape[1]:
+            columns = narrow_values.shape[1]
+            return wide.at[rows, :columns].set(narrow_values, mode="drop")
+        return wide.at[rows].set(narrow_values, mode="drop")
+
+    written: State = jax.tree.map(put, table, lanes)
+    return written
+
+
+def take_rows(record: Any, rows: Int[Array, " lane"]) -> Any:
+    """Rows of a record, in order; out-of-range rows give some valid row."""
+    return jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
+
+
+def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], timestep_s: float) -> Worlds:
+    """Constants of a group of jobs as device arrays.
+
+    Jobs that share a scene (the variants of a profile sweep) share its upload: scenes go to the device once
+    and are fanned out there.
+
+    Args:
+        rows: at least one a job; those beyond repeat the first job's scene and are never run.
+        width: box columns.
+        profiles: ``id`` of an excitation → its row in the profile table.
+    """
+    scenes = list({id(job.scene): job.scene for job in jobs}.values())
+    row_of = {id(scene): row for row, scene in enumerate(scenes)}
+    n = len(scenes)
+    half, mass = np.full((n, width, 3), 0.1, np.float32), np.ones((n, width), np.float32)
+    target, start = np.zeros((n, width, 3), np.float32), np.zeros((n, width, 7), np.float32)
+    start[:, :, 3:] = IDENTITY_QUAT
+    for row, scene in enumerate(scenes):
+        k = scene.n_boxes
+        half[row, :k], mass[row, :k], target[row, :k] = scene.half_size, scene.mass, scene.target
+        start[row, :k, :3], start[row, :k, 3:] = scene.start_pos, scene.start_quat
+    spare = rows - len(jobs)
+    fan_out = jnp.asarray([row_of[id(job.scene)] for job in jobs] + [0] * spare)
+
+    def spread(values: Any, dtype: Any = np.float32) -> jax.Array:
+        return jnp.asarray(np.asarray(values, dtype))[fan_out]
+
+    def each(value: Callable[[Job], Any], dtype: Any) -> jax.Array:
+        values = np.array([value(job) for job in jobs], dtype)
+        return jnp.asarray(np.concatenate([values, np.repeat(values[:1], spare, axis=0)]))
+
+    def drive_steps(job: Job) -> int:
+        if job.drive is None:
+            return 0
+        return len(job.drive.excitation.samples) + int(job.drive.rest_s / timestep_s)
+
+    return Worlds(
+        n_boxes=spread([scene.n_boxes for scene in scenes], np.int32),
+        half=spread(half),
+        mass=spread(mass),
+        target=spread(target),
+        start=spread(start),
+        carrier_half=spread([scene.carrier_half_size for scene in scenes]),
+        carrier_mass=spread([scene.carrier_mass for scene in scenes]),
+        friction=spread([[s.floor_friction, s.carrier_friction, s.box_friction] for s in scenes]),
+        profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
+        drive_scale=each(_drive_factor, np.float32),
+        drive_yaw=each(lambda job: _direction(job), np.float32),
+        drive_steps=each(drive_steps, np.int32),
+        settles=each(lambda job: job.drive is not None or job.keep_state, np.bool_),
+    )
+
+
+def _direction(job: Job) -> tuple[float, float]:
+    yaw = job.drive.yaw_rad if job.drive else 0.0
+    return math.cos(yaw), math.sin(yaw)
+
+
+def _drive_factor(job: Job) -> float:
+    """What a profile's samples are multiplied by: newtons for forces, the bare scale for accelerations."""
+    if job.drive is None:
+        return 0.0
+    if job.drive.excitation.kind == "force":
+        return job.drive.scale * job.scene.total_mass * STANDARD_GRAVITY
+    return job.drive.scale
+
+
+@partial(jax.jit, static_argnames=("all_placed", "rest_steps"))
+def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"], rest_steps: int) -> State:
+    """States before the soft start.
+
+    Args:
+        all_placed: static check; every box stands at its release pose from the begin.
+        ends: last step where it is known in advance (fixed schedule), NEVER elsewhere.
+    """
+    n, width = worlds.mass.shape
+    zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)
+    never = jnp.full(n, NEVER, jnp.int32)
+    carrier_centre = worlds.carrier_half * jnp.array([[1.0, 1.0, -1.0]])
+    upright = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (n, 4))
+    metrics = Metrics(
+        max_tilt=zeros,
+        max_lin_acc=zeros,
+        max_ang_acc=zeros,
+        max_top_force=zeros,
+        rest_force_sum=zeros,
+        rest_samples=ints,
+        drop_step=jnp.full((n, width), -1, jnp.int32),
+        max_sway=zeros,
+        sway_anchor=jnp.zeros((n, width, 2)),
+        culprit=jnp.full(n, -1, jnp.int32),
+        sign_step=jnp.full(n, -1, jnp.int32),
+    )
+    return State(
+        pose=worlds.start,
+        vel=jnp.zeros((n, width, 6)),
+        warm=jnp.zeros((n, width, 6)),
+        carrier_pose=jnp.concatenate([carrier_centre, upright], axis=-1),
+        carrier_vel=jnp.zeros((n, 6)),
+        carrier_warm=jnp.zeros((n, 6)),
+        step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),
+        placed=worlds.n_boxes if all_placed else ints,
+        last_placed_at=ints,
+        quiet_steps=ints,
+        quiet_pace=zeros,
+        violent_since=never,
+        driven_from=never,
+        rest_from=jnp.where(ends == NEVER, NEVER, ends - rest_steps),
+        end=ends,
+        status=ints,
+        flags=ints,
+        steps_done=ints,
+        metrics=metrics,
+    )

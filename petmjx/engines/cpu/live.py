@@ -1,0 +1,221 @@
+"""A MuJoCo world that grows as boxes are placed: model, data, and the views the rules need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Cone, SimConfig, Solver
+from petmjx.units import FloatArray
+from petmjx.verdict import Flag
+from petmjx.world.model import HeldCarrier, add_boxes, build_spec
+from petmjx.world.scene import Scene
+
+GROWTH_BLOCK = 8
+"""Boxes added to the model at once. A box that waits in the model costs 0.5 µs a step, a recompilation about
+1 ms. packing_plan_a, adaptive: blocks of 1 take 5 % longer than blocks of 8, blocks of 40 as well."""
+
+_PARKING_M = 100.0
+_PARKING_PITCH_M = 10.0
+
+_WAITING_NAME = "waiting"
+_WAITING_MASS_KG = 1.0
+_STOP_STIFFNESS = 99.0
+"""Constraint weight of the stop per kg: impedance / (1 − impedance) at solimp 0.99."""
+_FLOOR_STIFFNESS = 396.0
+"""Summed weights of a box's four pyramidal contacts with the floor (solimp 0.99, friction 1) per kg of the box."""
+
+_SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
+
+
+@dataclass(frozen=True, eq=False)
+class BodyState:
+    """Positions (7), velocities (6) and solver warm start (6) of carrier and boxes; rows: carrier, box 0, …"""
+
+    pose: FloatArray
+    velocity: FloatArray
+    warmstart: FloatArray
+
+
+class LiveWorld:
+    """Model and data of one world with the first ``n_placed`` boxes in play.
+
+    Boxes that are in the model but not yet placed stand far apart in the air, held by a force equal to
+    their weight. They touch nothing, so they do not influence the pallet.
+
+    With pyramidal cones, the reference's physics, a small body on a stop stands for the boxes that wait. Newton's
+    method starts from the last step's accelerations or from the unconstrained ones, whichever costs less in the
+    *whole* world, and stops at a tolerance; so the choice shows, by 100 N in single sampled blows. In the reference
+    the waiting boxes stand on the floor and take part in that choice. The stop adds exactly their share of the
+    difference in cost, at the price of one constraint row.
+
+    Attributes:
+        pose: (capacity, 7) view of the boxes' positions and quaternions after the last step.
+        velocity, qacc: (capacity, 6) views of the boxes' velocities, and accelerations of the last step.
+    """
+
+    def __init__(self, scene: Scene, sim: SimConfig, n_boxes: int = 0) -> None:
+        self.scene = scene
+        self._sim = sim
+        self._held: HeldCarrier | None = None
+        self.n_placed = n_boxes
+        self._has_waiting = n_boxes < scene.n_boxes and sim.physics.cone is Cone.PYRAMIDAL
+        self._build(n_boxes)
+
+    def _build(self, capacity: int) -> None:
+        self._spec = build_spec(self.scene, self._sim.physics, held_carrier=self._held, n_boxes=0)
+        if self._has_waiting:
+            self._add_waiting()
+        add_boxes(self._spec, self.scene, self._sim.physics, 0, capacity)
+        self._compile(capacity)
+
+    def _add_waiting(self) -> None:
+        body = self._spec.worldbody.add_body(name=_WAITING_NAME, pos=[0.0, 0.0, -_PARKING_M])
+        body.mass = _WAITING_MASS_KG
+        body.inertia = np.ones(3)
+        body.explicitinertial = True
+        stop = body.add_joint(name=_WAITING_NAME, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0])
+        stop.range = np.array([0.0, 1.0])
+        stop.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        stop.solimp_limit[:3] = self._sim.physics.solimp
+
+    def _compile(self, capacity: int) -> None:
+        self.capacity = capacity
+        self.model = self._spec.compile()
+        self.model.opt.solver = _SOLVER[self._sim.solver]
+        if self._sim.solver_iterations is not None:
+            self.model.opt.iterations = self._sim.solver_iterations
+        if self._sim.solver_tolerance is not None:
+            self.model.opt.tolerance = self._sim.solver_tolerance
+        # MuJoCo would silently start a diverged world afresh; here it has to stay visible.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        if self._sim.physics.cone is Cone.ELLIPTIC:
+            # A pallet is one island, and finding that out costs 10 %. With pyramidal cones it has to be paid: the
+            # solver's tolerance is relative to the island, and the reference's creep depends on it.
+            self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+        self.data = mujoco.MjData(self.model)
+        self._first_body = 2 + self._has_waiting
+        free = self._held is None
+        first_q, first_v = 7 * free + self._has_waiting, 6 * free + self._has_waiting
+        self.pose: FloatArray = self.data.qpos[first_q:].reshape(capacity, 7)
+        self.velocity: FloatArray = self.data.qvel[first_v:].reshape(capacity, 6)
+        self.qacc: FloatArray = self.data.qacc[first_v:].reshape(capacity, 6)
+        self._warmstart: FloatArray = self.data.qacc_warmstart[first_v:].reshape(capacity, 6)
+
+    def _grow(self) -> None:
+        """Add the next boxes to the model; everything that is there moves over bit for bit."""
+        old_capacity, old = self.capacity, self.data
+        capacity = min(self.scene.n_boxes, old_capacity + GROWTH_BLOCK)
+        add_boxes(self._spec, self.scene, self._sim.physics, old_capacity, capacity)
+        self._compile(capacity)
+        new = self.data
+        for name in ("qpos", "qvel", "qacc_warmstart"):
+            values = getattr(old, name)
+            getattr(new, name)[: len(values)] = values
+        new.time = old.time
+        for box in range(old_capacity, capacity):
+            self.pose[box, :3] = (_PARKING_M + _PARKING_PITCH_M * box, 0.0, _PARKING_M)
+            self._forces(box)[2] = self.scene.mass[box] * self._sim.physics.gravity_m_s2
+
+    def _forces(self, box: int) -> FloatArray:
+        row: FloatArray = self.data.xfrc_applied[self._first_body + box]
+        return row
+
+    def place_next(self) -> None:
+        """Put the next box at its release pose, at rest."""
+        if self.n_placed == self.capacity:
+            self._grow()
+        box = self.n_placed
+        self.pose[box, :3] = self.scene.start_pos[box]
+        self.pose[box, 3:] = self.scene.start_quat[box]
+        self.velocity[box] = 0.0
+        self._warmstart[box] = 0.0
+        self._forces(box)[2] = 0.0
+        self.n_placed += 1
+        if self._has_waiting:
+            self._press_waiting()
+
+    def _press_waiting(self) -> None:
+        """Press on the stop so that its cost equals that of the waiting boxes standing on the floor.
+
+        A mass m at rest on constraints of summed weight D, pulled by g, costs (D + m)·g²/2 more with the
+        unconstrained acceleration than with the true one; both D are proportional to m.
+        """
+        waiting_kg = float(self.scene.mass[self.n_placed :].sum())
+        gravity = self._sim.physics.gravity_m_s2
+        share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _WAITING_MASS_KG)
+        self.data.xfrc_applied[2, 2] = _WAITING_MASS_KG * gravity * (1.0 - sqrt(share))
+
+    def step(self, count: int) -> None:
+        """Advance by ``count`` steps in C, with the GIL released."""
+        mujoco.mj_step(self.model, self.data, nstep=count)
+
+    def set_gravity(self, gravity: FloatArray) -> None:
+        """(3,) m/s²."""
+        self.model.opt.gravity[:] = gravity
+
+    def set_carrier_force(self, force_n: FloatArray) -> None:
+        """(3,) N on the carrier's centre of mass, from the next step on."""
+        self.data.xfrc_applied[1, :3] = force_n
+
+    def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
+        """(k, 3) centres and (k, 4) orientations of the placed boxes at the start of the last step.
+
+        That is the instant to which accelerations and contact forces of that step belong.
+        """
+        rows = slice(self._first_body, self._first_body + self.n_placed)
+        return self.data.xpos[rows], self.data.xquat[rows]
+
+    def hold_carrier(self) -> None:
+        """Clamp the carrier where it is. What stands on it keeps pose and velocity."""
+        state, time_s = self.body_state(), self.data.time
+        self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
+        self._has_waiting = False
+        self._build(self.capacity)
+        self._restore(state, time_s)
+
+    def body_state(self) -> BodyState:
+        """A copy of the moving state of a world whose carrier is free."""
+        data = self.data
+        return BodyState(
+            pose=np.vstack((data.qpos[:7], self.pose)),
+            velocity=np.vstack((data.qvel[:6], self.velocity)),
+            warmstart=np.vstack((data.qacc_warmstart[:6], self._warmstart)),
+        )
+
+    @classmethod
+    def resume(cls, scene: Scene, sim: SimConfig, state: BodyState, time_s: float) -> LiveWorld:
+        """A world with all boxes, in a state that another world had reached."""
+        live = cls(scene, sim, n_boxes=len(state.pose) - 1)
+        live._restore(state, time_s)
+        return live
+
+    def _restore(self, state: BodyState, time_s: float) -> None:
+        if self._held is None:
+            self.data.qpos[:7] = state.pose[0]
+            self.data.qvel[:6] = state.velocity[0]
+            self.data.qacc_warmstart[:6] = state.warmstart[0]
+        self.pose[:] = state.pose[1:]
+        self.velocity[:] = state.velocity[1:]
+        self._warmstart[:] = state.warmstart[1:]
+        self.data.time = time_s
+
+    def trouble(self) -> Flag:
+        """What MuJoCo, or the numbers themselves, say against this world."""
+        flags = Flag.NONE
+        count: NDArray[np.int32] = self.data.warning.number
+        if count.any():
+            kind = mujoco.mjtWarning
+            if count[kind.mjWARN_BADQPOS] or count[kind.mjWARN_BADQVEL] or count[kind.mjWARN_BADQACC]:
+                flags |= Flag.NONFINITE
+            if count[kind.mjWARN_CONTACTFULL]:
+                flags |= Flag.CONTACT_OVERFLOW
+            if count[kind.mjWARN_CNSTRFULL]:
+                flags |= Flag.CONSTRAINT_OVERFLOW
+        if not (np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all()):
+            flags |= Flag.NONFINITE
+        return flags

@@ -1,0 +1,158 @@
+"""Running metrics of one world in NumPy: the oracle's half, sharing no arithmetic with the batched JAX half.
+
+Definitions are those of docs/metrics.md. Arrays have one row per box, in packing order.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Thresholds
+from petmjx.metrics.motion_np import lowest_z, tilt_deg
+from petmjx.units import FloatArray
+from petmjx.verdict import BoxMetrics
+from petmjx.world.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What is looked at after one step: the k placed boxes' poses, accelerations and top forces.
+
+    All belong to the start of that step, where MuJoCo evaluates contacts and accelerations.
+    """
+
+    time_s: float
+    pos: FloatArray
+    quat: FloatArray
+    lin_acc: FloatArray
+    ang_acc: FloatArray
+    top_force_n: FloatArray
+
+
+class OracleMetrics:
+    """Running maxima, first sign and resting force of one world."""
+
+    def __init__(self, scene: Scene, thresholds: Thresholds) -> None:
+        n = scene.n_boxes
+        self._scene = scene
+        self._thresholds = thresholds
+        self.max_tilt_deg = np.zeros(n)
+        self.max_lin_acc = np.zeros(n)
+        self.max_ang_acc = np.zeros(n)
+        self.max_top_force_n = np.zeros(n)
+        self.drop_s = np.full(n, np.nan)
+        self.max_sway_m = np.full(n, np.nan)
+        self.culprit = -1
+        self.first_sign_s = float("nan")
+        self._rest_sum_n = np.zeros(n)
+        self._rest_steps = 0
+        self._sway_origin: FloatArray | None = None
+
+    def fork(self) -> OracleMetrics:
+        """An independent copy, for worlds that go on from a shared state."""
+        twin = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(twin, name, value.copy())
+        return twin
+
+    @property
+    def any_dropped(self) -> bool:
+        return bool(np.any(np.isfinite(self.drop_s)))
+
+    def add_sample(self, sample: Sample) -> bool:
+        """Take in one sample.
+
+        Returns:
+            Whether some acceleration is above its threshold while no box has shown any sign of instability.
+        """
+        k = len(sample.pos)
+        lin = np.linalg.norm(sample.lin_acc, axis=1)
+        ang = np.linalg.norm(sample.ang_acc, axis=1)
+        np.maximum(self.max_lin_acc[:k], lin, out=self.max_lin_acc[:k])
+        np.maximum(self.max_ang_acc[:k], ang, out=self.max_ang_acc[:k])
+        np.maximum(self.max_top_force_n[:k], sample.top_force_n, out=self.max_top_force_n[:k])
+        if k:
+            tilt = self.add_pose(sample.time_s, sample.pos, sample.quat)
+            np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
+        limits = self._thresholds
+        too_fast = bool(np.any(lin > limits.lin_acc_m_s2) or np.any(ang > limits.ang_acc_rad_s2))
+        return too_fast and self.culprit < 0
+
+    def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
+        """Look for drops and the first sign in one pose; the final state counts too. Returns the (k,) tilts."""
+        k = len(pos)
+        limits = self._thresholds
+        tilt = tilt_deg(quat)
+        hull = lowest_z(pos, quat, self._scene.half_size[:k])
+        dropped = (pos[:, 2] < 0.0) | (hull < limits.drop_hull_z_m)
+        newly = dropped & np.isnan(self.drop_s[:k])
+        self.drop_s[:k][newly] = time_s
+        if self._sway_origin is not None:
+            sway = np.hypot(*(pos - self._sway_origin)[:, :2].T)
+            self.max_sway_m[:k] = np.fmax(self.max_sway_m[:k], sway)
+        if self.culprit < 0:
+            excess, crossed = self._excess(pos, tilt, dropped)
+            if crossed.any():
+                self.culprit = int(np.argmax(np.where(crossed, excess, -np.inf)))
+                self.first_sign_s = time_s
+        return tilt
+
+    def add_rest(self, top_force_n: FloatArray) -> None:
+        """One step of the rest window."""
+        self._rest_sum_n[: len(top_force_n)] += top_force_n
+        self._rest_steps += 1
+
+    def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
+        """A profile starts, with the k boxes in these poses: sway is measured from here.
+
+        Where no box is over a threshold now, what passed during placement (a hard landing) is no sign any more:
+        the first sign is then the one that the profile brings.
+        """
+        k = len(pos)
+        self._sway_origin = pos.copy()
+        self.max_sway_m[:k] = 0.0
+        _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[:k]))
+        if not crossed.any():
+            self.culprit = -1
+            self.first_sign_s = float("nan")
+
+    def finish(self, pos: FloatArray, quat: FloatArray, came_to_end: bool) -> BoxMetrics:
+        """The per-box results, from the final (n, 3) centres and (n, 4) orientations."""
+        shift = pos - self._scene.target
+        shift[np.abs(shift) < self._thresholds.shift_floor_m] = 0.0
+        n = self._scene.n_boxes
+        rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
+        return BoxMetrics(
+            shift_m=shift,
+            max_tilt_deg=self.max_tilt_deg,
+            max_lin_acc=self.max_lin_acc,
+            max_ang_acc=self.max_ang_acc,
+            max_top_force_n=self.max_top_force_n,
+            rest_top_force_n=rest,
+            dropped=np.isfinite(self.drop_s),
+            drop_s=self.drop_s,
+            max_sway_m=self.max_sway_m,
+            pos=pos,
+            quat=quat,
+        )
+
+    def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
+        """The box furthest over its thresholds in this pose."""
+        dropped = np.isfinite(self.drop_s[: len(pos)])
+        excess, _ = self._excess(pos, tilt_deg(quat), dropped)
+        return int(np.argmax(excess))
+
+    def _excess(
+        self, pos: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_]
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """(k,) how far each box is from its thresholds (1 = at them), and (k,) whether one is crossed."""
+        limits = self._thresholds
+        shift = np.abs(pos - self._scene.target[: len(pos)]).max(axis=1)
+        excess = np.maximum(np.maximum(shift / limits.shift_m, tilt / limits.tilt_deg), dropped)
+        crossed = (shift > limits.shift_m) | (tilt > limits.tilt_deg) | dropped
+        return excess, crossed

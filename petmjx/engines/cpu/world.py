@@ -1,0 +1,370 @@
+"""One world from soft start to verdict on C MuJoCo, by the rules of docs/rules.md, in strides from event to event."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, SimConfig
+from petmjx.engines.cpu.live import BodyState, LiveWorld
+from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.metrics.force_np import top_forces
+from petmjx.units import FloatArray, seconds_to_steps
+from petmjx.verdict import Flag, Outcome, Verdict, judge
+from petmjx.world.job import Job
+
+_FAR = 2**62
+"""A step that never comes."""
+
+_FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
+
+
+class Cancelled(Exception):
+    """The run was interrupted; the world has no outcome."""
+
+
+class Clock:
+    """MuJoCo's time after each step: the float64 running sum of the timestep."""
+
+    def __init__(self, timestep_s: float) -> None:
+        self._dt = timestep_s
+        self._time = np.zeros(1)
+
+    def time_s(self, step: int) -> float:
+        if step >= len(self._time):
+            # cumsum adds one by one, as mj_step does: a product step × dt differs in the last digits.
+            self._time = np.concatenate(([0.0], np.cumsum(np.full(2 * step + 1000, self._dt))))
+        return float(self._time[step])
+
+    def first_after(self, step: int, interval_s: float) -> int:
+        """The first step at which at least ``interval_s`` have passed since ``step``."""
+        start = self.time_s(step)
+        candidate = step + max(int(interval_s / self._dt) - 2, 0)
+        while self.time_s(candidate) - start < interval_s:
+            candidate += 1
+        return candidate
+
+
+@dataclass(frozen=True, eq=False)
+class SettledState:
+    """A world at the end of placement and settling, for others to start from."""
+
+    step: int
+    bodies: BodyState | None
+    metrics: OracleMetrics
+    ended: Outcome | None
+    """Set where the world ended before it settled: forks of it have the same outcome."""
+
+
+class WorldRun:
+    """Simulates one job. Everything happens in :meth:`run`; the object is used once."""
+
+    def __init__(self, index: int, job: Job, sim: SimConfig, cancelled: Callable[[], bool]) -> None:
+        self._index = index
+        self._job = job
+        self._sim = sim
+        self._cancelled = cancelled
+        self._scene = job.scene
+        dt = sim.physics.timestep_s
+        self._dt = dt
+        self._clock = Clock(dt)
+        self._sample_steps = max(seconds_to_steps(sim.sample_interval_s, dt), 1)
+        self._rest_steps = seconds_to_steps(sim.rest_window_s, dt)
+        self._adaptive = sim.schedule is not Schedule.FIXED
+        self._pyramidal = sim.physics.cone is Cone.PYRAMIDAL
+        self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
+        self._step = 0
+        self._first_step = 0
+        self._last_placement = 0
+        self._quiet_steps = 0
+        self._quiet_pace: FloatArray = np.zeros(0)
+        self._fast_since = _FAR
+        self._placing = True
+        self._deadline = _FAR
+        self._end = _FAR
+        self._drive_start = 0
+        self._driving = False
+        self._flags = Flag.NONE
+        self._kept: SettledState | None = None
+
+    # ------------------------------------------------------------------ life of a world
+
+    def run(self) -> Outcome:
+        """Simulate to the end.
+
+        Raises:
+            Cancelled: the run was interrupted.
+        """
+        start = self._job.start
+        if isinstance(start, SettledState) and start.ended is not None:
+            flags = start.ended.flags | Flag.FORKED
+            return replace(start.ended, job=self._index, flags=flags, n_steps=0, state=None)
+        if isinstance(start, SettledState):
+            self._resume(start)
+        else:
+            self._start()
+        came_to_end = self._loop()
+        return self._outcome(came_to_end)
+
+    def _start(self) -> None:
+        static = self._sim.check is Check.STATIC
+        self._live = LiveWorld(self._scene, self._sim, n_boxes=self._scene.n_boxes if static else 0)
+        self._metrics = OracleMetrics(self._scene, self._sim.thresholds)
+        self._soft_start()
+        if not self._adaptive and not self._goes_on:
+            self._end = self._end_of_fixed()
+        self._set_deadline()
+
+    def _soft_start(self) -> None:
+        live = self._live
+        live.set_gravity(np.zeros(3))
+        live.step(SOFT_START_STEPS)
+        for k in range(SOFT_START_STEPS):
+            live.set_gravity(self._down * (k / SOFT_START_STEPS))
+            live.step(1)
+        live.set_gravity(self._down)
+        live.data.time = 0.0
+
+    def _resume(self, start: SettledState) -> None:
+        assert start.bodies is not None
+        self._step = self._first_step = self._last_placement = start.step
+        self._live = LiveWorld.resume(self._scene, self._sim, start.bodies, self._clock.time_s(start.step))
+        self._metrics = start.metrics.fork()
+        self._flags |= Flag.FORKED
+        self._begin_drive()
+
+    def _loop(self) -> bool:
+        """Step from event to event. Returns whether the world reached its end."""
+        while self._step < self._end:
+            if self._cancelled():
+                raise Cancelled
+            target = self._next_event()
+            self._live.step(target - self._step)
+            self._step = target
+            self._set_drive_row()
+            if not self._observe():
+                return False
+            self._transition()
+        self._flags |= self._live.trouble()
+        if self._flags & _FATAL:
+            return False
+        if self._step % self._sample_steps:
+            k = self._live.n_placed
+            pose = self._live.pose[:k]
+            self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
+        return True
+
+    # ------------------------------------------------------------------ events
+
+    @property
+    def _goes_on(self) -> bool:
+        """Whether placement is followed by settling (for a drive, or to keep the settled state)."""
+        return self._job.drive is not None or self._job.keep_state
+
+    def _next_event(self) -> int:
+        step = self._step
+        target = min(self._end, step + self._sample_steps - step % self._sample_steps)
+        if self._placing:
+            target = min(target, self._deadline)
+            if self._adaptive:
+                poll = self._sim.quiet.poll_steps
+                target = min(target, step + poll - step % poll)
+        if self._driving:
+            target = min(target, self._next_drive_change())
+        window = self._end - self._rest_steps
+        return min(target, step + 1 if step >= window else window)
+
+    def _observe(self) -> bool:
+        """Sample and rest window after a step. Returns whether the world goes on."""
+        step = self._step
+        live = self._live
+        sampled = step % self._sample_steps == 0
+        polled = step % self._sim.quiet.poll_steps == 0
+        if sampled or polled:
+            self._flags |= live.trouble()
+            if self._flags & _FATAL:
+                return False
+        in_rest = step > self._end - self._rest_steps
+        if not (sampled or in_rest):
+            return True
+        k = live.n_placed
+        force = top_forces(live.data, k, self._pyramidal)
+        if in_rest:
+            self._metrics.add_rest(force)
+        if not sampled:
+            return True
+        pos, quat = live.sampled_pose()
+        acc = live.qacc[:k]
+        sample = Sample(self._clock.time_s(step), pos, quat, acc[:, :3], acc[:, 3:], force)
+        too_fast = self._metrics.add_sample(sample)
+        if not self._driving and self._explodes(too_fast):
+            self._flags |= Flag.EXPLOSION
+            return False
+        if self._sim.early_stop and self._metrics.any_dropped:
+            self._flags |= Flag.EARLY_STOP
+            return False
+        return True
+
+    def _explodes(self, too_fast: bool) -> bool:
+        """Whether accelerations that no sign of instability explains have lasted.
+
+        Light boxes land, and tipping boxes hit, with up to 240 rad/s² for a few steps: a sample that happens to
+        catch such a blow is no explosion. So samples right after a placement do not count, and one alone is
+        not enough: the next ones, over at least as many steps as a box needs to land, must say the same.
+        """
+        landing = self._sim.quiet.min_steps
+        if self._step - self._last_placement < landing:
+            return False
+        if not too_fast:
+            self._fast_since = _FAR
+            return False
+        self._fast_since = min(self._fast_since, self._step)
+        return self._step - self._fast_since >= landing
+
+    def _transition(self) -> None:
+        """After a step: place the next box, or see whether placement (and settling) is over."""
+        if not self._placing:
+            return
+        quiet = self._adaptive and self._poll_quiet()
+        rested = self._step - self._last_placement >= self._sim.quiet.min_steps
+        if self._step < self._deadline and not (quiet and rested):
+            return
+        live = self._live
+        if live.n_placed < self._scene.n_boxes:
+            live.place_next()
+            self._last_placement = self._step
+            self._quiet_steps = 0
+            self._set_deadline()
+        elif self._goes_on:
+            self._begin_drive()
+        else:
+            self._placing = False
+            if self._adaptive:
+                self._end = self._step + self._rest_steps
+
+    def _set_deadline(self) -> None:
+        """The step after which something happens at the latest: the next placement, or what follows the last.
+
+        A fixed drive starts at the reference's time: from the nominal moment of the last placement, which
+        rounding to steps puts a little later.
+        """
+        sim, step = self._sim, self._step
+        static = sim.check is Check.STATIC
+        if self._live.n_placed < self._scene.n_boxes:
+            self._deadline = self._clock.first_after(step, sim.interval_s)
+        elif not self._goes_on:
+            wait_s = sim.duration_s if static else sim.interval_s
+            self._deadline = self._clock.first_after(step, wait_s)
+        else:
+            fixed_s = 0.0 if static else self._scene.n_boxes * sim.interval_s
+            placed_s = self._clock.time_s(step) if self._adaptive else fixed_s
+            self._deadline = seconds_to_steps(placed_s + sim.settle_s, self._dt)
+        self._deadline = max(self._deadline, step + 1)
+
+    def _end_of_fixed(self) -> int:
+        """The last step of a fixed schedule without a drive."""
+        sim = self._sim
+        if sim.check is Check.STATIC:
+            return seconds_to_steps(sim.duration_s, self._dt)
+        return seconds_to_steps((self._scene.n_boxes + 1) * sim.interval_s, self._dt)
+
+    def _poll_quiet(self) -> bool:
+        rule = self._sim.quiet
+        if self._step % rule.poll_steps or self._step == self._last_placement:
+            return False
+        velocity = self._live.velocity[: self._live.n_placed]
+        linear = np.linalg.norm(velocity[:, :3], axis=1) / rule.lin_vel_m_s
+        angular = np.linalg.norm(velocity[:, 3:], axis=1) / rule.ang_vel_rad_s
+        pace = np.maximum(linear, angular)
+        if not (pace < 1).all():
+            self._quiet_steps = 0
+            return False
+        if self._quiet_steps == 0:
+            self._quiet_pace = pace
+        self._quiet_steps += rule.poll_steps
+        if self._quiet_steps < rule.steps:
+            return False
+        if not self._sim.waits_for_creep or self._metrics.culprit >= 0:
+            return True
+        creeps = not (pace < np.maximum(rule.rest_share, rule.slowing * self._quiet_pace)).all()
+        if creeps:
+            self._quiet_steps, self._quiet_pace = rule.poll_steps, pace
+        return not creeps
+
+    # ------------------------------------------------------------------ drive
+
+    def _begin_drive(self) -> None:
+        """Placement and settling are over: keep the state, start the drive, and fix the end of the world."""
+        self._placing = False
+        self._drive_start = self._step
+        if self._job.keep_state:
+            self._kept = SettledState(self._step, self._live.body_state(), self._metrics.fork(), None)
+        drive = self._job.drive
+        if drive is None:
+            self._end = self._step + self._rest_steps
+            return
+        cos, sin = np.cos(drive.yaw_rad), np.sin(drive.yaw_rad)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        rows = drive.scale * drive.excitation.samples @ turn.T
+        if drive.excitation.kind == "force":
+            rows = rows * (self._scene.total_mass * self._sim.physics.gravity_m_s2)
+        # One more row than the excitation: what acts after it.
+        self._rows: FloatArray = np.vstack((rows, np.zeros((1, 3))))
+        changes = np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
+        self._changes = self._step + changes
+        self._end = self._step + len(drive.excitation.samples) + seconds_to_steps(drive.rest_s, self._dt)
+        self._driving = True
+        self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
+        self._holds_carrier = drive.excitation.kind != "force"
+        if self._holds_carrier:
+            self._live.hold_carrier()
+        self._set_drive_row()
+
+    def _next_drive_change(self) -> int:
+        place = int(np.searchsorted(self._changes, self._step, side="right"))
+        return int(self._changes[place]) if place < len(self._changes) else _FAR
+
+    def _set_drive_row(self) -> None:
+        """Set the force or gravity that acts during the next step."""
+        if not self._driving:
+            return
+        row = self._rows[min(self._step - self._drive_start, len(self._rows) - 1)]
+        if self._holds_carrier:
+            self._live.set_gravity(self._down - row)
+        else:
+            self._live.set_carrier_force(row)
+
+    # ------------------------------------------------------------------ result
+
+    def _outcome(self, came_to_end: bool) -> Outcome:
+        scene, live, metrics = self._scene, self._live, self._metrics
+        k = live.n_placed
+        pos, quat = scene.start_pos.copy(), scene.start_quat.copy()
+        pos[:k], quat[:k] = live.pose[:k, :3], live.pose[:k, 3:]
+        boxes = metrics.finish(pos, quat, came_to_end)
+        verdict, reason = judge(self._flags, boxes, k, self._sim.thresholds)
+        culprit, first_sign_s = metrics.culprit, metrics.first_sign_s
+        if verdict is Verdict.STABLE:
+            culprit, first_sign_s = -1, float("nan")
+        elif verdict is Verdict.UNSTABLE and culprit < 0:
+            culprit = metrics.largest_excess(pos[:k], quat[:k])
+        outcome = Outcome(
+            job=self._index,
+            verdict=verdict,
+            reason=reason,
+            culprit=culprit,
+            first_sign_s=first_sign_s,
+            n_boxes=scene.n_boxes,
+            n_placed=k,
+            sim_time_s=self._clock.time_s(self._step),
+            n_steps=self._step - self._first_step,
+            flags=self._flags,
+            boxes=boxes,
+            solver=self._sim.solver.value,
+        )
+        if self._job.keep_state:
+            ended = SettledState(self._step, None, metrics, replace(outcome))
+            outcome.state = self._kept if self._kept is not None else ended
+        return outcome

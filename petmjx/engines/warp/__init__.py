@@ -1,0 +1,1 @@
+"""Engine mjx-warp: batches of worlds on CUDA devices, with a step and a contact solver of its own."""

@@ -1,0 +1,188 @@
+"""A baseline packer: extreme points in three dimensions, lowest place first, with a support rule.
+
+Candidate corners are the extreme points of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for
+three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384. A box is let down at a candidate's x and
+y until it rests on the carrier or on the tops below it, so every placement can be reached from above, in order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from petmjx.plans.samples.orders import Item
+from petmjx.units import FloatArray
+
+MAX_HEIGHT_MM = 2000.0
+
+_TOUCH_MM = 1e-6
+"""Tops closer than this are one level, overlaps smaller are none: sums of decimal sizes in float64."""
+
+
+@dataclass(frozen=True)
+class PackRules:
+    """What a placement must keep to, and the choices that differ from plan to plan.
+
+    Attributes:
+        min_support: least share of a box's base that rests on the carrier or on tops (0 to 1).
+        centre_supported: the middle of the base must lie in the convex hull of what it rests on; without
+            this a box may be placed so that it tips at once.
+        y_first: break ties of height by the smallest y, then x (else x, then y).
+        sort_noise: spread (natural log) of the sorting key, drawn once per article.
+        weight_exponent: how much weight counts beside base area in the sorting key.
+    """
+
+    min_support: float = 0.75
+    centre_supported: bool = True
+    max_height_mm: float = MAX_HEIGHT_MM
+    y_first: bool = True
+    sort_noise: float = 0.15
+    weight_exponent: float = 0.3
+
+
+@dataclass(frozen=True)
+class Placed:
+    """One box where it stands: ``orientation`` 1 swaps length and width; ``corner_mm`` is front-left-bottom."""
+
+    item: Item
+    orientation: int
+    corner_mm: tuple[float, float, float]
+
+
+def pack_best(
+    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
+) -> list[Placed]:
+    """The packing that places most boxes of up to ``attempts``, which differ in the noise of the sorting key."""
+    best: list[Placed] = []
+    for _ in range(attempts):
+        placed = pack(items, extent_mm, rules, rng)
+        if len(placed) > len(best):
+            best = placed
+        if len(best) == len(items):
+            break
+    return best
+
+
+def pack(
+    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator
+) -> list[Placed]:
+    """Place the items on a target of ``extent_mm``, in packing order; those that find no place are left out."""
+    pile = _Pile(len(items), extent_mm, rules)
+    placed = []
+    for item in _sorted(items, rules, rng):
+        found = pile.find(item)
+        if found is not None:
+            orientation, corner = found
+            pile.add(_base(item, orientation), item.height_mm, corner)
+            placed.append(Placed(item, orientation, corner))
+    return placed
+
+
+def _sorted(items: Sequence[Item], rules: PackRules, rng: np.random.Generator) -> list[Item]:
+    """Large bases and heavy boxes first. The noise is drawn per article, so equal boxes stay together."""
+    key: dict[str, float] = {}
+    for item in items:
+        if item.item_id not in key:
+            base = item.length_mm * item.width_mm
+            noise = rules.sort_noise * float(rng.standard_normal())
+            key[item.item_id] = float(np.log(base) + rules.weight_exponent * np.log(item.weight_kg) + noise)
+    return sorted(items, key=lambda item: (-key[item.item_id], item.item_id))
+
+
+def _base(item: Item, orientation: int) -> tuple[float, float]:
+    return (item.length_mm, item.width_mm) if orientation == 0 else (item.width_mm, item.length_mm)
+
+
+class _Pile:
+    """The boxes placed so far, as arrays, with the extreme points they leave (x and y in mm)."""
+
+    def __init__(self, capacity: int, extent_mm: tuple[float, float], rules: PackRules) -> None:
+        self.extent_mm = extent_mm
+        self.rules = rules
+        self.n = 0
+        self._low = np.zeros((capacity, 3))
+        self._high = np.zeros((capacity, 3))
+        self._points: dict[tuple[float, float], None] = {(0.0, 0.0): None}
+
+    def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
+        """The best place for an item: orientation and front-left-bottom corner, or None."""
+        points = np.array(list(self._points))
+        both = (0, 1) if item.length_mm != item.width_mm else (0,)
+        corners = np.concatenate([points] * len(both))
+        orientations = np.repeat(both, len(points))
+        bases = np.array([_base(item, o) for o in both])[orientations]
+        inside = (corners + bases <= np.array(self.extent_mm) + _TOUCH_MM).all(axis=1)
+        corners, bases, orientations = corners[inside], bases[inside], orientations[inside]
+
+        z, share = self._rest(corners, bases)
+        legal = (z + item.height_mm <= self.rules.max_height_mm + _TOUCH_MM) & (share >= self.rules.min_support - 1e-9)
+        y_first = self.rules.y_first
+        minor, major = (corners[:, 0], corners[:, 1]) if y_first else (corners[:, 1], corners[:, 0])
+        for i in np.lexsort((orientations, minor, major, z)):
+            if legal[i] and (not self.rules.centre_supported or self._centre_supported(corners[i], bases[i], z[i])):
+                return int(orientations[i]), (float(corners[i, 0]), float(corners[i, 1]), float(z[i]))
+        return None
+
+    def add(self, base_mm: tuple[float, float], height_mm: float, corner_mm: tuple[float, float, float]) -> None:
+        """Put a box down and record the extreme points it makes."""
+        x, y, z = corner_mm
+        x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
+        # The three corners next to the origin's, each also slid towards the carrier's edges along the
+        # axes it is free to move in. Sliding down is not needed: boxes are let down anyway.
+        new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
+        new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
+        for point in new:
+            self._points.setdefault(point)
+        self._low[self.n] = corner_mm
+        self._high[self.n] = (x_end, y_end, top)
+        self.n += 1
+
+    def _slide(self, axis: int, start: float, across: float, level: float) -> float:
+        """Where a point that slides along −``axis`` from ``start`` meets a box, or 0 at the carrier's edge."""
+        low, high = self._low[: self.n], self._high[: self.n]
+        other = 1 - axis
+        in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
+        ends = high[in_way & (high[:, axis] <= start + _TOUCH_MM), axis]
+        return float(ends.max()) if len(ends) else 0.0
+
+    def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where boxes let down at (c, 2) corners with (c, 2) bases come to rest: z (c,), supported share (c,)."""
+        area, tops = self._overlap(corners, bases), self._high[: self.n, 2]
+        z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
+        carried = np.where(np.abs(tops - z[:, None]) <= _TOUCH_MM, area, 0.0).sum(axis=1)
+        share: FloatArray = np.where(z > 0, carried / bases.prod(axis=1), 1.0)
+        return z, share
+
+    def _overlap(self, corners: FloatArray, bases: FloatArray) -> FloatArray:
+        """(c, n) area in mm² that each base shares with each placed box, seen from above."""
+        low, high = self._low[: self.n], self._high[: self.n]
+        ends = corners + bases
+        x = np.minimum(ends[:, :1], high[:, 0]) - np.maximum(corners[:, :1], low[:, 0])
+        y = np.minimum(ends[:, 1:], high[:, 1]) - np.maximum(corners[:, 1:], low[:, 1])
+        area: FloatArray = np.where((x > _TOUCH_MM) & (y > _TOUCH_MM), x * y, 0.0)
+        return area
+
+    def _centre_supported(self, corner: FloatArray, base: FloatArray, z: float) -> bool:
+        """Whether the middle of a base lies in the convex hull of the tops it rests on."""
+        if z <= 0:
+            return True
+        under = (self._overlap(corner[None], base[None])[0] > 0) & (np.abs(self._high[: self.n, 2] - z) <= _TOUCH_MM)
+        low = np.maximum(self._low[: self.n, :2][under], corner)
+        high = np.minimum(self._high[: self.n, :2][under], corner + base)
+        return in_hull_of_rectangles(corner + base / 2, low, high)
+
+
+def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
+    """Whether a (2,) point lies in the convex hull of rectangles, (n, 2) low and (n, 2) high corners.
+
+    It does not exactly if some half-plane through the point holds no corner, that is if the corners,
+    seen from the point, leave a gap wider than half a turn.
+    """
+    corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
+    if not len(corners):
+        return False
+    angles = np.sort(np.arctan2(corners[:, 1], corners[:, 0]))
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    return bool(gaps.max() <= np.pi + 1e-9)

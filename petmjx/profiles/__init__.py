@@ -1,1 +1,0 @@
-"""Profiles: what shakes a pallet after it has been packed. `petmjx.forces` is the place to look them up."""

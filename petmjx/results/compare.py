@@ -1,0 +1,274 @@
+"""Two runs of the same worlds: do their verdicts agree, and by how much do their metrics differ?
+
+The first run is the yardstick. Differences of forces are also given relative to it: |b - a| / max(a, 10 N). The
+floor is about the weight of a 1 kg box; below it a ratio says nothing about the pallet, and nothing divides by 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.config import Thresholds
+from petmjx.errors import InputError
+from petmjx.results.reader import RunResults, load_run
+from petmjx.verdict import Verdict
+
+FORCE_FLOOR_N: Final = 10.0
+"""Forces below this are taken as this when a difference is made relative."""
+
+KEY: Final = ["plan_id", "variant"]
+BOX_KEY: Final = ["plan_id", "variant", "box"]
+
+_FORCES: Final = {"max_top_force_n": "N", "rest_top_force_n": "N"}
+
+WORLD_METRICS: Final = {
+    "max_shift_m": "m",
+    "max_tilt_deg": "deg",
+    "max_lin_acc": "m/s^2",
+    "max_ang_acc": "rad/s^2",
+    **_FORCES,
+    "n_dropped": "1",
+    "first_sign_s": "s",
+    "first_drop_s": "s",
+    "sim_time_s": "s",
+}
+BOX_METRICS: Final = {
+    "shift_x_m": "m",
+    "shift_y_m": "m",
+    "shift_z_m": "m",
+    "max_tilt_deg": "deg",
+    "max_lin_acc": "m/s^2",
+    "max_ang_acc": "rad/s^2",
+    **_FORCES,
+    "drop_s": "s",
+    "max_sway_m": "m",
+}
+"""Metric → unit. Of boxes also the distance of the final centres and the angle between the final orientations."""
+
+GROUPS: Final = ("same verdict", "both stable")
+"""Over which worlds differences are taken: where a pallet collapses, what follows is chaotic."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What :func:`compare_runs` found.
+
+    Attributes:
+        a, b: names of the two runs (their folders).
+        n_common: worlds that both have.
+        confusion: (3, 3) worlds by verdict in a (rows) and b (columns).
+        flips: worlds whose verdict differs: verdict, reason and culprit in both, and by how much each lies over
+            (positive) or under its run's thresholds of shift, tilt and acceleration.
+        worlds, boxes: differences |b - a|, a row a metric and group: ``metric``, ``unit``, ``group``, ``n``,
+            ``median``, ``p95``, ``largest``, and where the largest is: ``plan_id``, ``variant`` (``box``), with
+            the two values ``a`` and ``b``. Null where a group has no value of the metric.
+        only_a, only_b: plan_id and variant of worlds that one run alone has.
+        same_reason, same_culprit: of the worlds that neither run calls stable, how many have the same
+            reason, and the same first box; ``n_not_stable`` says of how many.
+        notes: what makes the comparison doubtful, a line each.
+    """
+
+    a: str
+    b: str
+    n_common: int
+    confusion: pd.DataFrame
+    flips: pd.DataFrame
+    worlds: pd.DataFrame
+    boxes: pd.DataFrame
+    only_a: pd.DataFrame
+    only_b: pd.DataFrame
+    same_reason: int
+    same_culprit: int
+    n_not_stable: int
+    notes: tuple[str, ...]
+
+    @property
+    def n_agree(self) -> int:
+        """Worlds with the same verdict in both runs."""
+        return self.n_common - len(self.flips)
+
+    @property
+    def agreement(self) -> float | None:
+        """Share of the common worlds with the same verdict; None where there is no common world."""
+        return self.n_agree / self.n_common if self.n_common else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, as JSON can hold it: missing numbers are None."""
+        return {
+            "a": self.a,
+            "b": self.b,
+            "n_common": self.n_common,
+            "n_agree": self.n_agree,
+            "agreement": self.agreement,
+            "n_not_stable": self.n_not_stable,
+            "same_reason": self.same_reason,
+            "same_culprit": self.same_culprit,
+            "confusion": {
+                str(row): {str(column): int(count) for column, count in counts.items()}
+                for row, counts in self.confusion.iterrows()
+            },
+            "flips": _records(self.flips),
+            "worlds": _records(self.worlds),
+            "boxes": _records(self.boxes),
+            "only_a": _records(self.only_a),
+            "only_b": _records(self.only_b),
+            "notes": list(self.notes),
+        }
+
+
+def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comparison:
+    """Compare two runs world by world, joined on plan and variant; ``a`` is the yardstick.
+
+    Raises:
+        InputError: one of them is no run, is damaged, or has the same world twice.
+    """
+    run_a, run_b = (run if isinstance(run, RunResults) else load_run(run) for run in (a, b))
+    for run in (run_a, run_b):
+        if run.worlds.duplicated(KEY).any():
+            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
+    keys = run_a.worlds[KEY].merge(run_b.worlds[KEY], on=KEY, how="outer", indicator="side")
+    both = run_a.worlds.merge(run_b.worlds, on=KEY, suffixes=("_a", "_b"))
+    same = both["verdict_a"] == both["verdict_b"]
+    both[GROUPS[0]] = same
+    both[GROUPS[1]] = same & (both["verdict_a"] == Verdict.STABLE.value)
+    boxes = run_a.boxes.merge(run_b.boxes, on=BOX_KEY, suffixes=("_a", "_b")).merge(both[[*KEY, *GROUPS]], on=KEY)
+    verdicts = [verdict.value for verdict in Verdict]
+    confusion = pd.crosstab(both["verdict_a"], both["verdict_b"]).reindex(index=verdicts, columns=verdicts)
+    not_stable = both[(both["verdict_a"] != Verdict.STABLE.value) & (both["verdict_b"] != Verdict.STABLE.value)]
+    same_culprit = (not_stable["culprit_a"] == not_stable["culprit_b"]).fillna(False)
+    return Comparison(
+        a=str(run_a.path),
+        b=str(run_b.path),
+        n_common=len(both),
+        confusion=confusion.fillna(0).astype(int),
+        flips=_flips(both[~same], thresholds_of(run_a.info), thresholds_of(run_b.info)),
+        worlds=_differences(both, WORLD_METRICS, KEY),
+        boxes=_differences(_with_pose_differences(boxes), BOX_METRICS, BOX_KEY),
+        only_a=keys.loc[keys["side"] == "left_only", KEY].reset_index(drop=True),
+        only_b=keys.loc[keys["side"] == "right_only", KEY].reset_index(drop=True),
+        same_reason=int((not_stable["reason_a"] == not_stable["reason_b"]).sum()),
+        same_culprit=int(same_culprit.sum()),
+        n_not_stable=len(not_stable),
+        notes=tuple(_notes(run_a, run_b, both, boxes)),
+    )
+
+
+def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
+    """The thresholds a run was judged by, wherever its configuration holds them; the defaults where it holds none."""
+    waiting: list[Any] = [info.get("config", {})]
+    while waiting:
+        entry = waiting.pop(0)
+        if isinstance(entry, Mapping):
+            if isinstance(entry.get("thresholds"), Mapping):
+                known = {name: value for name, value in entry["thresholds"].items() if name in Thresholds.model_fields}
+                return Thresholds(**known)
+            waiting.extend(entry.values())
+    return Thresholds()
+
+
+def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.DataFrame:
+    columns = [*KEY]
+    flips = flipped.copy()
+    for side, limits in (("a", of_a), ("b", of_b)):
+        flips[f"shift_margin_m_{side}"] = flips[f"max_shift_m_{side}"] - limits.shift_m
+        flips[f"tilt_margin_deg_{side}"] = flips[f"max_tilt_deg_{side}"] - limits.tilt_deg
+        flips[f"lin_acc_margin_m_s2_{side}"] = flips[f"max_lin_acc_{side}"] - limits.lin_acc_m_s2
+        flips[f"ang_acc_margin_rad_s2_{side}"] = flips[f"max_ang_acc_{side}"] - limits.ang_acc_rad_s2
+        names = ("verdict", "reason", "culprit", "first_sign_s", "n_dropped", "flags")
+        margins = ("shift_margin_m", "tilt_margin_deg", "lin_acc_margin_m_s2", "ang_acc_margin_rad_s2")
+        columns += [f"{name}_{side}" for name in (*names, *margins)]
+    return flips[columns].reset_index(drop=True)
+
+
+def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
+    """The joined boxes, with how far apart (m) and turned to each other (deg) the two final poses are."""
+
+    def rows(side: str, *names: str) -> NDArray[np.float64]:
+        values: NDArray[np.float64] = boxes[[f"{name}_{side}" for name in names]].to_numpy(dtype=np.float64)
+        return values
+
+    position, quaternion = ("pos_x_m", "pos_y_m", "pos_z_m"), ("quat_w", "quat_x", "quat_y", "quat_z")
+    distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
+    q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
+    # 4·asin(|q_a ∓ q_b| / 2), the sign with the shorter chord: exact for small angles, where acos is not
+    chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
+    angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
+    return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)
+
+
+def _differences(joined: pd.DataFrame, metrics: Mapping[str, str], key: Sequence[str]) -> pd.DataFrame:
+    """A row for each metric and group, from columns ``<metric>_a`` and ``<metric>_b``."""
+    listed = [(name, name, unit) for name, unit in metrics.items()]
+    if "position_m_a" in joined:
+        listed = [("position_m", "position_m", "m"), ("orientation_deg", "orientation_deg", "deg"), *listed]
+    listed += [(f"{name} relative", name, "1") for name in _FORCES]
+    rows = []
+    for metric, name, unit in listed:
+        if f"{name}_a" not in joined or f"{name}_b" not in joined:
+            continue
+        values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
+        with np.errstate(invalid="ignore"):  # infinite in both: no difference to speak of
+            difference = np.abs(values_b - values_a)
+        if metric != name:
+            difference = difference / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
+        for group in GROUPS:
+            chosen = np.flatnonzero(joined[group].to_numpy(dtype=bool) & np.isfinite(difference))
+            row: dict[str, Any] = {"metric": metric, "unit": unit, "group": group, "n": len(chosen)}
+            row.update(dict.fromkeys(("median", "p95", "largest", *key, "a", "b")))
+            if len(chosen):
+                found = difference[chosen]
+                worst = int(chosen[int(found.argmax())])
+                row["median"], row["p95"] = (float(value) for value in np.percentile(found, [50, 95]))
+                row["largest"] = float(difference[worst])
+                row.update({column: joined[column].iloc[worst] for column in key})
+                row["a"], row["b"] = float(values_a[worst]), float(values_b[worst])
+            rows.append(row)
+    whole = {column: "Int64" for column in ("variant", "box") if column in key}
+    numbers = dict.fromkeys(("median", "p95", "largest", "a", "b"), "float64")
+    return pd.DataFrame(rows).astype({**whole, **numbers})
+
+
+def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
+    """What may make the two runs incomparable."""
+    notes = [
+        f"{name} is not finished ({run.info.get('status', 'unknown')})"
+        for name, run in (("a", run_a), ("b", run_b))
+        if run.info.get("status") != "finished"
+    ]
+    if both.empty:
+        notes.append("no world is in both runs")
+    if thresholds_of(run_a.info) != thresholds_of(run_b.info):
+        notes.append("the runs have different thresholds; margins are to each run's own")
+    other_size = int((both["n_boxes_a"] != both["n_boxes_b"]).sum())
+    if other_size:
+        notes.append(f"{other_size} worlds have another number of boxes in b: not the same plans")
+    elif (boxes["item_id_a"] != boxes["item_id_b"]).any():
+        notes.append("some boxes are other items in b: not the same plans")
+    names = {run: {str(param.get("name")) for param in run.info.get("params", [])} for run in (run_a, run_b)}
+    if names[run_a] != names[run_b]:
+        notes.append("the runs' variants have different parameters")
+    for name in sorted(names[run_a] & names[run_b]):
+        left, right = both.get(f"{name}_a"), both.get(f"{name}_b")
+        if left is not None and right is not None and not ((left == right) | (left.isna() & right.isna())).all():
+            notes.append(f"variants of one number differ in {name}")
+    return notes
+
+
+def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(name): _plain(value) for name, value in row.items()} for row in frame.to_dict("records")]
+
+
+def _plain(value: Any) -> Any:
+    if pd.isna(value):
+        return None
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,125 @@
+"""A run's folder, read back as pandas data frames. What lies in it: petmjx.results.writer."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from petmjx.errors import InputError
+from petmjx.results.schema import (
+    SCHEMA_VERSION,
+    attempts_schema,
+    boxes_schema,
+    schema_version_of,
+    worlds_schema,
+)
+from petmjx.text import one_line
+
+RUN_FILE: Final = "run.json"
+TABLES: Final = ("worlds", "boxes", "attempts", "summary")
+
+
+@dataclass(frozen=True, eq=False)
+class RunResults:
+    """A run read back. Tables are read when first asked for.
+
+    Attributes:
+        path: the run's folder.
+        info: ``run.json``.
+    """
+
+    path: Path
+    info: dict[str, Any]
+
+    @cached_property
+    def worlds(self) -> pd.DataFrame:
+        """A row a world. ``culprit`` is a nullable integer; other missing numbers are NaN."""
+        frame = self._read("worlds")
+        frame["culprit"] = frame["culprit"].astype("Int32")
+        return frame
+
+    @cached_property
+    def boxes(self) -> pd.DataFrame:
+        """A row a box of a world, in packing order."""
+        return self._read("boxes")
+
+    @cached_property
+    def attempts(self) -> pd.DataFrame:
+        """A row an attempt, of worlds that needed more than one; often empty."""
+        return self._read("attempts")
+
+    @cached_property
+    def summary(self) -> pd.DataFrame | None:
+        """A sweep's answers; None where the run has none."""
+        files = part_files(self.path, "summary")
+        return pa.concat_tables([_read_part(file) for file in files]).to_pandas() if files else None
+
+    def units(self, table: str) -> dict[str, str]:
+        """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty where the run has no such table."""
+        files = part_files(self.path, table)
+        schema = _read_part(files[0]).schema if files else pa.schema([])
+        return {column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema}
+
+    def _read(self, table: str) -> pd.DataFrame:
+        names = [file.name for file in part_files(self.path, "worlds")]
+        files = [self.path / table / name for name in names]
+        if table == "attempts":
+            files = [file for file in files if file.exists()]
+        parts = [_read_part(file) for file in files]
+        empty = {"worlds": worlds_schema(), "boxes": boxes_schema(), "attempts": attempts_schema()}[table].empty_table()
+        frame: pd.DataFrame = pa.concat_tables(parts or [empty], promote_options="default").to_pandas()
+        return frame
+
+
+def load_run(path: str | Path) -> RunResults:
+    """Open the folder of a run.
+
+    Raises:
+        InputError: no run there, an unreadable ``run.json``, or results of a newer petmjx. The tables raise it
+            too, when they are read, for a damaged or missing part.
+    """
+    folder = Path(path)
+    file = folder / RUN_FILE
+    try:
+        info = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        there = "no run of petmjx there (it has no run.json)" if folder.is_dir() else "no such folder"
+        raise InputError(f"{folder}: {there}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read: {one_line(error)}") from error
+    if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
+        raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
+    _check_version(file, info["schema_version"])
+    return RunResults(folder, info)
+
+
+def part_files(folder: Path, table: str) -> list[Path]:
+    """The files of a table's parts, in their order."""
+    return sorted((folder / table).glob("part-*.parquet"))
+
+
+def _read_part(file: Path) -> pa.Table:
+    # ParquetFile and not read_table, which would read "a=1" in a folder's name as a column
+    try:
+        with pq.ParquetFile(file) as parquet:
+            table = parquet.read()
+    except FileNotFoundError:
+        raise InputError(f"{file}: missing, though the worlds of this part are there") from None
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error
+    _check_version(file, schema_version_of(table.schema.metadata))
+    return table
+
+
+def _check_version(file: Path, version: int) -> None:
+    if version > SCHEMA_VERSION:
+        raise InputError(
+            f"{file}: written by a newer petmjx (schema {version}; this one reads up to {SCHEMA_VERSION}): update it"
+        )

@@ -1,0 +1,339 @@
+"""A run's folder: written part by part while worlds finish, read back as pandas data frames.
+
+    DIR/run.json                    what was run, with what, how far it came, what was skipped
+    DIR/worlds/part-*.parquet       a row a world
+    DIR/boxes/part-*.parquet        a row a box of a world
+    DIR/attempts/part-*.parquet     a row an attempt, of worlds that needed more than one
+    DIR/summary/part-*.parquet      sweeps: the answers
+
+Every file appears whole or not at all. The boxes of a part are there before its worlds; boxes whose worlds are
+missing were left behind by a crash, and :func:`load_run` does not read them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import Enum
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from petmjx.errors import InputError, PetmjxError
+from petmjx.plans.plan import Plan
+from petmjx.results.parts import Part, Row, part_name, write_part, write_table, write_text
+from petmjx.results.reader import RUN_FILE, TABLES, part_files
+from petmjx.results.schema import (
+    SCHEMA_VERSION,
+    Param,
+    attempts_schema,
+    boxes_schema,
+    summary_schema,
+    worlds_schema,
+)
+from petmjx.text import one_line
+from petmjx.verdict import Attempt, Outcome, Reason, Verdict
+
+WORLDS_PER_PART: Final = 1_000
+"""About 43,000 boxes or 3 MB a part: few files, little lost in a crash."""
+
+SECONDS_PER_PART: Final = 60.0
+"""A part is written at the latest after this, however slowly worlds finish."""
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A plan that was not simulated, and why (the line the user saw)."""
+
+    plan_id: str
+    source: str
+    error: str
+
+
+@dataclass(frozen=True)
+class Written:
+    """What the parts on disk hold."""
+
+    verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
+    retried: int = 0
+
+    @property
+    def worlds(self) -> int:
+        return self.verdicts.total()
+
+    def counts(self) -> dict[str, Any]:
+        """Counts for run.json: worlds by verdict, and those that are not stable by reason."""
+        by_reason: dict[str, dict[str, int]] = {Verdict.UNSTABLE.value: {}, Verdict.INVALID.value: {}}
+        by_verdict = {verdict.value: 0 for verdict in Verdict}
+        for (verdict, reason), count in sorted(self.verdicts.items()):
+            by_verdict[verdict.value] += count
+            if verdict is not Verdict.STABLE:
+                by_reason[verdict.value][reason.value] = count
+        return {"worlds": self.worlds, **by_verdict, "by_reason": by_reason, "retried": self.retried}
+
+
+@dataclass
+class _Pending:
+    """The part being gathered, and what was written before it."""
+
+    part: Part
+    before: Written
+    since_s: float = 0.0
+    """When its first world came (monotonic clock): compiling before that makes no part."""
+
+    def after(self) -> Written:
+        """What is written once this part is."""
+        rows = self.part.rows
+        verdicts = self.before.verdicts + Counter((row.verdict, row.reason) for row in rows)
+        return Written(verdicts, self.before.retried + sum(bool(row.attempts) for row in rows))
+
+
+class RunWriter:
+    """Writes one run's results as its worlds finish. A context manager.
+
+    Leaving the body writes what is gathered as a last, whole part, also after Ctrl-C or an error, and says in
+    ``run.json`` how the run ended: ``finished``, ``interrupted`` or ``failed``. Memory holds one part at a time.
+
+    Args:
+        out_dir: the run's folder; made if it is not there.
+        config: the resolved configuration, JSON-like (``SimConfig.model_dump(mode="json")`` and what is beside it).
+        params: parameters of a sweep's variants, a column of ``worlds`` each.
+        dynamic: worlds have a force profile: ``boxes`` gets ``max_sway_m``.
+        versions: package → version; Python's own is added.
+        device: what the worlds ran on, in words.
+        expected_worlds: how many worlds the run will have, if known.
+        overwrite: replace a run that is there already.
+        worlds_per_part, seconds_per_part: a part is written when either is reached.
+
+    Raises:
+        InputError: the folder holds a run already, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        out_dir: str | Path,
+        config: Mapping[str, Any],
+        *,
+        params: Sequence[Param] = (),
+        dynamic: bool = False,
+        versions: Mapping[str, str] | None = None,
+        device: str = "",
+        expected_worlds: int | None = None,
+        overwrite: bool = False,
+        worlds_per_part: int = WORLDS_PER_PART,
+        seconds_per_part: float = SECONDS_PER_PART,
+    ) -> None:
+        self.out_dir = Path(out_dir)
+        self.params = tuple(params)
+        self.schemas = {
+            "worlds": worlds_schema(self.params),
+            "boxes": boxes_schema(dynamic),
+            "attempts": attempts_schema(),
+        }
+        self.skipped: list[Skipped] = []
+        self.warnings: list[str] = []
+        self.timings: dict[str, float] = {}
+        self._param_names = tuple(param.name for param in self.params)
+        self._overwrite = overwrite
+        self._worlds_per_part = worlds_per_part
+        self._seconds_per_part = seconds_per_part
+        self._pending = _Pending(Part(0), Written())
+        self._status = "running"
+        self._error: str | None = None
+        self._started = time.monotonic()
+        self._head = {
+            "started": _now(),
+            "config": dict(config),
+            "versions": {"python": platform.python_version(), **(versions or {})},
+            "device": device,
+            "expected_worlds": expected_worlds,
+            "params": [{"name": p.name, "unit": p.unit, "description": p.description} for p in self.params],
+        }
+
+    def __enter__(self) -> Self:
+        try:
+            self.out_dir.mkdir(parents=True, exist_ok=True)
+            _make_room(self.out_dir, self._overwrite)
+            self._write_info()
+        except OSError as error:
+            raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if error is None:
+            self._status = "finished"
+        elif isinstance(error, KeyboardInterrupt | SystemExit):
+            self._status = "interrupted"
+        else:
+            self._status, self._error = "failed", one_line(error)
+        if error is not None:
+            self._write_info()  # should a second Ctrl-C cut the last part short, this much is said
+        try:
+            self._flush(last=True)
+        except Exception as trouble:
+            if error is None:
+                self._status, self._error = "failed", one_line(trouble)
+                self._write_info()
+                raise
+            # the error that ended the body is the one to tell; this one is kept beside it
+            self.warn(f"the last part could not be written: {one_line(trouble)}")
+        self._write_info()
+
+    @property
+    def worlds_done(self) -> int:
+        """Worlds added so far; those in parts on disk are ``info["counts"]["worlds"]``."""
+        return self._pending.before.worlds + len(self._pending.part.rows)
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What ``run.json`` says now. Counts are of worlds on disk."""
+        wall_s = time.monotonic() - self._started
+        counts = self._pending.before.counts()
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "status": self._status,
+            **({"error": self._error} if self._error else {}),
+            **self._head,
+            "updated": _now(),
+            "counts": {**counts, "skipped_plans": len(self.skipped)},
+            "timings": {**self.timings, "wall_s": round(wall_s, 3)},
+            "skipped": [vars(skipped) for skipped in self.skipped],
+            "warnings": list(self.warnings),
+        }
+
+    def add(
+        self,
+        plan: Plan,
+        variant: int,
+        engine: str,
+        schedule: str,
+        outcome: Outcome,
+        attempts: Sequence[Attempt] = (),
+        params: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Add one finished world; writes a part when enough are gathered.
+
+        Args:
+            plan: the world's plan; ``outcome`` has the same boxes in the same order.
+            variant: 0 is nominal.
+            engine, schedule: names, as they stand in the results.
+            outcome: copied; its arrays may be reused and its ``state`` is let go.
+            attempts: all attempts in order, where the world needed more than one.
+            params: value of each of the run's parameters; what is missing is null.
+
+        Raises:
+            ValueError: an outcome of another plan, or a parameter the run was not made with.
+            PetmjxError: the part cannot be written (a full disk).
+        """
+        given = params or {}
+        if unknown := given.keys() - set(self._param_names):
+            raise ValueError(f"the run has no parameter {sorted(unknown)[0]!r}")
+        values = tuple(given.get(name) for name in self._param_names)
+        row = Row.of(plan, variant, engine, str(schedule), outcome, attempts, values)
+        pending = self._pending
+        if not pending.part.rows:
+            pending.since_s = time.monotonic()
+        pending.part.rows.append(row)
+        enough = len(pending.part.rows) >= self._worlds_per_part
+        if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
+            self._flush()
+            self._write_info()
+
+    def skip(self, plan_id: str, source: str, error: str) -> None:
+        """Record a plan that is not simulated, and why."""
+        self.skipped.append(Skipped(plan_id, source, error))
+
+    def warn(self, message: str) -> None:
+        """Record a warning for ``run.json``."""
+        self.warnings.append(message)
+
+    def _flush(self, last: bool = False) -> None:
+        pending = self._pending
+        # a run without any world still gets one empty part: its readers find the columns
+        if not pending.part.rows and not (last and pending.part.number == 0):
+            return
+        try:
+            write_part(pending.part, self.out_dir, self.schemas)
+        except OSError as error:
+            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
+        # one assignment: an interrupt before it writes the same part again, one after it begins the next
+        self._pending = _Pending(Part(pending.part.number + 1), pending.after())
+
+    def _write_info(self) -> None:
+        text = json.dumps(_plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)
+        write_text(text + "\n", self.out_dir / RUN_FILE)
+
+
+def write_summary(
+    out_dir: str | Path,
+    frame: pd.DataFrame,
+    units: Mapping[str, str],
+    descriptions: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a sweep's ``summary`` table beside its worlds, whole or not at all; replaces one that is there.
+
+    Args:
+        out_dir: the run's folder.
+        frame: the table; its index is not written.
+        units: column → unit, for every column of numbers (``"1"`` for counts and shares).
+        descriptions: column → one line.
+
+    Raises:
+        ValueError: a numeric column without a unit.
+        PetmjxError: the file cannot be written.
+    """
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    schema = summary_schema(table.schema, units, descriptions or {})
+    path = Path(out_dir) / "summary" / part_name(0)
+    try:
+        write_table(pa.Table.from_arrays(table.columns, schema=schema), path)
+    except OSError as error:
+        raise PetmjxError(f"{path}: cannot write the summary: {error.strerror or error}") from error
+    return path
+
+
+def _make_room(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds a run, or take that run's files (no others) away.
+
+    ``run.json`` goes first: what a crash halfway through leaves is no run, rather than a run with parts missing.
+    """
+    parts = [file for table in TABLES for file in part_files(folder, table)]
+    if not overwrite and (parts or (folder / RUN_FILE).exists()):
+        raise InputError(f"{folder}: holds a run already; name another folder with --out, or pass --overwrite")
+    (folder / RUN_FILE).unlink(missing_ok=True)
+    leftovers = [file for table in TABLES for file in (folder / table).glob(".part-*.parquet.tmp")]
+    for file in (*parts, *leftovers):
+        file.unlink()
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON can hold it: NumPy scalars, enums, paths and tuples unpacked, non-finite numbers null."""
+    if isinstance(value, Mapping):
+        return {str(_plain(key)): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, Enum):
+        return _plain(value.value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)

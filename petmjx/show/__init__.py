@@ -1,0 +1,1 @@
+"""What people are shown in a terminal: progress and tables."""

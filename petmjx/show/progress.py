@@ -1,0 +1,65 @@
+"""The progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+from rich.text import Text
+
+
+class ProgressBar:
+    """Handle of a running bar, made by :func:`progress`."""
+
+    def __init__(self, bar: RichProgress, task: TaskID) -> None:
+        self._bar = bar
+        self._task = task
+
+    def update(self, done: int, message: str = "") -> None:
+        """Show that ``done`` worlds are finished; ``message`` stands beside the bar (compiling, retrying)."""
+        self._bar.update(self._task, completed=done, message=escape(message))
+
+
+class _RateColumn(ProgressColumn):
+    """Finished worlds a second, over the whole run so far."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__()
+        self._what = what
+
+    def render(self, task: Task) -> Text:
+        elapsed_s = task.finished_time if task.finished else task.elapsed
+        if not elapsed_s or not task.completed:
+            return Text(f"- {self._what}/s")
+        return Text(f"{rate(task.completed / elapsed_s)} {self._what}/s")
+
+
+@contextmanager
+def progress(total: int | None, what: str = "plans", console: Console | None = None) -> Iterator[ProgressBar]:
+    """A progress bar with worlds a second, time left and a message.
+
+    Args:
+        total: worlds there will be; None where that is not known.
+        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
+        console: where it is shown; standard error by default, so that standard output holds results alone.
+    """
+    bar = RichProgress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _RateColumn(what),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[message]}"),
+        console=console or Console(stderr=True),
+    )
+    with bar:
+        yield ProgressBar(bar, bar.add_task(what, total=total, message=""))
+
+
+def rate(per_s: float) -> str:
+    """Something a second, in three digits."""
+    return f"{per_s:,.0f}" if per_s >= 100 else f"{per_s:.3g}"

@@ -1,0 +1,107 @@
+"""The tables that the command line shows of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from petmjx.show.progress import rate
+from petmjx.verdict import Verdict
+
+FEW_PLANS: Final = 40
+"""Up to so many worlds a table with a row for each is shown."""
+
+_STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
+
+
+def summary_table(info: Mapping[str, Any], out_dir: str | Path | None = None, what: str = "plans") -> RenderableType:
+    """The short table of a run.
+
+    Args:
+        info: ``run.json``, or ``RunWriter.info``.
+        out_dir: the run's folder, to say where the results are.
+        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
+    """
+    counts = info.get("counts", {})
+    worlds = int(counts.get("worlds", 0))
+    table = Table(show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    table.add_column(justify="right")
+
+    def add(label: str, count: int, style: str = "") -> None:
+        share = f"{100 * count / worlds:.1f} %" if worlds else ""
+        table.add_row(label, f"{count:,}", share, style=style if count else "dim")
+
+    table.add_row(what, f"{worlds:,}", "")
+    for verdict in Verdict:
+        add(verdict.value, int(counts.get(verdict.value, 0)), _STYLES[verdict.value])
+        for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
+            add(f"  {reason}", int(count))
+    expected = info.get("expected_worlds")
+    if expected is not None and expected > worlds:
+        table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
+    if skipped := counts.get("skipped_plans"):
+        table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
+    if retried := counts.get("retried"):
+        table.add_row("run more than once", f"{retried:,}", "")
+    table.add_section()
+    seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
+    if seconds > 0:
+        table.add_row(f"{what}/s", rate(worlds / seconds), f"{seconds:,.1f} s")
+    # below the table and not in it: a long path would be broken up
+    return table if out_dir is None else Group(table, Text(f"results in {out_dir}", overflow="fold"))
+
+
+def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> Table:
+    """A row a world: what became of it, which box went first and when, and its largest metrics.
+
+    Args:
+        worlds, boxes: the tables of a run, as :func:`petmjx.results.reader.load_run` reads them.
+    """
+    # without lines, and with the article as the one column that gives way: nine columns fit on 80 characters
+    table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
+    with_variants = bool(len(worlds)) and int(worlds["variant"].nunique()) > 1
+    table.add_column("plan", no_wrap=True)
+    if with_variants:
+        table.add_column("variant", justify="right")
+    table.add_column("boxes", justify="right", no_wrap=True)
+    for header in ("verdict", "reason"):
+        table.add_column(header, no_wrap=True)
+    table.add_column("first box")
+    for header in ("at\ns", "shift\nmm", "tilt\n°", "rest\nforce N"):
+        table.add_column(header, justify="right", no_wrap=True)
+    culprits = worlds.loc[worlds["culprit"].notna(), ["plan_id", "variant", "culprit"]]
+    named = culprits.astype({"culprit": "int32"}).merge(
+        boxes[["plan_id", "variant", "box", "article"]],
+        left_on=["plan_id", "variant", "culprit"],
+        right_on=["plan_id", "variant", "box"],
+    )
+    articles = {(row["plan_id"], row["variant"]): f"{row['box']} {row['article']}" for row in named.to_dict("records")}
+    for row in worlds.to_dict("records"):
+        verdict = str(row["verdict"])
+        placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
+        table.add_row(
+            escape(str(row["plan_id"])),
+            *([str(row["variant"])] if with_variants else []),
+            f"{placed}{row['n_boxes']}",
+            Text(verdict, style=_STYLES.get(verdict, "")),
+            escape(str(row["reason"])),
+            Text(articles.get((row["plan_id"], row["variant"]), ""), no_wrap=True, overflow="ellipsis"),
+            _value(row["first_sign_s"], ".2f"),
+            _value(row["max_shift_m"], ".1f", 1000.0),
+            _value(row["max_tilt_deg"], ".1f"),
+            _value(row["rest_top_force_n"], ".1f"),
+        )
+    return table
+
+
+def _value(value: Any, form: str, factor: float = 1.0) -> str:
+    return "-" if pd.isna(value) else format(factor * float(value), form)

@@ -1,0 +1,1 @@
+"""Sweeps: each plan in many variants, from sweep file to summary."""

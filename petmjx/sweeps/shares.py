@@ -1,0 +1,95 @@
+"""Shares of worlds that stand, with their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import NormalDist
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from petmjx.units import FloatArray
+from petmjx.verdict import Verdict
+
+DEFAULT_CONFIDENCE = 0.95
+
+ALL_PLANS = "*"
+"""``plan_id`` of summary rows over all plans together."""
+
+SUMMARY_UNITS = {"n_worlds": "1", "n_standing": "1", "n_invalid": "1", "share": "1", "low": "1", "high": "1"}
+"""Units of the summary's number columns."""
+
+
+def wilson_interval(
+    successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
+) -> tuple[FloatArray, FloatArray]:
+    """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
+
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It stays inside [0, 1] and is honest at shares of
+    0 and 1, where the usual ± interval has no width.
+
+    Raises:
+        ValueError: successes outside 0 … n, or a confidence outside (0, 1).
+    """
+    k, total = np.broadcast_arrays(np.asarray(successes, dtype=np.float64), np.asarray(n, dtype=np.float64))
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence must be between 0 and 1, got {confidence}")
+    if np.any(k < 0) or np.any(k > total):
+        raise ValueError("successes must be between 0 and n")
+    z = NormalDist().inv_cdf(0.5 + confidence / 2)
+    known = np.maximum(total, 1.0)
+    share = k / known
+    centre = (share + z * z / (2 * known)) / (1 + z * z / known)
+    half = z / (1 + z * z / known) * np.sqrt(share * (1 - share) / known + z * z / (4 * known * known))
+    # At shares of 0 and 1 the bound is exactly that share; rounding must not move it.
+    low = np.where((total == 0) | (k == 0), 0.0, centre - half)
+    high = np.where((total == 0) | (k == total), 1.0, centre + half)
+    return low, high
+
+
+def share_standing(
+    worlds: pd.DataFrame, axes: Sequence[str], confidence: float = DEFAULT_CONFIDENCE, per_plan: bool = True
+) -> pd.DataFrame:
+    """The share of worlds that stand, for every value of every axis, with its Wilson interval.
+
+    Invalid worlds say nothing about the pallet: they are counted apart and left out of the share. Worlds
+    without a value on an axis (the nominal one) do not count there.
+
+    Args:
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis.
+        axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
+        per_plan: one row a plan too, beside the row over all plans (``plan_id`` "*").
+
+    Returns:
+        Columns plan_id, axis, value (text), n_worlds, n_standing, n_invalid, share, low, high; a row with
+        axis "" sums over everything.
+    """
+    frame = worlds.assign(
+        standing=worlds["verdict"].astype(str) == str(Verdict.STABLE),
+        invalid=worlds["verdict"].astype(str) == str(Verdict.INVALID),
+    )
+    scopes = [frame.assign(plan_id=ALL_PLANS)]
+    if per_plan:
+        scopes.append(frame)
+    columns = ["plan_id", "axis", "value", "n_worlds", "n_standing", "n_invalid"]
+    counts = []
+    for scope in scopes:
+        for axis in ("", *axes):
+            keys = ["plan_id", axis] if axis else ["plan_id"]
+            groups = scope.groupby(keys, sort=True, observed=True)
+            count = groups.agg(
+                n_worlds=("standing", "size"), n_standing=("standing", "sum"), n_invalid=("invalid", "sum")
+            ).reset_index()
+            value = [_text(entry) for entry in count[axis]] if axis else ""
+            counts.append(count.assign(axis=axis, value=value)[columns].astype({"axis": object, "value": object}))
+    summary = pd.concat(counts, ignore_index=True).astype(dict.fromkeys(columns[3:], "int64"))
+    judged = summary["n_worlds"] - summary["n_invalid"]
+    low, high = wilson_interval(summary["n_standing"].to_numpy(), judged.to_numpy(), confidence)
+    with np.errstate(invalid="ignore"):
+        share = summary["n_standing"].to_numpy() / np.where(judged > 0, judged, np.nan)
+    return summary.assign(share=share, low=low, high=high)
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

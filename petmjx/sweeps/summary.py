@@ -1,0 +1,269 @@
+"""What a sweep adds to the tables: parameters and answers as columns of ``worlds``, and the ``summary`` table."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.dataset as ds
+
+from petmjx.results.schema import DIMENSIONLESS, TEXT, Param
+from petmjx.sweeps.axes import AXIS_KINDS, Axis
+from petmjx.sweeps.eumos import eumos_assessment
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.run import Answer, SweptWorld
+from petmjx.sweeps.search import failure_mode
+from petmjx.sweeps.shares import SUMMARY_UNITS, share_standing
+from petmjx.verdict import Outcome, Verdict
+from petmjx.world.profiles.registry import Tilt
+
+EUMOS_PROFILE = "eumos-40509"
+"""The profile whose worlds are also held against the standard's own limits."""
+
+RANGE_BINS = 8
+"""Equal parts into which the summary divides an axis whose values were drawn from a range."""
+
+MODE = Param("mode", TEXT, "what became of the box that went first: slide, tilt or drop; empty where stable", str)
+SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
+FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
+EUMOS = (
+    Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
+    Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement left after it / load height"),
+    Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
+    Param("eumos_passed", TEXT, "whether all limits of EUMOS 40509 hold and nothing fell", bool),
+)
+
+_STRENGTHS = ("level_g", "scale")
+
+
+class SweepColumns:
+    """The columns that a sweep's worlds have besides those of every run."""
+
+    def __init__(self, plan: SweepPlan) -> None:
+        self._plan = plan
+        sweep = plan.sweep
+        self._sim = sweep.simulation.sim_config()
+        self.parameters = [
+            Param(name, unit, "parameter of the variant", _type_of(name, sweep.axes))
+            for name, unit in plan.parameter_columns.items()
+        ]
+        self.has_drives = bool(sweep.profiles)
+        self.has_tilt = any(isinstance(profile, Tilt) for profile in sweep.profiles.values())
+        self.has_eumos = EUMOS_PROFILE in sweep.profiles
+
+    @property
+    def params(self) -> list[Param]:
+        """All of them, in their order."""
+        columns = [*self.parameters, MODE]
+        columns += [SIGN] if self.has_drives else []
+        columns += [FAIL_ANGLE] if self.has_tilt else []
+        columns += EUMOS if self.has_eumos else ()
+        return columns
+
+    def of(self, world: SweptWorld) -> dict[str, Any]:
+        """Column → value of one world; what is missing is null."""
+        values: dict[str, Any] = dict(world.variant.parameters)
+        values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
+        values |= self.during_drive(world)
+        return values
+
+    def during_drive(self, world: SweptWorld) -> dict[str, Any]:
+        """Those of the columns that come from the drive."""
+        values: dict[str, Any] = {}
+        drive = world.variant.drive
+        if drive is None:
+            return values
+        if world.driven:
+            sign_s = self._sign_in_profile_s(world.outcome)
+            values[SIGN.name] = sign_s
+            profile = self._plan.sweep.profile(drive.profile)
+            if isinstance(profile, Tilt) and sign_s is not None:
+                values[FAIL_ANGLE.name] = min(sign_s * profile.rate_deg_s, profile.max_deg)
+        if drive.profile == EUMOS_PROFILE and world.settled is not None:
+            settled = world.settled.outcome.boxes.pos
+            found = eumos_assessment(world.outcome.boxes, settled, world.scene.half_size).columns()
+            # a world that was not driven has no displacements during a test, and has not passed it
+            values |= {name: None if value != value else value for name, value in found.items()}
+            if world.outcome.verdict is Verdict.INVALID:
+                values["eumos_passed"] = None
+        return values
+
+    def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
+        """Time from the profile's beginning to the first sign; None without one, or with one from before."""
+        began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
+        since_s = outcome.first_sign_s - began_s
+        # half a step: the running sum of the timestep is not its multiple to the last digit
+        return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
+
+
+def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] | type[bool] | type[str]:
+    if column == "replicate":
+        return int
+    for axis in axes.values():
+        if axis.kind.column == column:
+            return str if any(isinstance(axis.cell(value), str) for value in axis.values) else float
+    return float
+
+
+# Grids and samples.
+
+
+def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
+    """The summary of a grid or a sample: share standing by axis value, over all plans ("*") and for each plan.
+
+    Axes drawn from a range are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile the share that the
+    standard passes stands beside, and with ``tilt`` the smallest angle at which a world failed.
+
+    Args:
+        folder: the run's folder, with all parts written.
+    """
+    columns = SweepColumns(plan)
+    axes = [AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes]
+    extra = ["eumos_passed"] if columns.has_eumos else []
+    extra += [FAIL_ANGLE.name] if columns.has_tilt else []
+    wanted = ["plan_id", "verdict", *axes, *extra]
+    worlds = ds.dataset(folder / "worlds", format="parquet").to_table(columns=wanted).to_pandas()
+    for axis in plan.sweep.axes.values():
+        if axis.continuous:
+            worlds[axis.kind.column] = _binned(worlds[axis.kind.column], axis)
+    keys = ["plan_id", "axis", "value"]
+    summary = share_standing(worlds, axes)
+    if columns.has_eumos:
+        tested = worlds[worlds["eumos_passed"].notna()]
+        verdict = np.where(tested["eumos_passed"].astype(bool), Verdict.STABLE, Verdict.UNSTABLE)
+        eumos = share_standing(tested.assign(verdict=verdict), axes)
+        names = {"n_worlds": "n_eumos", "n_standing": "n_eumos_passed", "share": "eumos_share"}
+        names |= {"low": "eumos_low", "high": "eumos_high"}
+        summary = summary.merge(eumos[[*keys, *names]].rename(columns=names), on=keys, how="left")
+        summary[["n_eumos", "n_eumos_passed"]] = summary[["n_eumos", "n_eumos_passed"]].fillna(0).astype("int64")
+    if columns.has_tilt:
+        angles = _smallest(worlds, axes, FAIL_ANGLE.name).rename(columns={FAIL_ANGLE.name: "smallest_fail_angle_deg"})
+        summary = summary.merge(angles, on=keys, how="left")
+    return summary
+
+
+def _binned(values: pd.Series[float], axis: Axis) -> pd.Series[str]:
+    edges = np.linspace(axis.low, axis.high, RANGE_BINS + 1)
+    labels = [f"{low:.4g} to {high:.4g}" for low, high in itertools.pairwise(edges)]
+    place = np.clip(np.searchsorted(edges, values.to_numpy(), side="right") - 1, 0, RANGE_BINS - 1)
+    named = pd.Series(pd.Categorical.from_codes(place, labels, ordered=True), index=values.index)
+    return named.where(values.notna())
+
+
+def _smallest(worlds: pd.DataFrame, axes: Sequence[str], column: str) -> pd.DataFrame:
+    """Smallest value of a column by plan and axis value, with the keys of `share_standing`."""
+    parts = []
+    for scope in (worlds.assign(plan_id="*"), worlds):
+        for axis in ("", *axes):
+            names = ["plan_id", axis] if axis else ["plan_id"]
+            part = scope.groupby(names, observed=True)[column].min().reset_index()
+            value = [f"{v:g}" if isinstance(v, float) else str(v) for v in part[axis]] if axis else ""
+            parts.append(part.assign(axis=axis, value=value)[["plan_id", "axis", "value", column]])
+    return pd.concat(parts, ignore_index=True)
+
+
+# Searches.
+
+
+def search_row(answer: Answer, columns: SweepColumns, strength: str) -> dict[str, Any]:
+    """One row of a search's summary.
+
+    Args:
+        strength: column of what was searched, ``level_g`` or ``scale``.
+    """
+    box = answer.box if answer.box >= 0 else None
+    row: dict[str, Any] = {
+        "plan_id": answer.plan.plan_id,
+        "placement": answer.group.number,
+        **answer.group.placement.parameters,
+        "profile": answer.item.profile,
+        "direction_deg": answer.item.direction_deg,
+        "stands_at_rest": answer.stands_at_rest,
+        f"largest_{strength}": answer.largest_survived,
+        f"first_failed_{strength}": answer.first_failed,
+        "box": box,
+        "article": answer.plan.articles[box] if box is not None else "",
+        "mode": answer.mode,
+        SIGN.name: None,
+        "monotone": answer.monotone,
+        "n_tests": answer.n_tests,
+        "n_invalid": answer.n_invalid,
+    }
+    if answer.at_failure is not None:
+        row[SIGN.name] = columns.during_drive(answer.at_failure).get(SIGN.name)
+    if columns.has_eumos:
+        seen = columns.during_drive(answer.at_largest) if answer.at_largest is not None else {}
+        row |= {param.name: seen.get(param.name) for param in EUMOS}
+    return row
+
+
+def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """The summary of a search, in an order that does not depend on when answers came."""
+    frame = pd.DataFrame(list(rows))
+    numbers = {
+        "box": "Int32",
+        "placement": "int32",
+        "n_tests": "int32",
+        "n_invalid": "int32",
+        "eumos_passed": "boolean",
+    }
+    floats = [name for name in frame if str(name).endswith(("_g", "_s", "_share", "_m", "_scale"))]
+    frame = frame.astype({name: kind for name, kind in numbers.items() if name in frame})
+    frame = frame.astype(dict.fromkeys(floats, "float64"))
+    return frame.sort_values(["plan_id", "placement", "profile", "direction_deg"], ignore_index=True)
+
+
+def search_strength(plan: SweepPlan) -> str:
+    """Column of what a search looks for."""
+    return next(name for name in plan.parameter_columns if name in _STRENGTHS)
+
+
+def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str], dict[str, str]]:
+    """(units, descriptions) of a summary's columns."""
+    known = {param.name: (param.unit, param.description) for param in SweepColumns(plan).params}
+    units = dict(SUMMARY_UNITS)
+    texts: dict[str, str] = dict(_DESCRIPTIONS)
+    for name in map(str, frame):
+        if name in known:
+            units[name], text = known[name]
+            texts.setdefault(name, text)
+        elif name not in units and pd.api.types.is_numeric_dtype(frame[name]):
+            units[name] = _unit_by_name(name)
+    return units, texts
+
+
+def _unit_by_name(name: str) -> str:
+    for ending, unit in (("_g", "g"), ("_deg", "deg")):
+        if name.endswith(ending):
+            return unit
+    return DIMENSIONLESS
+
+
+_DESCRIPTIONS = {
+    "plan_id": "id of the packing plan; * stands for all plans together",
+    "axis": "which parameter the row is about; empty: all worlds",
+    "value": "the parameter's value",
+    "n_standing": "worlds that are stable",
+    "n_invalid": "worlds without a verdict; not in the share",
+    "share": "stable worlds / worlds with a verdict",
+    "low": "lower end of the share's Wilson 95 % interval",
+    "high": "upper end of the share's Wilson 95 % interval",
+    "n_eumos": "worlds that were held against EUMOS 40509's own limits",
+    "n_eumos_passed": "those that keep them",
+    "eumos_share": "n_eumos_passed / n_eumos, with its interval in eumos_low and eumos_high",
+    "smallest_fail_angle_deg": "smallest angle at which a world failed; null where none did",
+    "placement": "number of the plan's placement, from 0",
+    "stands_at_rest": "whether the placement stands without a profile; if not, nothing was tested",
+    "largest_level_g": "largest level survived below every failure; null: none",
+    "largest_scale": "largest scale survived below every failure; null: none",
+    "first_failed_level_g": "smallest level that failed; null: none up to the search's upper end",
+    "first_failed_scale": "smallest scale that failed; null: none up to the search's upper end",
+    "box": "box that went first at the smallest level that failed, or at rest",
+    "mode": "what became of it: slide, tilt or drop; the reason where that world was invalid",
+    "monotone": "no tested level above the smallest that failed was survived",
+    "n_tests": "levels tested",
+}

@@ -1,0 +1,51 @@
+"""What an engine is asked to simulate: one world, and what shakes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from petmjx.units import FloatArray
+from petmjx.world.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A force or acceleration profile as dense per-step samples, in profile coordinates.
+
+    Attributes:
+        name: for messages.
+        kind: "force" (on the carrier, samples in units of scale × total mass × g) or "acceleration"
+            (of the carrier, samples in m/s²; simulated as gravity − a with the carrier held fast).
+        samples: (n_steps, 3); row i acts during step i + 1 of the profile; zero beyond its end.
+    """
+
+    name: str
+    kind: str
+    samples: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One excitation as one world feels it: scaled, and turned about the vertical by ``yaw_rad``."""
+
+    excitation: Excitation
+    scale: float = 1.0
+    yaw_rad: float = 0.0
+    rest_s: float = 1.0
+    """Time to come to rest after the last sample of the excitation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One world to simulate.
+
+    ``start`` is the ``state`` of an earlier outcome of the same engine: the world then skips soft start
+    and placement and begins with its drive. ``keep_state`` asks for such a state, taken where placement has
+    settled; a job that keeps its state and has no drive may end there, without a rest window.
+    """
+
+    scene: Scene
+    drive: Drive | None = None
+    start: Any = None
+    keep_state: bool = False

@@ -1,0 +1,164 @@
+"""The exact MuJoCo model of one scene: what the C engine steps and what ``petmjx export`` writes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from petmjx.config import Cone, Physics, Triple
+from petmjx.units import FloatArray
+from petmjx.world.scene import IDENTITY_QUAT, Scene
+
+FLOOR_NAME = "floor"
+CARRIER_NAME = "carrier"
+
+_CONE = {Cone.PYRAMIDAL: mujoco.mjtCone.mjCONE_PYRAMIDAL, Cone.ELLIPTIC: mujoco.mjtCone.mjCONE_ELLIPTIC}
+
+_SOLIMP_TAIL = (0.5, 2.0)
+"""MuJoCo's defaults for the last two solimp numbers, which the reference leaves alone."""
+
+_BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
+"""Cardboard in three shades: neighbours in packing order can be told apart in a viewer."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldCarrier:
+    """A carrier that is clamped: a static body at this pose. pos (3,) m, quat (4,) (w, x, y, z)."""
+
+    pos: FloatArray
+    quat: FloatArray
+
+
+def box_name(box: int) -> str:
+    """Body name of a box, by packing order from 0."""
+    return f"box_{box}"
+
+
+def build_spec(
+    scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
+) -> mujoco.MjSpec:
+    """The exact, unpadded model of a scene (spec section 3).
+
+    Bodies in order: world (with the floor), carrier, box_0, box_1, …; a free carrier has the first free
+    joint (qpos 0…6, qvel 0…5), box i the next but i. Initial positions are the release poses.
+
+    Args:
+        held_carrier: clamp the carrier at this pose instead of giving it a free joint.
+        n_boxes: build only the first boxes in packing order; all of them when None.
+
+    Raises:
+        ValueError: ``n_boxes`` is not in 0…scene.n_boxes.
+    """
+    count = scene.n_boxes if n_boxes is None else n_boxes
+    if not 0 <= count <= scene.n_boxes:
+        raise ValueError(f"n_boxes must be 0…{scene.n_boxes}, got {count}")
+    spec = mujoco.MjSpec()
+    _set_options(spec, physics)
+    _add_box_body(
+        spec,
+        CARRIER_NAME,
+        pos=scene.carrier_pos if held_carrier is None else held_carrier.pos,
+        quat=np.array(IDENTITY_QUAT) if held_carrier is None else held_carrier.quat,
+        half_size=scene.carrier_half_size,
+        mass=scene.carrier_mass,
+        friction=scene.carrier_friction,
+        physics=physics,
+        rgba=(0.45, 0.32, 0.20, 1.0),
+        free=held_carrier is None,
+    )
+    _add_geom(
+        spec.worldbody,
+        FLOOR_NAME,
+        mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0.0, 0.0, 0.1),
+        friction=scene.floor_friction,
+        physics=physics,
+        rgba=(0.55, 0.57, 0.60, 1.0),
+        pos=(0.0, 0.0, scene.floor_z),
+    )
+    add_boxes(spec, scene, physics, 0, count)
+    return spec
+
+
+def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, first: int, stop: int) -> None:
+    """Add boxes first … stop − 1 to a spec that already holds those before them, so that a world can grow."""
+    for box in range(first, stop):
+        _add_box_body(
+            spec,
+            box_name(box),
+            pos=scene.start_pos[box],
+            quat=scene.start_quat[box],
+            half_size=scene.half_size[box],
+            mass=float(scene.mass[box]),
+            friction=scene.box_friction,
+            physics=physics,
+            rgba=_BOX_COLOURS[box % len(_BOX_COLOURS)],
+        )
+
+
+def to_mjcf(scene: Scene, physics: Physics) -> str:
+    """The scene as MJCF text with every box at its release pose; opens in MuJoCo's viewer."""
+    spec = build_spec(scene, physics)
+    spec.modelname = "petmjx"
+    spec.worldbody.add_light(pos=[0.0, 0.0, 4.0], dir=[0.0, 0.0, -1.0])
+    spec.compile()
+    return str(spec.to_xml())
+
+
+def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:
+    option = spec.option
+    option.timestep = physics.timestep_s
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.cone = _CONE[physics.cone]
+    option.gravity = np.array([0.0, 0.0, -physics.gravity_m_s2])
+
+
+def _add_box_body(
+    spec: mujoco.MjSpec,
+    name: str,
+    *,
+    pos: FloatArray,
+    quat: FloatArray,
+    half_size: FloatArray,
+    mass: float,
+    friction: Triple,
+    physics: Physics,
+    rgba: tuple[float, float, float, float],
+    free: bool = True,
+) -> None:
+    body = spec.worldbody.add_body(name=name, pos=pos, quat=quat)
+    if free:
+        body.add_freejoint(name=name)
+    _add_geom(
+        body,
+        name,
+        mujoco.mjtGeom.mjGEOM_BOX,
+        size=(float(half_size[0]), float(half_size[1]), float(half_size[2])),
+        friction=friction,
+        physics=physics,
+        rgba=rgba,
+        mass=mass,
+    )
+
+
+def _add_geom(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    *,
+    size: Triple,
+    friction: Triple,
+    physics: Physics,
+    rgba: tuple[float, float, float, float],
+    mass: float | None = None,
+    pos: Triple = (0.0, 0.0, 0.0),
+) -> None:
+    geom = body.add_geom(name=name, type=kind, size=size, pos=pos, rgba=rgba)
+    geom.friction = np.array(friction)
+    geom.solref = np.array(physics.solref)
+    geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
+    if mass is not None:
+        geom.mass = mass

@@ -1,0 +1,182 @@
+"""Prescribed accelerations of the carrier, simulated as gravity − a with the carrier held fast.
+
+Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.job import Excitation
+from petmjx.world.profiles.base import ACCELERATION, Strength, step_averages, steps_to_cover
+from petmjx.world.random import WorldKey
+
+EUMOS_RAMP_S = 0.05
+"""EUMOS 40509: the acceleration level is reached within 50 ms."""
+EUMOS_HOLD_S = 0.3
+"""EUMOS 40509: and kept for at least 0.3 s."""
+EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"
+
+EN_12195_FORWARD_G = 0.8
+EN_12195_SIDEWAYS_G = 0.5
+EN_12195_REARWARD_G = 0.5
+EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward, 0.5 sideways and rearward)"
+
+
+def _horizontal_unit(yaw_deg: float) -> FloatArray:
+    """(3,) unit vector; exact zeros and ones along the axes."""
+    yaw = math.radians(yaw_deg)
+    return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
+
+
+@dataclass(frozen=True)
+class Trapezoid:
+    """Horizontal acceleration that ramps up linearly, holds, and ramps down.
+
+    Attributes:
+        level_g: height of the plateau, g.
+        ramp_s, hold_s: length of each ramp and of the plateau, s.
+        yaw_deg: where the carrier accelerates to, degrees from +x towards +y.
+    """
+
+    name: str
+    source: str
+    level_g: float
+    ramp_s: float
+    hold_s: float
+    yaw_deg: float = 0.0
+    strength: Strength = Strength.LEVEL
+    kind: str = ACCELERATION
+    random: bool = False
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(2 * self.ramp_s + self.hold_s, timestep_s)
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        edges_s: FloatArray = np.arange(self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
+        fall_s = self.ramp_s + self.hold_s
+        covered = self._ramp_integral(edges_s) - self._ramp_integral(edges_s - fall_s)
+        magnitude = self.level_g * STANDARD_GRAVITY * step_averages(covered, timestep_s)
+        return Excitation(self.name, self.kind, magnitude[:, None] * _horizontal_unit(self.yaw_deg))
+
+    def _ramp_integral(self, time_s: FloatArray) -> FloatArray:
+        """Integral of a unit ramp that begins at 0 and stays at 1 after ``ramp_s``."""
+        rising = np.clip(time_s, 0.0, self.ramp_s) ** 2 / (2 * self.ramp_s)
+        return rising + np.maximum(time_s - self.ramp_s, 0.0)
+
+
+def eumos_40509() -> Trapezoid:
+    """One acceleration test of EUMOS 40509:2020 at 1 g: scale it to the level wanted (0.5 g is usual).
+
+    The standard asks for a level that is reached within 50 ms and held for at least 0.3 s, and for an end
+    that is not abrupt; here both ramps take 50 ms and the hold 0.3 s.
+    """
+    return Trapezoid("eumos-40509", EUMOS_SOURCE, 1.0, EUMOS_RAMP_S, EUMOS_HOLD_S)
+
+
+def en_12195_1() -> tuple[Trapezoid, ...]:
+    """The four load cases of EN 12195-1:2010 for road transport, vehicle's front along +x.
+
+    The standard gives quasi-static coefficients and no course in time; petmjx takes 0.5 s to reach them,
+    holds them for 1 s, and takes 0.5 s to release. The load is thrown forward when the vehicle brakes, so
+    the carrier accelerates the other way. The vertical coefficient is 1.0 throughout. The 0.6 g the
+    standard asks for sideways where unstable goods may tip is a scale of 1.2.
+    """
+    cases = (
+        ("en-12195-1-forward", EN_12195_FORWARD_G, 180.0),
+        ("en-12195-1-rearward", EN_12195_REARWARD_G, 0.0),
+        ("en-12195-1-left", EN_12195_SIDEWAYS_G, -90.0),
+        ("en-12195-1-right", EN_12195_SIDEWAYS_G, 90.0),
+    )
+    return tuple(
+        Trapezoid(name, EN_12195_SOURCE, level_g, 0.5, 1.0, yaw_deg, strength=Strength.SCALE)
+        for name, level_g, yaw_deg in cases
+    )
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """The carrier is tilted slowly about a horizontal axis: seen from it, gravity turns.
+
+    Direction 0 pulls the load towards −x, as an acceleration along +x would. The angle grows at
+    ``rate_deg_s`` to ``max_deg``, stays there for ``hold_s`` and returns within ``return_s``, so that a
+    pallet that survived is not thrown over on the way back. The turning itself (centrifugal and Euler
+    forces) is left out: at 5°/s they are below 0.1 % of gravity.
+
+    Source: definition, quasi-static tilt test (the reference needs none: start of sliding is atan μ, of
+    toppling atan b/h).
+    """
+
+    name: str = "tilt"
+    max_deg: float = 45.0
+    rate_deg_s: float = 5.0
+    hold_s: float = 1.0
+    return_s: float = 1.0
+    source: str = "definition: quasi-static tilt test"
+    strength: Strength = Strength.ANGLE
+    kind: str = ACCELERATION
+    random: bool = False
+
+    @property
+    def rise_s(self) -> float:
+        """Time until the largest angle is reached, s."""
+        return self.max_deg / self.rate_deg_s
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(self.rise_s + self.hold_s + self.return_s, timestep_s)
+
+    def angle_at(self, step: int, timestep_s: float) -> float:
+        """Tilt in degrees that acts during step ``step`` of the profile (1 is the first; 0 gives 0°).
+
+        A world that shows its first sign at time t after the drive's start fails at
+        ``angle_at(round(t / timestep_s), timestep_s)``, give or take one sample interval.
+        """
+        times_s = np.array([step * timestep_s])
+        return float(self._angles_deg(times_s)[0])
+
+    def _angles_deg(self, time_s: FloatArray) -> FloatArray:
+        corners_s = np.cumsum([0.0, self.rise_s, self.hold_s, self.return_s])
+        return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """a = g − g_tilted, vertical part included: gravity − a then has length 9.81 at every angle."""
+        ends_s: FloatArray = np.arange(1, self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
+        angle = np.radians(self._angles_deg(ends_s))
+        samples = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0], axis=1)
+        return Excitation(self.name, self.kind, STANDARD_GRAVITY * samples)
+
+
+@dataclass(frozen=True)
+class HalfSine:
+    """A shock: half a period of a sine, peak 1 g × level, along ``axis``.
+
+    Source: pulse shape of IEC 60068-2-27; 11 ms is one of its standard durations.
+
+    Attributes:
+        duration_ms: length of the pulse, ms.
+        axis: (3,) direction of the carrier's acceleration, normalised here.
+    """
+
+    name: str = "half-sine"
+    duration_ms: float = 11.0
+    axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    source: str = "IEC 60068-2-27, half-sine pulse"
+    strength: Strength = Strength.LEVEL
+    kind: str = ACCELERATION
+    random: bool = False
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(self.duration_ms / 1000, timestep_s)
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """Step means of the pulse: its change of velocity, 2/π × peak × duration, is exact at any timestep."""
+        duration_s = self.duration_ms / 1000
+        edges_s = np.minimum(np.arange(self.n_steps(timestep_s) + 1) * timestep_s, duration_s)
+        covered = duration_s / math.pi * (1.0 - np.cos(math.pi * edges_s / duration_s))
+        magnitude = STANDARD_GRAVITY * step_averages(covered, timestep_s)
+        axis = np.asarray(self.axis)
+        return Excitation(self.name, self.kind, magnitude[:, None] * (axis / np.linalg.norm(axis)))

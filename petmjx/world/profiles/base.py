@@ -1,0 +1,78 @@
+"""What every profile has in common."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+
+from petmjx.units import FloatArray
+from petmjx.world.job import Excitation
+from petmjx.world.random import WorldKey
+
+FORCE = "force"
+ACCELERATION = "acceleration"
+
+
+class Strength(StrEnum):
+    """How strong a profile is, and by which axis of a sweep that is varied."""
+
+    SCALE = "scale"
+    """A factor on the profile as it stands; forces: in units of total mass × 9.81 m/s²."""
+    LEVEL = "level"
+    """The profile has a peak of 1 g; the factor is the level in g."""
+    ANGLE = "angle"
+    """Given by the profile itself; nothing may be scaled (``tilt``)."""
+
+
+class Profile(Protocol):
+    """A force on the carrier, or an acceleration of it, as a function of the time since the profile began.
+
+    Attributes:
+        name: as in sweep files and results.
+        kind: "force" or "acceleration".
+        strength: the axis by which it is made weaker or stronger.
+        source: where its numbers come from.
+        random: whether each replicate is another realisation.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def strength(self) -> Strength: ...
+    @property
+    def source(self) -> str: ...
+    @property
+    def random(self) -> bool: ...
+
+    def n_steps(self, timestep_s: float) -> int:
+        """Steps from the profile's beginning to its last sample, for ``start_s`` = 0."""
+        ...
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """Dense samples; row i acts during step i + 1 of the profile.
+
+        Args:
+            timestep_s: timestep of the simulation, s.
+            start_s: absolute time at which the profile begins, s. Force windows are rounded to steps in
+                absolute time, as the reference does; other profiles begin on a step and ignore it.
+            world: whose random numbers to use; needed by random profiles only.
+        """
+        ...
+
+
+def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> FloatArray:
+    """(n,) mean over each step of a function whose antiderivative is given at the n + 1 step edges.
+
+    A step applies one constant value, so the mean is the value that leaves the integral (the change of
+    velocity) exact, whatever the timestep.
+    """
+    return np.diff(antiderivative_at_edges) / timestep_s
+
+
+def steps_to_cover(duration_s: float, timestep_s: float) -> int:
+    """Steps needed to cover a duration; a billionth of a step of rounding does not add one."""
+    return int(np.ceil(duration_s / timestep_s - 1e-9))

@@ -1,0 +1,137 @@
+"""Random vibration whose power spectral density (PSD) the user gives, in g²/Hz over Hz."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from petmjx.errors import InputError
+from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.job import Excitation
+from petmjx.world.profiles.base import ACCELERATION, Strength, steps_to_cover
+from petmjx.world.random import WorldKey
+
+PsdTable = tuple[tuple[float, float], ...]
+
+
+def check_psd(rows: PsdTable, where: str) -> PsdTable:
+    """Refuse tables that are no PSD: fewer than two rows, frequencies not rising, values not > 0."""
+    if len(rows) < 2:
+        raise InputError(f"{where} needs at least two rows (frequency in Hz, g²/Hz), got {len(rows)}")
+    for number, (frequency_hz, density) in enumerate(rows):
+        for label, value in (("frequency", frequency_hz), ("density", density)):
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"{where}, row {number}: {label} must be finite and > 0, got {value:g}")
+        if number and frequency_hz <= rows[number - 1][0]:
+            raise InputError(f"{where}, row {number}: frequencies must rise, got {frequency_hz:g} Hz after "
+                             f"{rows[number - 1][0]:g} Hz")  # fmt: skip
+    return rows
+
+
+def read_psd_csv(path: Path) -> PsdTable:
+    """Two columns, Hz and g²/Hz, with or without a header line; lines that begin with # are comments.
+
+    Raises:
+        InputError: the file cannot be read, or a row is not two numbers.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            lines = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as a PSD table: {error}") from None
+    if lines and not _is_number(lines[0][0]):
+        lines = lines[1:]
+    rows = []
+    for number, line in enumerate(lines):
+        if len(line) != 2 or not all(_is_number(cell) for cell in line):
+            raise InputError(f"{path}, row {number}: expected two numbers (Hz, g²/Hz), got {','.join(line)!r}")
+        rows.append((float(line[0]), float(line[1])))
+    return check_psd(tuple(rows), str(path))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
+    """(n,) integral of the PSD from its first frequency up to each given one, g².
+
+    Between rows the PSD is a straight line in log–log, as test standards draw it: G = G₁ (f/f₁)^m, with the
+    closed-form integral of that power law in each segment. Outside the table the PSD is 0.
+    """
+    total = np.zeros_like(up_to_hz)
+    for (f1, g1), (f2, g2) in itertools.pairwise(table):
+        slope = math.log(g2 / g1) / math.log(f2 / f1)
+        ratio = np.clip(up_to_hz, f1, f2) / f1
+        # Near slope −1 the power formula is 0/0; its limit is the logarithm.
+        power = np.log(ratio) if abs(slope + 1) < 1e-9 else (ratio ** (slope + 1) - 1) / (slope + 1)
+        total = total + g1 * f1 * power
+    return total
+
+
+def psd_rms_g(table: PsdTable) -> float:
+    """Root mean square acceleration of a PSD, g."""
+    return math.sqrt(float(psd_integral(table, np.array([table[-1][0]]))[0]))
+
+
+@dataclass(frozen=True)
+class RandomVibration:
+    """Gaussian-like vibration: a sum of sinusoids with the PSD's power and random phases.
+
+    Each line of the spectrum, 1/duration apart, carries exactly the power of the PSD in its band, so the
+    RMS over the duration equals the square root of the PSD's integral in every realisation; only phases are
+    random. Source: the user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
+
+    Attributes:
+        psd: rows of (Hz, g²/Hz).
+        duration_s: length, s; also the period of the signal.
+        axes: which of "x", "y", "z" vibrate, each with phases of its own.
+    """
+
+    name: str
+    psd: PsdTable
+    duration_s: float = 10.0
+    axes: str = "z"
+    source: str = "user's PSD table; spectral representation, Shinozuka and Deodatis (1991)"
+    strength: Strength = Strength.SCALE
+    kind: str = ACCELERATION
+    random: bool = True
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(self.duration_s, timestep_s)
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """
+        Raises:
+            InputError: the PSD reaches beyond what the timestep can show, or below what the duration can.
+        """
+        n_steps = self.n_steps(timestep_s)
+        top_hz = self.psd[-1][0]
+        spacing_hz = 1.0 / (n_steps * timestep_s)
+        nyquist_hz = 0.5 / timestep_s
+        if top_hz >= nyquist_hz - spacing_hz / 2:
+            raise InputError(f"profile {self.name}: PSD reaches {top_hz:g} Hz, a timestep of {timestep_s:g} s "
+                             f"shows less than {nyquist_hz:g} Hz")  # fmt: skip
+        band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
+        power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
+        # Power below the first line belongs to no sinusoid that fits the duration, so the signal would be short of it.
+        if power_g2[0] > 0:
+            raise InputError(f"profile {self.name}: PSD begins at {self.psd[0][0]:g} Hz, which needs a duration "
+                             f"of at least {0.5 / self.psd[0][0]:g} s, got {self.duration_s:g} s")  # fmt: skip
+        rng = (world or WorldKey(0, "")).rng(f"vibration:{self.name}")
+        amplitude = np.sqrt(2 * power_g2) * n_steps / 2
+        samples = np.zeros((n_steps, 3))
+        for column, axis in enumerate("xyz"):
+            phase = rng.uniform(0.0, 2 * math.pi, len(amplitude))
+            if axis in self.axes:
+                samples[:, column] = np.fft.irfft(amplitude * np.exp(1j * phase), n=n_steps)
+        return Excitation(self.name, self.kind, STANDARD_GRAVITY * samples)

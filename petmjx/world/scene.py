@@ -1,0 +1,97 @@
+"""One world's physical description in SI units: what stands where, how heavy, how rough.
+
+A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import CARRIER_EXTENT_M, Carrier, Physics, Triple
+from petmjx.plans.plan import Plan
+from petmjx.units import mm_to_m, round_to_micrometre
+
+DEFAULT_SIZE_REDUCTION_MM = 0.1
+"""Each box dimension is reduced by this so that neighbours that touch on paper do not start in contact."""
+
+IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The world of one plan and one variant. Arrays are float64; box rows are in packing order.
+
+    Attributes:
+        half_size: (n, 3) box half extents, m.
+        mass: (n,) kg.
+        target: (n, 3) planned centres, m: what shifts are measured from.
+        start_pos: (n, 3) centres at which boxes are released, m (= target in the nominal variant).
+        start_quat: (n, 4) orientations (w, x, y, z) at release.
+        box_friction, carrier_friction, floor_friction: sliding / torsional / rolling coefficients.
+        carrier_half_size: (3,) m; the carrier's top is at z = 0 and its corner at the origin.
+        carrier_mass: kg.
+        floor_z: m.
+    """
+
+    half_size: NDArray[np.float64]
+    mass: NDArray[np.float64]
+    target: NDArray[np.float64]
+    start_pos: NDArray[np.float64]
+    start_quat: NDArray[np.float64]
+    box_friction: Triple
+    carrier_friction: Triple
+    floor_friction: Triple
+    carrier_half_size: NDArray[np.float64]
+    carrier_mass: float
+    floor_z: float
+
+    @property
+    def n_boxes(self) -> int:
+        return len(self.mass)
+
+    @property
+    def carrier_pos(self) -> NDArray[np.float64]:
+        """(3,) centre of the carrier before the soft start, m."""
+        half = self.carrier_half_size
+        return np.array([half[0], half[1], -half[2]])
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of boxes and carrier, kg: what reference magnitudes of force profiles are scaled by."""
+        return float(self.mass.sum() + self.carrier_mass)
+
+
+def build_scene(
+    plan: Plan,
+    physics: Physics,
+    carrier: Carrier = Carrier.FOOTPRINT,
+    size_reduction_mm: float = DEFAULT_SIZE_REDUCTION_MM,
+) -> Scene:
+    """The nominal scene of a plan.
+
+    Sizes shrink by ``size_reduction_mm`` (absolute, mm) with the front-left-bottom corner kept; half
+    sizes and centres are rounded half-up to 1 µm, as the reference implementation writes them.
+    """
+    size = plan.size_mm - size_reduction_mm
+    half_size = round_to_micrometre(mm_to_m(size / 2))
+    target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
+    extent = CARRIER_EXTENT_M[carrier]
+    if extent is None:
+        top_corner_mm = (plan.corner_mm + plan.size_mm).max(axis=0)
+        extent = (float(top_corner_mm[0]) / 1000, float(top_corner_mm[1]) / 1000)
+    return Scene(
+        half_size=half_size,
+        mass=plan.mass_kg.copy(),
+        target=target,
+        start_pos=target.copy(),
+        start_quat=np.tile(np.array(IDENTITY_QUAT), (len(target), 1)),
+        box_friction=physics.box_friction,
+        carrier_friction=physics.carrier_friction,
+        floor_friction=physics.floor_friction,
+        carrier_half_size=np.array([extent[0] / 2, extent[1] / 2, physics.carrier_half_height_m]),
+        carrier_mass=physics.carrier_mass_kg,
+        floor_z=physics.floor_z_m,
+    )

@@ -1,0 +1,275 @@
+"""Variants: how a world differs from its plan's nominal one.
+
+A variant has two halves. What changes before or while boxes are placed (friction, mass, sizes, placement
+errors) is its *placement*; what shakes the finished pallet (profile, strength, direction) is its *drive*.
+Worlds of a plan with equal ``placement_key`` share one placement, whose settled state is forked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Triple
+from petmjx.units import FloatArray, mm_to_m
+from petmjx.world.random import WorldKey
+from petmjx.world.scene import Scene
+
+NOMINAL_INDEX = 0
+"""The variant index of the plan's unchanged world."""
+
+MIN_SIZE_FRACTION = 0.1
+"""No drawn size falls below this fraction of the planned one: a box must keep a positive extent."""
+
+STEP_TOLERANCE_M = 0.01
+"""A box whose top is at most this far above another's bottom, where they overlap, carries it: it is set down
+on top rather than into it. Higher neighbours are walls beside it."""
+
+_SAME_HEIGHT_M = 1e-9
+
+
+class Shape(StrEnum):
+    """Family of a distribution."""
+
+    FIXED = "fixed"
+    NORMAL = "normal"
+    UNIFORM = "uniform"
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Of one error, in the unit of the axis it belongs to.
+
+    ``fixed``: always ``centre``; ``normal``: mean ``centre`` and standard deviation ``spread``;
+    ``uniform``: from ``centre − spread`` to ``centre + spread``.
+    """
+
+    shape: Shape = Shape.FIXED
+    centre: float = 0.0
+    spread: float = 0.0
+
+    @property
+    def random(self) -> bool:
+        return self.shape is not Shape.FIXED and self.spread > 0
+
+    @property
+    def zero(self) -> bool:
+        return self.centre == 0 and not self.random
+
+    def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+        """Samples. Standard numbers are drawn and then scaled, so that with the same generator twice the
+        spread gives twice the error of the same boxes: levels of a sweep can be compared pairwise."""
+        if self.shape is Shape.NORMAL:
+            return self.centre + self.spread * rng.standard_normal(shape)
+        if self.shape is Shape.UNIFORM:
+            return self.centre + self.spread * (2.0 * rng.random(shape) - 1.0)
+        return np.full(shape, self.centre)
+
+    def label(self) -> str:
+        """As it stands in the results where an axis mixes shapes."""
+        if self.zero:
+            return "0"
+        if self.shape is Shape.FIXED:
+            return f"fixed({self.centre:g})"
+        if self.shape is Shape.NORMAL:
+            return f"normal({self.centre:g}, {self.spread:g})"
+        return f"uniform({self.centre - self.spread:g}, {self.centre + self.spread:g})"
+
+
+ZERO = Distribution()
+
+
+@dataclass(frozen=True)
+class PlacementChange:
+    """What is different while boxes are placed. Factors multiply, errors are drawn per box.
+
+    Attributes:
+        box_friction_factor, carrier_friction_factor: on all three friction coefficients. MuJoCo takes the
+            larger coefficient of two touching geoms, so lowering one side alone changes little.
+        mass_factor: on every box's mass; the carrier keeps its own.
+        size_mm: added to each dimension of each box, mm.
+        size_rel: relative change of each dimension (0.01 = 1 % larger).
+        x_mm, y_mm, yaw_deg: placement error of each box.
+        drop_height_mm: height above its place at which a box is released; negative draws count as 0.
+        shifts_from_release: shifts are measured from where a box was released instead of from the plan.
+    """
+
+    box_friction_factor: float = 1.0
+    carrier_friction_factor: float = 1.0
+    mass_factor: float = 1.0
+    size_mm: Distribution = ZERO
+    size_rel: Distribution = ZERO
+    x_mm: Distribution = ZERO
+    y_mm: Distribution = ZERO
+    yaw_deg: Distribution = ZERO
+    drop_height_mm: Distribution = ZERO
+    shifts_from_release: bool = False
+
+    @property
+    def random(self) -> bool:
+        """Whether two replicates differ."""
+        values = (getattr(self, entry.name) for entry in fields(self))
+        return any(isinstance(value, Distribution) and value.random for value in values)
+
+
+UNCHANGED = PlacementChange()
+
+PlacementKey = tuple[PlacementChange, int]
+
+
+@dataclass(frozen=True)
+class DriveSpec:
+    """What shakes the finished pallet: a profile by name, its factor or level, and its direction."""
+
+    profile: str
+    scale: float = 1.0
+    direction_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One set of changes to a plan's nominal world.
+
+    Attributes:
+        index: ``variant`` in the results; 0 is the nominal world.
+        placement, drive: the two halves; no drive: the world ends when the placement has come to rest.
+        replicate: which repetition; random numbers depend on (seed, plan id, replicate) alone.
+        parameters: result column → value.
+    """
+
+    index: int
+    placement: PlacementChange = UNCHANGED
+    drive: DriveSpec | None = None
+    replicate: int = 0
+    parameters: Mapping[str, float | int | str] = field(default_factory=dict, hash=False)
+
+    @property
+    def placement_key(self) -> PlacementKey:
+        """Equal for variants of one plan that share a placement. Replicates share it unless something random
+        happens while boxes are placed."""
+        return (self.placement, self.replicate if self.placement.random else 0)
+
+    def apply(self, scene: Scene, plan_id: str, seed: int) -> Scene:
+        """The scene of this variant; see `apply`."""
+        return apply(scene, plan_id, self, seed)
+
+
+NOMINAL = Variant(NOMINAL_INDEX)
+
+
+def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
+    """The scene of a plan under a variant's placement change; the drive does not matter here.
+
+    When sizes change, boxes keep their horizontal centres (so neighbours that grew overlap sideways and push
+    each other apart) and are set down on the actual tops of those below. Placement errors in x, y and yaw move
+    and turn ``start_pos`` and ``start_quat``; a box that comes to stand over a slightly higher neighbour is
+    released above it. Nothing starts in penetration vertically. ``target``, from which shifts are measured,
+    stays at the planned x and y; its z is the height at which the box really stands, so that a tolerance in
+    height is no shift.
+
+    Returns:
+        The same object where nothing changes.
+    """
+    change = variant.placement
+    if change == UNCHANGED:
+        return scene
+    key = WorldKey(seed, plan_id, variant.replicate)
+    n_boxes = scene.n_boxes
+    half_size = _changed_half_size(scene, change, key)
+    start_pos = scene.start_pos.copy()
+    start_pos[:, 0] += mm_to_m(change.x_mm.draw(key.rng("x"), (n_boxes,)))
+    start_pos[:, 1] += mm_to_m(change.y_mm.draw(key.rng("y"), (n_boxes,)))
+    yaw = np.radians(change.yaw_deg.draw(key.rng("yaw"), (n_boxes,)))
+    target = scene.target.copy()
+    moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
+    if not all(error.zero for error in moved):
+        start_pos[:, 2] = _set_down(scene, half_size, start_pos, yaw)
+        target[:, 2] = start_pos[:, 2]
+    if change.shifts_from_release:
+        target = start_pos.copy()
+    drop_height_mm = change.drop_height_mm.draw(key.rng("drop"), (n_boxes,))
+    start_pos[:, 2] += mm_to_m(np.maximum(drop_height_mm, 0.0))
+    return replace(
+        scene,
+        half_size=half_size,
+        mass=scene.mass * change.mass_factor,
+        target=target,
+        start_pos=start_pos,
+        start_quat=_turned(scene.start_quat, yaw),
+        box_friction=_scaled(scene.box_friction, change.box_friction_factor),
+        carrier_friction=_scaled(scene.carrier_friction, change.carrier_friction_factor),
+    )
+
+
+def _scaled(friction: Triple, factor: float) -> Triple:
+    return (friction[0] * factor, friction[1] * factor, friction[2] * factor)
+
+
+def _changed_half_size(scene: Scene, change: PlacementChange, key: WorldKey) -> FloatArray:
+    shape = (scene.n_boxes, 3)
+    size = 2.0 * scene.half_size
+    factor = 1.0 + change.size_rel.draw(key.rng("size-rel"), shape)
+    changed = size * factor + mm_to_m(change.size_mm.draw(key.rng("size"), shape))
+    if change.size_mm.zero and change.size_rel.zero:
+        return scene.half_size
+    half: FloatArray = np.maximum(changed, MIN_SIZE_FRACTION * size) / 2.0
+    return half
+
+
+def _turned(quat: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Orientations (w, x, y, z) turned about the world's z axis, which is the product q_z(yaw) · q."""
+    cos, sin = np.cos(yaw / 2), np.sin(yaw / 2)
+    w, x, y, z = quat.T
+    return np.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], axis=1)
+
+
+def _footprint_half(half_size: FloatArray, yaw: FloatArray) -> FloatArray:
+    """(n, 2) half extents of the axis-aligned rectangle around each turned footprint."""
+    cos, sin = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
+    x, y = half_size[:, 0], half_size[:, 1]
+    return np.stack([cos * x + sin * y, sin * x + cos * y], axis=1)
+
+
+def _overlapping(centre: FloatArray, half: FloatArray, box: int) -> NDArray[np.bool_]:
+    """(n,) which footprints overlap that of one box."""
+    overlaps: NDArray[np.bool_] = (np.abs(centre - centre[box]) < half + half[box]).all(axis=1)
+    return overlaps
+
+
+def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
+    """(n,) heights of centres when each box is put onto the actual tops of those below it.
+
+    Boxes are taken from the bottom up. Those below a box are the ones whose planned top is not above its
+    planned bottom (give or take `STEP_TOLERANCE_M`) and whose footprint overlaps its own, as planned or as
+    placed. The planned gap to the highest of them (the 0.1 mm of the size reduction; more for a box that
+    floats in the plan) stays, but never a penetration.
+    """
+    planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
+    planned_top = scene.target[:, 2] + scene.half_size[:, 2]
+    planned_half = scene.half_size[:, :2]
+    actual_half = _footprint_half(half_size, yaw)
+    centre_z = planned_bottom + half_size[:, 2]
+    done = np.zeros(scene.n_boxes, dtype=bool)
+    for box in np.argsort(planned_bottom, kind="stable"):
+        planned_over = _overlapping(scene.target[:, :2], planned_half, box)
+        placed_over = _overlapping(start_pos[:, :2], actual_half, box)
+        lower = done & (planned_top <= planned_bottom[box] + STEP_TOLERANCE_M)
+        below = lower & (planned_over | placed_over)
+        done[box] = True
+        if not below.any():
+            continue
+        supports = lower & planned_over
+        # A box that overlaps nothing as planned stands on the carrier, or floats above it.
+        support_top = planned_top[supports].max() if supports.any() else 0.0
+        gap = max(planned_bottom[box] - support_top, 0.0)
+        actual_top = float((centre_z + half_size[:, 2])[below].max())
+        on_carrier = planned_bottom[box] if not supports.any() else -math.inf
+        bottom = max(actual_top + gap if supports.any() else actual_top, on_carrier)
+        if abs(bottom - planned_bottom[box]) > _SAME_HEIGHT_M:
+            centre_z[box] = bottom + half_size[box, 2]
+    return centre_z

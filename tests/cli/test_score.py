@@ -1,0 +1,291 @@
+"""The command line as a user meets it: what it prints, what it leaves behind, and its exit codes."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import pyarrow.parquet as pq
+import pytest
+from support.command_line import only_line, run, write
+
+from petmjx.config import SimConfig
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.plans.read import load_plans
+from petmjx.results.reader import load_run
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200}
+
+
+def placement(corner: Sequence[float], **item: Any) -> dict[str, Any]:
+    fields = {"article": "carton", "id": "1", "product_group": "test", **SIZE, "weight/kg": 5.0, "sequence": 1, **item}
+    return {"item": fields, "orientation": 0, "flb_coordinates": list(corner)}
+
+
+TOWER = [placement((0, 0, 0)), placement((0, 0, 200))]
+OVERHANG = [placement((0, 0, 0)), placement((260, 0, 200))]
+
+
+@pytest.fixture
+def plans(tmp_path: Path) -> Path:
+    """A tower that stands, and a box that overhangs by more than half and falls."""
+    return write(tmp_path / "plans.json", {"tower": TOWER, "overhang": OVERHANG})
+
+
+def test_score_says_which_plans_stand(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("score", plans, "--engine", "mujoco", "--out", tmp_path / "out") == 0
+    printed = capsys.readouterr()
+    assert "tower" in printed.out
+    assert re.search(r"plans\s*│\s*2", printed.out)
+    assert "Traceback" not in printed.err
+    results = load_run(tmp_path / "out")
+    verdicts = results.worlds.set_index("plan_id")["verdict"].to_dict()
+    assert verdicts == {"tower": "stable", "overhang": "unstable"}
+    assert len(results.boxes) == 4
+    assert results.info["status"] == "finished"
+
+
+def test_options_reach_the_run(plans: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code = run(
+        "score", plans, "--engine", "mujoco", "--check", "static", "--schedule", "fixed", "--physics", "reference",
+        "--duration", "0.5", "--sample-interval", "0.1", "--size-reduction-mm", "0.2", "--carrier", "euro-pallet",
+        "--no-early-stop", "--shift-limit-m", "0.03", "--tilt-limit-deg", "15", "--limit", "1",
+        "--threads", "1", "--out", out,
+    )  # fmt: skip
+    assert code == 0
+    info = load_run(out).info
+    config = info["config"]
+    sim = config["sim"]
+    assert (config["engine"], config["carrier"], config["size_reduction_mm"]) == ("mujoco", "euro-pallet", 0.2)
+    assert (sim["check"], sim["schedule"], sim["physics"]["name"]) == ("static", "fixed", "reference")
+    assert (sim["duration_s"], sim["sample_interval_s"], sim["early_stop"]) == (0.5, 0.1, False)
+    assert (sim["thresholds"]["shift_m"], sim["thresholds"]["tilt_deg"]) == (0.03, 15.0)
+    assert info["counts"]["worlds"] == 1
+    assert {"petmjx", "mujoco", "python"} <= info["versions"].keys() | {"petmjx"}
+    assert load_run(out).worlds["n_steps"].tolist() == [250]
+
+
+def test_score_without_files_takes_the_bundled_samples(
+    plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("petmjx.api.bundled_path", lambda: plans)
+    monkeypatch.chdir(tmp_path)
+    assert run("score") == 0
+    [folder] = (tmp_path / "petmjx-results").iterdir()
+    assert len(load_run(folder).worlds) == 2
+
+
+def test_json_output(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("score", plans, "--engine", "mujoco", "--json", "--out", tmp_path / "out") == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["counts"]["stable"] == printed["counts"]["unstable"] == 1
+
+
+def test_a_bad_plan_does_not_stop_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = [placement((0, 0, 0)), placement((0, 0, 200), **{"weight/kg": -1})]
+    path = write(tmp_path / "plans.json", {"good": TOWER, "bad": bad})
+    assert run("score", path, "--engine", "mujoco", "--out", tmp_path / "out") == 0
+    printed = capsys.readouterr().out
+    assert "plan bad, placement 1: weight/kg must be > 0, got -1" in printed
+    assert [skipped["plan_id"] for skipped in load_run(tmp_path / "out").info["skipped"]] == ["bad"]
+
+    assert run("score", path, "--strict", "--out", tmp_path / "strict") == 2
+    assert "plan bad, placement 1: weight/kg" in only_line(capsys.readouterr().err)
+    assert not (tmp_path / "strict").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "{", "[]", "null", '{"p": []}', '{"p": [1]}', '{"p": [{"item"', "\x00\x01\x02"],
+    ids=["empty", "cut-off", "list", "null", "no-placement", "number", "truncated", "binary"],
+)
+def test_unusable_files(content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("score", write(tmp_path / "bad.json", content), "--out", tmp_path / "out") == 2
+    assert "bad.json" in only_line(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["nowhere.json"], "nowhere.json: no such file"),
+        (["--engine", "abacus"], "abacus"),
+        (["--interval", "0"], "interval_s must be at least the timestep"),
+        (["--interval", "nan"], "interval_s must be at least the timestep"),
+        (["--sample-interval", "0.001"], "sample_interval_s must be at least the timestep"),
+        (["--interval", "soon"], "--interval"),
+        (["--size-reduction-mm", "-1"], "size_reduction_mm must be ≥ 0"),
+        (["--size-reduction-mm", "200"], "vanishes under the size reduction"),
+        (["--limit", "0"], "--limit"),
+        (["--engine", "mujoco", "--lanes", "8"], "lanes belong to the MJX engines"),
+        (["--shift-limit-m", "-1"], "shift_m"),
+        (["--no-such-option"], "--no-such-option"),
+    ],
+)
+def test_unusable_options(
+    arguments: list[str], expected: str, plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [] if arguments[0].endswith(".json") else [plans]
+    assert run("score", *files, *arguments, "--out", tmp_path / "out") == 2
+    assert expected in only_line(capsys.readouterr().err)
+
+
+def test_a_folder_with_results_is_not_written_over_unasked(
+    plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("score", plans, "--engine", "mujoco", "--limit", "1", "--out", tmp_path / "out")
+    assert run(*arguments) == 0
+    capsys.readouterr()
+    assert run(*arguments) == 2
+    assert "--overwrite" in only_line(capsys.readouterr().err)
+    assert run(*arguments, "--overwrite") == 0
+
+
+class _BrokenEngine(MujocoEngine):
+    """Scores two worlds, then raises what it is told to."""
+
+    error: BaseException = RuntimeError("the floor\ncaved in")
+
+    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+        yield from super().run(jobs[:2], sim, progress)
+        raise self.error
+
+
+@pytest.fixture
+def three_plans(tmp_path: Path) -> Path:
+    return write(tmp_path / "plans.json", {"a": TOWER, "b": TOWER, "c": TOWER})
+
+
+def test_a_failure_inside_takes_one_line(
+    three_plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("petmjx.engines.cpu.engine.MujocoEngine", _BrokenEngine)
+    assert run("score", three_plans, "--engine", "mujoco", "--out", tmp_path / "out") == 1
+    errors = capsys.readouterr().err
+    assert "petmjx: failure inside petmjx: RuntimeError: the floor caved in" in errors
+    assert "Traceback" not in errors
+    assert load_run(tmp_path / "out").info["status"] == "failed"
+    assert run("--debug", "score", three_plans, "--engine", "mujoco", "--out", tmp_path / "debug") == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_interrupted_run_says_how_far_it_came(
+    three_plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(_BrokenEngine, "error", KeyboardInterrupt())
+    monkeypatch.setattr("petmjx.engines.cpu.engine.MujocoEngine", _BrokenEngine)
+    assert run("score", three_plans, "--engine", "mujoco", "--out", tmp_path / "out") == 130
+    assert f"interrupted: 2 of 3 plans are done and in {tmp_path / 'out'}" in capsys.readouterr().err
+    results = load_run(tmp_path / "out")
+    assert results.info["status"] == "interrupted"
+    assert len(results.worlds) == 2
+
+
+def test_ctrl_c_leaves_whole_parts(tmp_path: Path) -> None:
+    path = write(tmp_path / "plans.json", {f"p{k}": TOWER for k in range(5000)})
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "petmjx", "score", "--engine", "mujoco", "--schedule", "fixed"]
+    process = subprocess.Popen(
+        [*command, path, "--out", out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while not (out / "run.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    stated = re.search(r"interrupted: ([\d,]+) of 5,000 plans are done", errors)
+    assert stated, errors
+    done = int(stated[1].replace(",", ""))
+    assert 0 < done < 5000
+    files = [file for file in out.rglob("*") if file.is_file() and file.name != "run.json"]
+    assert {file.suffix for file in files} == {".parquet"}
+    assert sum(pq.read_metadata(file).num_rows for file in files if file.parent.name == "worlds") == done
+    assert sum(pq.read_metadata(file).num_rows for file in files if file.parent.name == "boxes") == 2 * done
+
+
+def test_compare(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, physics in (("a", "pallet"), ("b", "reference")):
+        assert run("score", plans, "--engine", "mujoco", "--physics", physics, "--out", tmp_path / name) == 0
+    capsys.readouterr()
+    assert run("compare", tmp_path / "a", tmp_path / "b") == 0
+    assert "2 of 2 worlds agree" in capsys.readouterr().out
+    assert run("compare", tmp_path / "a", tmp_path / "b", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["agreement"] == 1.0
+    assert run("compare", tmp_path / "a", tmp_path / "none") == 2
+    assert "none: no such folder" in only_line(capsys.readouterr().err)
+
+
+def test_samples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("one.json", "two.json.gz"):
+        assert run("samples", "-n", "2", "--seed", "3", "-o", tmp_path / name) == 0
+    one, two = (load_plans(tmp_path / name) for name in ("one.json", "two.json.gz"))
+    assert [plan.plan_id for plan in one] == [plan.plan_id for plan in two]
+    assert len(one) == 2
+    assert not one.skipped
+    capsys.readouterr()
+    assert run("samples", "-n", "0", "-o", tmp_path / "none.json") == 2
+    assert "at least 1" in capsys.readouterr().err
+
+
+def test_samples_pack_orders(tmp_path: Path, repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    orders = repository.parent / "shared" / "data" / "5_bed-bpp.json"
+    if not orders.exists():
+        pytest.skip("BED-BPP's orders are not beside this checkout (../shared/data)")
+    assert run("samples", "--orders", orders, "-o", tmp_path / "packed.json") == 0
+    assert "5 plans" in capsys.readouterr().out
+    assert len(load_plans(tmp_path / "packed.json")) == 5
+
+
+def test_export_writes_the_model_of_a_plan(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("export", "tower", plans) == 0
+    model = mujoco.MjModel.from_xml_string(capsys.readouterr().out)
+    assert model.nbody == 4  # world, carrier, two boxes
+    assert run("export", "tower", plans, "--out", tmp_path / "tower.xml") == 0
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "tower.xml")).opt.timestep == 0.002
+    capsys.readouterr()
+    assert run("export", "castle", plans) == 2
+    assert "plan castle is not among the 2 plans read" in only_line(capsys.readouterr().err)
+
+
+def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("doctor", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    engines = {engine["name"]: engine for engine in report["engines"]}
+    assert engines["mujoco"]["works"] is True
+    assert all(engine["detail"] for engine in engines.values())
+    assert run("doctor") == 0
+    assert "engine mjx-warp" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["score", "compare", "samples", "export", "doctor"])
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(command, "--help") == 0
+    printed = capsys.readouterr().out
+    assert "Usage:" in printed
+    if command == "score":
+        assert re.search(r"Time between two placements, s", printed)
+        assert "[default: 0.7]" in printed
+
+
+def test_help_loads_no_simulator() -> None:
+    heavy = ["jax", "mujoco", "pandas", "pyarrow", "warp"]
+    code = (
+        "import sys; from petmjx.cli import main; main(['--help']); main(['score', '--help'])\n"
+        f"sys.exit([name for name in {heavy} if name in sys.modules] or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

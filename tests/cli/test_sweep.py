@@ -1,0 +1,185 @@
+"""``petmjx sweep`` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from support.command_line import only_line, run, write
+
+from petmjx.results.reader import load_run
+
+SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200}
+
+
+def placement(corner: Sequence[float]) -> dict[str, Any]:
+    item = {"article": "carton", "id": "1", "product_group": "test", **SIZE, "weight/kg": 5.0, "sequence": 1}
+    return {"item": item, "orientation": 0, "flb_coordinates": list(corner)}
+
+
+TOWER = [placement((0, 0, 0)), placement((0, 0, 200))]
+
+GRID = """
+[simulation]
+settle_s = 0.2
+rest_s = 0.2
+[axes]
+profile = "eumos-40509"
+level = [0.2, 0.4, 0.8]
+"""
+
+SEARCH = """
+[simulation]
+settle_s = 0.2
+rest_s = 0.2
+[axes]
+profile = "eumos-40509"
+[search]
+upper = 1.0
+tolerance = 0.1
+"""
+
+
+@pytest.fixture
+def plans(tmp_path: Path) -> Path:
+    return write(tmp_path / "plans.json", json.dumps({"tower": TOWER, "box": TOWER[:1]}))
+
+
+def test_a_grid_says_what_it_will_do_and_what_came_of_it(
+    plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run("sweep", write(tmp_path / "x.toml", GRID), plans, "--engine", "mujoco", "--out", out) == 0
+    printed = capsys.readouterr()
+    assert "6 worlds (2 plans × 3 variants) from 2 placements, about" in printed.err
+    assert "6 worlds on engine mujoco (as asked for)" in printed.err
+    assert re.search(r"level_g\s+0.2\s+2\s+2\s+100.0 %\s+34.2 % to 100.0 %", printed.out)
+    assert re.search(r"level_g\s+0.8\s+2\s+0\s+0.0 %", printed.out)
+    assert re.search(r"worlds\s*│\s*6", printed.out)
+    assert f"results in {out}" in printed.out
+    results = load_run(out)
+    assert results.info["status"] == "finished"
+    assert results.info["config"]["sweep"]["axes"]["level"] == [0.2, 0.4, 0.8]
+    assert results.info["timings"]["placements"] == 2
+    assert sorted(results.worlds["variant"]) == [1, 1, 2, 2, 3, 3]
+    assert "max_sway_m" in results.boxes
+
+
+def test_a_search_names_the_largest_level_and_what_fails_first(
+    plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    file = write(tmp_path / "x.toml", SEARCH)
+    assert run("sweep", file, plans, "--engine", "mujoco", "--out", out, "--limit", "1") == 0
+    printed = capsys.readouterr()
+    assert "at most 5 worlds (1 plan × 5 variants) from 1 placement" in printed.err
+    assert "largest level, g survived" in printed.out
+    assert re.search(r"tower\s+eumos-40509\s+0\s+0.5\s+slide\s+\d carton", printed.out)
+    summary = load_run(out).summary
+    assert summary is not None
+    assert summary["plan_id"].tolist() == ["tower"]
+
+
+def test_json_holds_the_summary(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "x.toml", SEARCH)
+    assert run("sweep", file, plans, "--engine", "mujoco", "--out", tmp_path / "out", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [row["plan_id"] for row in said["summary"]] == ["box", "tower"]
+    assert said["counts"]["worlds"] >= 2
+
+
+def test_ready_made_sweeps_go_by_name(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("sweep", "friction", plans, "--limit", "1", "--engine", "mujoco", "--out", tmp_path / "out") == 0
+    assert "13 worlds (1 plan × 13 variants) from 13 placements" in capsys.readouterr().err
+    assert run("sweep", "no-such", plans) == 2
+    assert "ready-made sweeps are en-12195-1, eumos-search, eumos," in only_line(capsys.readouterr().err)
+
+
+BAD = {
+    "unknown axis": ("[axes]\ncolour = [1]", "axes.colour: unknown axis (known: profile, "),
+    "empty axis": ("[axes]\nfriction_factor = []", "axes.friction_factor is empty: give at least one value"),
+    "contradicting axes": (
+        '[axes]\nprofile = "radial"\nscale = [1]\nlevel = [1]',
+        "axes.scale contradicts axes.level",
+    ),
+    "negative scale": ('[axes]\nprofile = "radial"\nscale = [1, -1]', "axes.scale must be > 0, got -1"),
+    "too many worlds": (
+        '[axes]\nprofile = "radial"\nscale = { from = 0.001, to = 2, step = 0.001 }\n'
+        "direction = { from = 0, to = 359.5, step = 0.5 }",
+        "axes make 2,880,000 worlds (2 plans × 1,440,000 variants), more than 1,000,000: pass --yes",
+    ),
+    "not TOML": ("[axes", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_sweep_file_takes_one_line(
+    case: str, plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, complaint = BAD[case]
+    file = write(tmp_path / "x.toml", text)
+    assert run("sweep", file, plans, "--out", tmp_path / "out") == 2
+    line = only_line(capsys.readouterr().err)
+    assert str(file) in line
+    assert complaint in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_plans_take_one_line(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path / "x.toml", GRID)
+    assert run("sweep", file) == 2
+    assert "plans is missing: name plan files here or on the command line" in only_line(capsys.readouterr().err)
+    assert run("sweep", file, tmp_path / "nowhere.json") == 2
+    assert "nowhere.json" in only_line(capsys.readouterr().err)
+    named = write(tmp_path / "y.toml", 'plans = "gone.json"\n' + GRID)
+    assert run("sweep", named) == 2
+    assert "plans: no such file or folder:" in only_line(capsys.readouterr().err)
+    assert run("sweep", file, write(tmp_path / "bad.json", '{"p": 3}')) == 2
+    assert "no usable plan (1 skipped)" in only_line(capsys.readouterr().err)
+
+
+def test_results_are_not_written_over_unasked(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ("sweep", write(tmp_path / "x.toml", GRID), plans, "--engine", "mujoco", "--out", tmp_path / "out")
+    assert run(*command) == 0
+    capsys.readouterr()
+    assert run(*command) == 2
+    assert "holds a run already" in only_line(capsys.readouterr().err)
+    assert run(*command, "--overwrite", "--limit", "1") == 0
+    assert len(load_run(tmp_path / "out").worlds) == 3
+
+
+def test_ctrl_c_leaves_whole_parts(tmp_path: Path) -> None:
+    plans = write(tmp_path / "plans.json", json.dumps({f"p{k}": TOWER for k in range(2000)}))
+    file = write(tmp_path / "x.toml", "[axes]\nfriction_factor = [0.9, 1.0, 1.1]")
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "petmjx", "sweep", file, plans, "--engine", "mujoco", "--out", out]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (out / "run.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    stated = re.search(r"interrupted: ([\d,]+) of 6,000 worlds are done", errors)
+    assert stated, errors
+    done = int(stated[1].replace(",", ""))
+    assert 0 < done < 6000
+    parts = sorted((out / "worlds").glob("*"))
+    assert {part.suffix for part in parts} == {".parquet"}
+    assert sum(pq.read_metadata(part).num_rows for part in parts) == done
+
+
+def test_help_explains(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("sweep", "--help") == 0
+    assert "--yes" in capsys.readouterr().out

@@ -1,0 +1,60 @@
+"""A world's outcome does not depend on the company it is simulated in (mjx-jax)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.worlds import CAPACITIES, LANES, jax_engine, jax_outcomes, scenes, simulate
+
+from petmjx.config import SimConfig
+from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+from petmjx.verdict import Outcome, Verdict
+
+pytestmark = pytest.mark.slow
+
+SAME_M = 2e-5
+"""float32 rounds a position on the pallet to 6e-8 m, and which lane a world has decides how XLA vectorises its sums;
+some hundred steps of contacts at rest may carry that to micrometres."""
+SAME_DEG = 0.01
+SAME_FORCE = 0.01
+"""What is shared among several contacts depends on the last micrometres of their depths."""
+LANDED_M = 0.01
+"""A fall multiplies what it started from."""
+STANDING = ("hand-overhang-45", "brickwork", "uneven pile")
+FALLING = ("hand-beside-carrier",)
+
+
+def assert_alike(found: Outcome, expected: Outcome) -> None:
+    for name in ("verdict", "reason", "culprit", "n_placed"):
+        assert getattr(found, name) == getattr(expected, name)
+    np.testing.assert_equal(found.first_sign_s, expected.first_sign_s)
+    if found.verdict is not Verdict.STABLE:
+        np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=LANDED_M)
+        return
+    np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=SAME_M)
+    np.testing.assert_allclose(found.boxes.max_tilt_deg, expected.boxes.max_tilt_deg, atol=SAME_DEG)
+    np.testing.assert_allclose(found.boxes.rest_top_force_n, expected.boxes.rest_top_force_n, rtol=SAME_FORCE, atol=0.1)
+
+
+@pytest.mark.parametrize("name", ["hand-overhang-45", "hand-beside-carrier", "uneven pile"])
+def test_alone_as_in_a_full_batch_with_refills(name: str) -> None:
+    alone = simulate(jax_engine(), {name: scenes()[name]}, SimConfig())[name]
+    assert_alike(alone, jax_outcomes()[name])
+
+
+def test_last_in_the_queue_as_first() -> None:
+    # Reversed, other worlds take the lanes first, and these get refilled ones.
+    names = ["hand-overhang-45", "hand-one-box", "hand-beside-carrier"]
+    crowd = {f"{name} {k}": scenes()[name] for k in range(LANES // 2) for name in reversed(names)}
+    assert len(crowd) > LANES
+    found = simulate(jax_engine(), crowd, SimConfig())
+    for name in names:
+        for k in (0, LANES // 2 - 1):
+            assert_alike(found[f"{name} {k}"], jax_outcomes()[name])
+
+
+def test_one_stage_as_two() -> None:
+    names = (*STANDING, *FALLING)
+    whole = simulate(MjxJaxEngine(4, capacities=CAPACITIES[-1:]), {n: scenes()[n] for n in names}, SimConfig())
+    for name in names:
+        assert_alike(whole[name], jax_outcomes()[name])

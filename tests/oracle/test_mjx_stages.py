@@ -1,0 +1,233 @@
+"""Stages, lanes and rules of the batched engines against a plain loop over one world, on a stepper without physics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+import pytest
+from support.fake_stepper import CARRIER_KG, CREEP_M, FALLS_KG, FakeEngine, assert_same, fake_scene, run_all
+
+from petmjx.config import Check, Schedule, SimConfig
+from petmjx.engines.base import Progress
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.world.job import Drive, Excitation, Job
+
+DT = 0.002
+SHORT = SimConfig(interval_s=0.3, sample_interval_s=0.05, duration_s=0.5, settle_s=0.4)
+FORCE_RELATIVE = 1e-5
+"""Resting forces are float32 sums of whole numbers, divided."""
+
+
+@pytest.fixture(autouse=True)
+def _ranks_may_differ() -> Iterator[None]:
+    """Stages broadcast as NumPy does; metrics, where ranks could be confused, are tested with promotion forbidden."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@dataclass
+class Plain:
+    """What becomes of one world: the step after which each box is placed, and the last step."""
+
+    placed_at: list[int]
+    end: int
+
+
+def plainly(masses: Sequence[float], sim: SimConfig) -> Plain:
+    """The rules for a world of the fake stepper's boxes, step by step, in float64 as MuJoCo's clock runs."""
+    n, adaptive = len(masses), sim.schedule is not Schedule.FIXED
+    static = sim.check is Check.STATIC
+    rest_steps = int(sim.rest_window_s / DT)
+    placed_at = [0] * n if static else []
+    fixed_end = int((sim.duration_s if static else (n + 1) * sim.interval_s) / DT)
+    limit_s = sim.duration_s if static else sim.interval_s
+    step, time_s, last_s, last, quiet, end = 0, 0.0, 0.0, 0, 0, None
+    while True:
+        step, time_s = step + 1, time_s + DT
+        trembles = [step - at < mass for at, mass in zip(placed_at, masses, strict=False)]
+        if static:
+            trembles = [step + 200 < mass for mass in masses]
+        polled = step % sim.quiet.poll_steps == 0
+        if polled:
+            quiet = 0 if any(trembles) else quiet + sim.quiet.poll_steps
+        due = time_s - last_s >= limit_s
+        if adaptive:
+            due = due or (polled and quiet >= sim.quiet.steps and step - last >= sim.quiet.min_steps)
+        if end is None and due:
+            if len(placed_at) < n:
+                placed_at.append(step)
+                last, last_s, quiet = step, time_s, 0
+            elif adaptive:
+                end = step + rest_steps
+        if (step == fixed_end and not adaptive) or step == end:
+            return Plain(placed_at, step)
+
+
+def placements(outcome: Outcome, sim: SimConfig) -> np.ndarray:
+    """When boxes were placed, from the force at rest: a box's mean age over the rest window."""
+    mean_age = outcome.boxes.rest_top_force_n
+    middle = outcome.n_steps - (int(sim.rest_window_s / DT) - 1) / 2
+    return middle - mean_age
+
+
+@pytest.fixture(scope="module")
+def engine() -> FakeEngine:
+    """Two stages of 16 lanes, so that 40 worlds make refills, hand-over and a drained stage."""
+    return FakeEngine(16, capacities=(2, 5), chunk_steps=10)
+
+
+MASSES = [
+    tuple(float(mass) for mass in np.random.default_rng(world).choice([1, 20, 47, 90, 149, 160, 400], 1 + world % 5))
+    for world in range(40)
+]
+
+
+@pytest.mark.parametrize("schedule", list(Schedule))
+def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule: Schedule) -> None:
+    sim = SHORT.model_copy(update={"schedule": schedule})
+    for masses, outcome in zip(MASSES, run_all(engine, [Job(fake_scene(*m)) for m in MASSES], sim), strict=True):
+        expected = plainly(masses, sim)
+        assert outcome.n_steps == expected.end
+        assert outcome.n_placed == len(masses)
+        np.testing.assert_allclose(placements(outcome, sim), expected.placed_at, rtol=FORCE_RELATIVE, atol=0.01)
+        assert outcome.verdict is Verdict.STABLE
+        assert outcome.sim_time_s == pytest.approx(expected.end * DT)
+
+
+def test_fixed_intervals_are_whole_steps_of_the_running_clock() -> None:
+    sim = SimConfig(schedule=Schedule.FIXED, interval_s=0.5)
+    masses = [1.0] * 5
+    (outcome,) = run_all(FakeEngine(16, capacities=(5,)), [Job(fake_scene(*masses))], sim)
+    expected = plainly(masses, sim)
+    assert outcome.n_steps == expected.end == int(6 * 0.5 / DT)
+    np.testing.assert_allclose(placements(outcome, sim), expected.placed_at, rtol=FORCE_RELATIVE, atol=0.01)
+
+
+@pytest.mark.parametrize("schedule", list(Schedule))
+def test_a_static_world_stands_from_the_soft_start_on(schedule: Schedule) -> None:
+    sim = SHORT.model_copy(update={"check": Check.STATIC, "schedule": schedule})
+    worlds = [(1.0, 1.0), (300.0, 1.0), (900.0, 1.0, 1.0), (1.0,)]
+    outcomes = run_all(FakeEngine(16, capacities=(4,)), [Job(fake_scene(*masses)) for masses in worlds], sim)
+    for masses, outcome in zip(worlds, outcomes, strict=True):
+        assert outcome.n_steps == plainly(masses, sim).end
+        # 200 steps of soft start count for age, not for time
+        np.testing.assert_allclose(placements(outcome, sim), -200, rtol=FORCE_RELATIVE, atol=0.01)
+
+
+def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs = [Job(fake_scene(*masses)) for masses in MASSES]
+    expected = run_all(FakeEngine(64, capacities=(5,)), jobs, SHORT)
+    for drain_share, group_size in ((0.25, 100), (0.9, 100), (0.0, 17)):
+        monkeypatch.setattr(engine, "drain_share", drain_share)
+        monkeypatch.setattr(engine, "group_size", group_size)
+        for found, alone in zip(run_all(engine, jobs, SHORT), expected, strict=True):
+            assert_same(found, alone)
+
+
+def test_a_drained_stage_hands_running_worlds_on(engine: FakeEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    # One world trembles until the interval is over while fifteen are through quickly: it moves on while it waits.
+    jobs = [Job(fake_scene(1.0, 1.0, 1.0))] * 15 + [Job(fake_scene(400.0, 400.0, 1.0))]
+    progress, patient = Progress(), Progress()
+    monkeypatch.setattr(engine, "drain_share", 0.0)
+    patient_ones = run_all(engine, jobs, SHORT, patient)
+    monkeypatch.setattr(engine, "drain_share", 0.5)
+    outcomes = run_all(engine, jobs, SHORT, progress)
+    assert progress.extra["place capacity 2 chunks"] < patient.extra["place capacity 2 chunks"]
+    for found, expected in zip(outcomes, patient_ones, strict=True):
+        assert_same(found, expected)
+
+
+def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine) -> None:
+    jobs = [Job(fake_scene(1.0, FALLS_KG, 1.0)), Job(fake_scene(1.0, 1.0, 1.0))]
+    fallen, standing = run_all(engine, jobs, SHORT)
+    assert (fallen.verdict, fallen.reason, fallen.culprit) == (Verdict.UNSTABLE, Reason.DROP, 1)
+    assert fallen.flags & Flag.EARLY_STOP
+    assert fallen.n_placed == 2
+    # 20 mm of shift after two steps: the first sample after that, 25 steps apart, tells
+    placed_at = plainly((1.0, FALLS_KG), SHORT).placed_at[1]
+    assert placed_at < fallen.first_sign_s / DT <= placed_at + 28
+    assert fallen.n_steps % 25 == 0
+    assert fallen.boxes.drop_s[1] == pytest.approx(fallen.n_steps * DT)
+    assert np.isnan(fallen.boxes.rest_top_force_n).all()
+    assert standing.verdict is Verdict.STABLE
+    on = SHORT.model_copy(update={"early_stop": False})
+    (whole,) = run_all(engine, jobs[:1], on)
+    assert whole.n_placed == 3
+    assert (whole.reason, whole.culprit) == (Reason.DROP, 1)
+    assert np.isfinite(whole.boxes.rest_top_force_n).all()
+
+
+# ---------------------------------------------------------------------- drives and forks
+
+
+def pushes(kind: str, steps: int, level: float, rest_s: float = 0.2) -> Drive:
+    return Drive(
+        Excitation("push", kind, np.tile([level, 0.0, 0.0], (steps, 1))), scale=2.0, yaw_rad=0.3, rest_s=rest_s
+    )
+
+
+def sway_of(drive: Drive, total_kg: float) -> float:
+    """How far the fake boxes go: down the push, turned but as long as before."""
+    level = float(np.abs(drive.excitation.samples).sum()) * drive.scale
+    return CREEP_M * level * (total_kg * 9.80665 if drive.excitation.kind == "force" else 1.0)
+
+
+@pytest.mark.parametrize("kind", ["force", "acceleration"])
+def test_a_drive_starts_when_the_pallet_is_quiet_and_lasts_as_long_as_its_profile(
+    engine: FakeEngine, kind: str
+) -> None:
+    level = 0.01 if kind == "force" else 5.0
+    drives = [pushes(kind, steps, level) for steps in (30, 61)]
+    masses = [(1.0, 60.0, 1.0), (1.0, 90.0)]
+    jobs = [Job(fake_scene(*m), drive) for m, drive in zip(masses, drives, strict=True)]
+    for m, drive, outcome in zip(masses, drives, run_all(engine, jobs, SHORT), strict=True):
+        quiet = plainly(m, SHORT).end - int(SHORT.rest_window_s / DT)
+        assert outcome.n_steps == quiet + len(drive.excitation.samples) + 100
+        np.testing.assert_allclose(outcome.boxes.max_sway_m, sway_of(drive, sum(m) + CARRIER_KG), rtol=0.01)
+
+
+@pytest.mark.parametrize("kind", ["force", "acceleration"])
+def test_forks_share_one_settled_state_and_equal_whole_runs(engine: FakeEngine, kind: str) -> None:
+    level = 0.01 if kind == "force" else 5.0
+    scene = fake_scene(1.0, 60.0, 30.0)
+    (kept,) = run_all(engine, [Job(scene, keep_state=True)], SHORT)
+    assert kept.state is not None
+    drives = [pushes(kind, 20 + steps, level) for steps in range(20)]
+    whole = run_all(engine, [Job(scene, drive) for drive in drives], SHORT)
+    forks = run_all(engine, [Job(scene, drive, start=kept.state) for drive in drives], SHORT)
+    for drive, fork, one_run in zip(drives, forks, whole, strict=True):
+        assert fork.flags & Flag.FORKED
+        assert fork.n_steps == len(drive.excitation.samples) + 100
+        assert fork.sim_time_s == one_run.sim_time_s
+        for name in ("pos", "max_sway_m", "rest_top_force_n", "max_top_force_n"):
+            np.testing.assert_array_equal(getattr(fork.boxes, name), getattr(one_run.boxes, name))
+
+
+def test_a_world_that_fell_skips_its_drive(engine: FakeEngine) -> None:
+    (outcome,) = run_all(engine, [Job(fake_scene(FALLS_KG), pushes("force", 30, 0.01))], SHORT)
+    assert outcome.reason is Reason.DROP
+    assert np.isnan(outcome.boxes.max_sway_m).all()
+
+
+# ---------------------------------------------------------------------- compilation
+
+
+def test_one_program_a_shape() -> None:
+    """Other jobs, another number of them, another run: the same programs."""
+    fresh = FakeEngine(16, capacities=(5,))
+    for masses in (MASSES[:32], [m[::-1] for m in MASSES[:25]]):
+        run_all(fresh, [Job(fake_scene(*m)) for m in masses], SHORT)
+    (stage,) = fresh._stages.values()
+    for program in (stage.run_chunk, stage.refill, stage.unload):
+        assert program._cache_size() == 1
+
+
+def test_one_placement_program_whatever_drives_follow() -> None:
+    fresh = FakeEngine(16, capacities=(2,))
+    for steps in (30, 61):
+        run_all(fresh, [Job(fake_scene(1.0), pushes("force", steps, 0.01))], SHORT)
+    (stage,) = [stage for key, stage in fresh._stages.items() if not key.drive]
+    assert stage.run_chunk._cache_size() == 1

@@ -1,0 +1,344 @@
+"""The mujoco engine's own mechanics: contacts, growth, forking, threads, interruption, and broken numbers."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Generator, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from petmjx.config import PHYSICS, Cone, Schedule, SimConfig, Thresholds
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu import live as mujoco_live
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.engines.cpu.world import Clock
+from petmjx.metrics.force_np import contact_normal_and_tangents
+from petmjx.metrics.motion_np import lowest_z, tilt_deg
+from petmjx.plans.plan import Plan
+from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
+from petmjx.world.job import Drive, Excitation, Job
+from petmjx.world.model import build_spec, to_mjcf
+from petmjx.world.scene import Scene, build_scene
+
+SAME_M = 1e-9
+"""Worlds that differ only in how the model is laid out differ by rounding."""
+
+
+def stack(n: int = 5, size_mm: tuple[float, float, float] = (300, 200, 150), shift_mm: float = 20.0) -> Plan:
+    """A leaning tower that stands: each box sits ``shift_mm`` further along x on every other level."""
+    return Plan(
+        plan_id="stack",
+        source="test",
+        size_mm=np.tile(np.array(size_mm, dtype=float), (n, 1)),
+        corner_mm=np.array([[100 + shift_mm * (k % 2), 100, size_mm[2] * k] for k in range(n)], dtype=float),
+        mass_kg=np.linspace(8.0, 3.0, n),
+        item_ids=("item",) * n,
+        articles=("article",) * n,
+        sequence=np.arange(1, n + 1),
+    )
+
+
+def falling() -> Plan:
+    """The second box reaches over the carrier's edge at x = 0 by more than half and falls to the floor."""
+    plan = stack(3, shift_mm=-200.0)
+    plan.corner_mm[:, 0] -= 100.0
+    return plan
+
+
+def scene_of(plan: Plan, physics: str = "pallet") -> Scene:
+    return build_scene(plan, PHYSICS[physics])
+
+
+def run_one(job: Job, sim: SimConfig) -> Outcome:
+    (outcome,) = MujocoEngine(1).run([job], sim)
+    return outcome
+
+
+def push(n_steps: int = 50, level: float = 0.3, kind: str = "force") -> Drive:
+    return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (n_steps, 1))), rest_s=0.3)
+
+
+# ---------------------------------------------------------------------- model
+
+
+def test_the_model_has_the_bodies_masses_and_frictions_of_the_scene() -> None:
+    scene = scene_of(stack(3), "reference")
+    model = build_spec(scene, PHYSICS["reference"]).compile()
+    assert [model.body(k).name for k in range(model.nbody)] == ["world", "carrier", "box_0", "box_1", "box_2"]
+    np.testing.assert_allclose(model.body_mass[1:], [25.0, *scene.mass])
+    np.testing.assert_allclose(model.geom("carrier").friction, [3.0, 0.005, 0.0001])
+    np.testing.assert_allclose(model.geom("box_1").size, scene.half_size[1])
+    np.testing.assert_allclose(model.geom_solimp[:, :3], np.tile([0.99, 0.99, 0.01], (model.ngeom, 1)))
+    assert model.opt.timestep == 0.002
+    assert model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+
+
+def test_exported_mjcf_loads_and_stands_as_planned() -> None:
+    scene = scene_of(stack(3))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(scene, PHYSICS["pallet"]))
+    np.testing.assert_allclose(model.qpos0.reshape(-1, 7)[1:, :3], scene.target)
+    np.testing.assert_allclose(model.body_mass[2:], scene.mass)
+    assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+
+
+def test_a_model_of_more_boxes_than_the_scene_has_is_refused() -> None:
+    with pytest.raises(ValueError, match="n_boxes must be"):
+        build_spec(scene_of(stack(3)), PHYSICS["pallet"], n_boxes=4)
+
+
+# ---------------------------------------------------------------------- metrics
+
+
+@pytest.mark.parametrize("physics", list(PHYSICS))
+def test_contact_forces_are_those_mujoco_reports(physics: str) -> None:
+    model = build_spec(scene_of(stack(5, shift_mm=90), physics), PHYSICS[physics]).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=60)
+    index, force = contact_normal_and_tangents(data, PHYSICS[physics].cone is Cone.PYRAMIDAL)
+    assert len(index) > 10
+    wrench = np.zeros(6)
+    for contact, ours in zip(index, force, strict=True):
+        mujoco.mj_contactForce(model, data, int(contact), wrench)
+        np.testing.assert_allclose(ours, wrench[:3], rtol=1e-12, atol=1e-12)
+
+
+def test_tilt_and_lowest_point_of_turned_boxes() -> None:
+    half_angle = np.radians(30.0) / 2
+    quat = np.array([[1.0, 0, 0, 0], [np.cos(half_angle), np.sin(half_angle), 0, 0], [np.cos(0.7), 0, 0, np.sin(0.7)]])
+    np.testing.assert_allclose(tilt_deg(quat), [0.0, 30.0, 0.0], atol=1e-12)
+    half_size = np.tile([0.1, 0.2, 0.3], (3, 1))
+    turned = 1.0 - 0.3 * np.cos(np.radians(30)) - 0.2 * np.sin(np.radians(30))
+    np.testing.assert_allclose(lowest_z(np.array([[0, 0, 1.0]] * 3), quat, half_size), [0.7, turned, 0.7])
+
+
+def sample_of(scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s: float = 1.0) -> Sample:
+    n = scene.n_boxes
+    quiet = np.zeros((n, 3))
+    return Sample(
+        time_s, scene.target + np.array([offset_m, 0, 0]), scene.start_quat, quiet, quiet + ang_acc, np.zeros(n)
+    )
+
+
+def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
+    scene = scene_of(stack(2))
+    metrics = OracleMetrics(scene, Thresholds())
+    assert not metrics.add_sample(sample_of(scene))
+    assert metrics.add_sample(sample_of(scene, ang_acc=100.0))
+    assert not metrics.add_sample(sample_of(scene, offset_m=0.021, ang_acc=100.0, time_s=2.0))
+    assert not metrics.add_sample(sample_of(scene, ang_acc=100.0, time_s=3.0))
+    assert metrics.first_sign_s == 2.0
+
+
+def test_verdicts_come_in_their_order() -> None:
+    scene = scene_of(stack(2))
+    metrics = OracleMetrics(scene, Thresholds())
+    metrics.add_sample(sample_of(scene))
+    boxes = metrics.finish(scene.target + np.array([0.03, 0, 0]), scene.start_quat, came_to_end=True)
+    found = [judge(Flag.NONE, boxes, 2, Thresholds())]
+    boxes.max_tilt_deg[1] = 21.0
+    found.append(judge(Flag.NONE, boxes, 2, Thresholds()))
+    boxes.dropped[0] = True
+    found.append(judge(Flag.NONE, boxes, 2, Thresholds()))
+    flags = Flag.NONE
+    for flag in (Flag.EXPLOSION, Flag.CONTACT_OVERFLOW, Flag.NONFINITE):
+        flags |= flag
+        found.append(judge(flags, boxes, 2, Thresholds()))
+    assert [reason for _, reason in found] == [
+        Reason.SHIFT,
+        Reason.TILT,
+        Reason.DROP,
+        Reason.EXPLOSION,
+        Reason.OVERFLOW,
+        Reason.NONFINITE,
+    ]
+
+
+# ---------------------------------------------------------------------- schedules
+
+
+def test_the_clock_is_mujocos_running_sum() -> None:
+    clock, time_s, placed_s, steps = Clock(0.002), 0.0, 0.0, list[int]()
+    for step in range(1, 2000):
+        time_s += 0.002
+        if time_s - placed_s >= 0.5:
+            placed_s = time_s
+            steps.append(step)
+        assert clock.time_s(step) == time_s
+    step, found = 0, list[int]()
+    while len(found) < len(steps):
+        step = clock.first_after(step, 0.5)
+        found.append(step)
+    assert found == steps
+    assert set(np.diff([0, *steps])) <= {250, 251}
+
+
+def test_fixed_and_adaptive_agree_and_adaptive_is_shorter() -> None:
+    scene = scene_of(stack())
+    fixed = run_one(Job(scene), SimConfig(schedule=Schedule.FIXED))
+    adaptive = run_one(Job(scene), SimConfig(schedule=Schedule.ADAPTIVE))
+    assert fixed.verdict is adaptive.verdict is Verdict.STABLE
+    assert fixed.n_steps == int(6 * 0.7 / 0.002)
+    assert adaptive.n_steps < fixed.n_steps / 2
+    # The spec measured 0.1 mm on a real pallet.
+    np.testing.assert_allclose(adaptive.boxes.pos, fixed.boxes.pos, atol=1e-4)
+
+
+@pytest.mark.parametrize("physics", list(PHYSICS))
+def test_how_the_world_grows_does_not_matter(physics: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    sim = SimConfig(physics=PHYSICS[physics])
+    scene = scene_of(stack(7), physics)
+    outcomes = []
+    for block in (1, 3, 7):
+        monkeypatch.setattr(mujoco_live, "GROWTH_BLOCK", block)
+        outcomes.append(run_one(Job(scene), sim))
+    for other in outcomes[1:]:
+        assert other.n_steps == outcomes[0].n_steps
+        np.testing.assert_allclose(other.boxes.pos, outcomes[0].boxes.pos, atol=SAME_M)
+        np.testing.assert_allclose(other.boxes.rest_top_force_n, outcomes[0].boxes.rest_top_force_n, rtol=1e-6)
+
+
+def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
+    scene = scene_of(falling())
+    early = run_one(Job(scene), SimConfig())
+    whole = run_one(Job(scene), SimConfig(early_stop=False))
+    assert early.verdict is whole.verdict is Verdict.UNSTABLE
+    assert early.culprit == whole.culprit == 1
+    assert early.flags & Flag.EARLY_STOP
+    assert not whole.flags & Flag.EARLY_STOP
+    assert early.sim_time_s < whole.sim_time_s
+    assert np.isnan(early.boxes.rest_top_force_n).all()
+    assert np.isfinite(whole.boxes.rest_top_force_n).all()
+
+
+# ---------------------------------------------------------------------- forking
+
+
+@pytest.mark.parametrize("kind", ["force", "acceleration"])
+@pytest.mark.parametrize("schedule", list(Schedule))
+def test_a_fork_equals_the_world_it_was_forked_from(schedule: Schedule, kind: str) -> None:
+    sim = SimConfig(schedule=schedule, settle_s=0.5, interval_s=0.3)
+    scene = scene_of(stack(4))
+    drive = push(level=0.3 if kind == "force" else 3.0, kind=kind)
+    whole = run_one(Job(scene, drive), sim)
+    kept = run_one(Job(scene, keep_state=True), sim)
+    fork = run_one(Job(scene, drive, start=kept.state), sim)
+    assert fork.n_steps == 50 + 150
+    assert kept.state.step + fork.n_steps == whole.n_steps
+    assert fork.flags & Flag.FORKED
+    assert fork.verdict is whole.verdict
+    for name in ("pos", "max_tilt_deg", "max_sway_m", "max_top_force_n", "rest_top_force_n"):
+        np.testing.assert_allclose(getattr(fork.boxes, name), getattr(whole.boxes, name), rtol=1e-6, atol=SAME_M)
+
+
+def test_64_forks_cost_one_placement() -> None:
+    sim = SimConfig(settle_s=0.5)
+    scene = scene_of(stack(3))
+    progress = Progress()
+    kept = run_one(Job(scene, keep_state=True), sim)
+    jobs = [Job(scene, push(20 + k), start=kept.state) for k in range(64)]
+    outcomes = list(MujocoEngine(2).run(jobs, sim, progress))
+    assert sorted(outcome.job for outcome in outcomes) == list(range(64))
+    assert progress.worlds_done == 64
+    assert progress.world_steps == sum(20 + k + 150 for k in range(64))
+    # The state is shared: a fork must not have changed it for the next.
+    again = run_one(jobs[0], sim)
+    first = next(outcome for outcome in outcomes if outcome.job == 0)
+    np.testing.assert_array_equal(again.boxes.pos, first.boxes.pos)
+
+
+def test_forks_of_a_collapse_have_its_outcome() -> None:
+    scene = scene_of(falling())
+    kept = run_one(Job(scene, keep_state=True), SimConfig())
+    fork = run_one(Job(scene, push(), start=kept.state), SimConfig())
+    assert (fork.verdict, fork.reason, fork.culprit) == (kept.verdict, kept.reason, kept.culprit)
+    assert fork.n_steps == 0
+
+
+# ---------------------------------------------------------------------- threads and failure
+
+
+def test_outcomes_do_not_depend_on_the_number_of_threads() -> None:
+    jobs = [Job(scene_of(stack(n, shift_mm=shift))) for n in (2, 4, 6) for shift in (10, 90, 280)]
+    alone = {outcome.job: outcome for outcome in MujocoEngine(1).run(jobs, SimConfig())}
+    together = {outcome.job: outcome for outcome in MujocoEngine(4).run(jobs, SimConfig())}
+    assert alone.keys() == together.keys() == set(range(len(jobs)))
+    for job, outcome in alone.items():
+        assert outcome.n_steps == together[job].n_steps
+        np.testing.assert_array_equal(outcome.boxes.pos, together[job].boxes.pos)
+        np.testing.assert_array_equal(outcome.boxes.max_top_force_n, together[job].boxes.max_top_force_n)
+
+
+class CountedJobs(Sequence[Job]):
+    """Many equal jobs that exist only when asked for, and remember how many were."""
+
+    def __init__(self, job: Job, count: int) -> None:
+        self._job, self._count, self.asked = job, count, 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: object) -> Job:  # type: ignore[override]  # slices are not asked for here
+        if not isinstance(index, int) or index >= self._count:
+            raise IndexError(index)
+        self.asked += 1
+        return self._job
+
+
+def test_closing_the_run_stops_it_and_jobs_are_taken_as_needed() -> None:
+    before = threading.active_count()
+    jobs = CountedJobs(Job(scene_of(stack(2))), 10_000)
+    outcomes = MujocoEngine(2).run(jobs, SimConfig())
+    assert isinstance(outcomes, Generator)
+    next(outcomes)
+    assert jobs.asked <= 8
+    outcomes.close()
+    assert threading.active_count() == before
+
+
+def test_ctrl_c_ends_long_worlds_at_once() -> None:
+    program = """
+import sys
+sys.path[:0] = ["tests", "tests/oracle"]
+from petmjx.config import PHYSICS, Check, Schedule, SimConfig
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.world.job import Job
+from test_mujoco_engine import scene_of, stack
+sim = SimConfig(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=1e5)
+print("started", flush=True)
+try:
+    list(MujocoEngine(2).run([Job(scene_of(stack(3)))] * 4, sim))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+    repository = Path(__file__).parents[2]
+    with subprocess.Popen(
+        [sys.executable, "-c", program], cwd=repository, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        # A world looks for the interruption at every event, here every 100 steps: milliseconds.
+        assert process.wait(timeout=10.0) == 130
+
+
+def test_broken_numbers_are_invalid_and_leave_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    samples = np.full((5, 3), np.nan)
+    drive = Drive(Excitation("broken", "force", samples), rest_s=0.1)
+    outcome = run_one(Job(scene_of(stack(2)), drive), SimConfig(settle_s=0.1))
+    assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.NONFINITE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fewer_than_one_thread_is_refused() -> None:
+    with pytest.raises(ValueError, match="threads must be at least 1"):
+        MujocoEngine(0)

@@ -1,0 +1,133 @@
+"""The mujoco engine against answers that need no simulator: balance, load, sliding, toppling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from petmjx.config import PHYSICS, Carrier, Check, Schedule, SimConfig
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.plans.plan import Plan
+from petmjx.units import FloatArray
+from petmjx.verdict import Outcome, Verdict
+from petmjx.world.job import Drive, Excitation, Job
+from petmjx.world.scene import build_scene
+
+G = 9.81
+MU = 0.5
+"""Friction of box on carrier and box on box in the preset ``pallet``."""
+MARGIN = 0.03
+"""Thresholds of sliding and toppling have to be met within 3 %: it holds that much below and fails that much above."""
+LOAD_RELATIVE = 0.01
+"""Resting loads: contacts are soft, but at rest the forces balance; 1 % leaves room for a box that still sinks."""
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float], float]
+"""Size in mm, front-left-bottom corner in mm, mass in kg."""
+
+
+def make_plan(*boxes: Box) -> Plan:
+    n = len(boxes)
+    return Plan(
+        plan_id="closed form",
+        source="test",
+        size_mm=np.array([size for size, _, _ in boxes], dtype=float),
+        corner_mm=np.array([corner for _, corner, _ in boxes], dtype=float),
+        mass_kg=np.array([mass for _, _, mass in boxes], dtype=float),
+        item_ids=("item",) * n,
+        articles=("article",) * n,
+        sequence=np.arange(1, n + 1),
+    )
+
+
+def simulate(plan: Plan, sim: SimConfig, drive: Drive | None = None) -> Outcome:
+    scene = build_scene(plan, sim.physics, Carrier.EURO_PALLET)
+    return next(iter(MujocoEngine(1).run([Job(scene, drive)], sim)))
+
+
+@pytest.mark.parametrize("check", list(Check))
+@pytest.mark.parametrize(("overhang_mm", "stands"), [(180, True), (220, False)])
+def test_a_box_tips_when_more_than_half_of_it_hangs_over(overhang_mm: float, stands: bool, check: Check) -> None:
+    plan = make_plan(((400, 300, 200), (0, 100, 0), 8.0), ((400, 300, 200), (overhang_mm, 100, 200), 5.0))
+    outcome = simulate(plan, SimConfig(check=check))
+    assert (outcome.verdict is Verdict.STABLE) == stands
+    if not stands:
+        assert outcome.culprit == 1
+
+
+@pytest.mark.parametrize("physics", list(PHYSICS))
+def test_every_box_of_a_tower_bears_what_stands_on_it(physics: str) -> None:
+    masses = [9.0, 7.0, 5.0, 3.0, 2.0, 1.0]
+    plan = make_plan(*(((300, 300, 150), (200, 200, 150.0 * k), mass) for k, mass in enumerate(masses)))
+    outcome = simulate(plan, SimConfig(physics=PHYSICS[physics]))
+    above_kg = np.array([sum(masses[k + 1 :]) for k in range(len(masses))])
+    assert outcome.verdict is Verdict.STABLE
+    np.testing.assert_allclose(outcome.boxes.rest_top_force_n, above_kg * G, rtol=LOAD_RELATIVE, atol=0.01)
+
+
+def test_a_bridge_loads_both_supports_alike() -> None:
+    plan = make_plan(
+        ((200, 300, 200), (0, 0, 0), 5.0),
+        ((200, 300, 200), (600, 0, 0), 5.0),
+        ((800, 300, 100), (0, 0, 200), 6.0),
+    )
+    outcome = simulate(plan, SimConfig())
+    assert outcome.verdict is Verdict.STABLE
+    np.testing.assert_allclose(outcome.boxes.rest_top_force_n, [3.0 * G, 3.0 * G, 0.0], rtol=LOAD_RELATIVE, atol=0.01)
+
+
+CUBE = make_plan(((200, 200, 200), (500, 300, 0), 5.0))
+TALL = make_plan(((100, 200, 400), (500, 300, 0), 5.0))
+FLAT_PAIR = make_plan(((200, 200, 100), (500, 300, 0), 5.0), ((200, 200, 100), (500, 300, 100), 5.0))
+TOWER = make_plan(((100, 200, 200), (500, 300, 0), 5.0), ((100, 200, 200), (500, 300, 200), 5.0))
+
+
+def accelerated(plan: Plan, carrier_acceleration: FloatArray) -> Outcome:
+    """The plan, standing, on a held carrier with these accelerations, a row a step."""
+    sim = SimConfig(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4)
+    return simulate(plan, sim, Drive(Excitation("test", "acceleration", carrier_acceleration), rest_s=0.4))
+
+
+def constant_along_x(level_m_s2: float) -> FloatArray:
+    """A level reached in 0.2 s and held for 1.6 s, long enough for slow toppling to be over."""
+    level = np.concatenate((np.linspace(0.0, 1.0, 100), np.ones(800))) * level_m_s2
+    return np.column_stack((level, np.zeros_like(level), np.zeros_like(level)))
+
+
+@pytest.mark.parametrize(
+    ("plan", "threshold_m_s2", "reason"),
+    [
+        pytest.param(CUBE, MU * G, "shift", id="box slides at mu g"),
+        pytest.param(FLAT_PAIR, MU * G, "shift", id="upper of two boxes slides at mu g"),
+        pytest.param(TALL, G * 100 / 400, "tilt", id="box topples at g b/h"),
+        pytest.param(TOWER, G * 100 / 400, "tilt", id="tower of two topples at g b/h"),
+    ],
+)
+def test_sliding_and_toppling_begin_where_they_should(plan: Plan, threshold_m_s2: float, reason: str) -> None:
+    below = accelerated(plan, constant_along_x((1.0 - MARGIN) * threshold_m_s2))
+    above = accelerated(plan, constant_along_x((1.0 + MARGIN) * threshold_m_s2))
+    assert below.verdict is Verdict.STABLE
+    # Within the time of a sway of 1 mm nothing has begun: a box that slides or topples goes 100 mm and more.
+    assert below.boxes.max_sway_m.max() < 0.002
+    assert above.verdict is Verdict.UNSTABLE
+    assert above.boxes.max_sway_m.max() > 0.1
+    toppled = above.boxes.max_tilt_deg[0] > 45.0
+    assert toppled == (reason == "tilt")
+
+
+@pytest.mark.parametrize(("fraction", "holds"), [(1.0 - MARGIN, True), (1.0 + MARGIN, False)])
+def test_a_box_slides_when_the_carrier_is_tilted_beyond_the_friction_angle(fraction: float, holds: bool) -> None:
+    angle = np.arctan(MU) * fraction * np.minimum(np.arange(1500) / 500, 1.0)
+    # Gravity as the tilted carrier feels it, g (sin, 0, −cos), is g − a.
+    rows = G * np.column_stack((-np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0))
+    outcome = accelerated(CUBE, rows)
+    assert (outcome.verdict is Verdict.STABLE) == holds
+    assert (outcome.boxes.max_sway_m[0] < 0.002) == holds
+
+
+def test_a_push_on_a_free_carrier_moves_it_and_what_stands_on_it() -> None:
+    # Lifted by 0.9 of its weight, the pallet has a tenth of its grip on the floor (friction 1.0).
+    samples = np.tile([0.4, 0.0, 0.9], (100, 1))
+    sim = SimConfig(schedule=Schedule.FIXED, settle_s=0.4)
+    outcome = simulate(CUBE, sim, Drive(Excitation("push", "force", samples), rest_s=0.6))
+    # Net (0.4 − 0.1 friction) g for 0.2 s gives 0.59 m/s; then friction 1.0 g stops it within 18 mm more.
+    assert 0.02 < outcome.boxes.max_sway_m[0] < 0.16

@@ -1,0 +1,165 @@
+"""A stepper without physics: worlds whose every event can be worked out by hand, for tests of stages and lanes.
+
+What a box does after it was placed is written into its mass:
+
+* it trembles (too fast to be quiet) for ``mass`` steps, then is at rest;
+* with a mass of ``FALLS_KG`` or more it falls 10 mm a step;
+* what presses on its top is its age, 1 N a step: the force at rest tells when the box was placed;
+* the carrier's excitation moves it along x and y: 1 µm a step for each newton or m/s².
+
+A box's age is kept in its warm-start acceleration, so that it survives only if states are handed on whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from petmjx.config import SimConfig
+from petmjx.engines.base import Progress
+from petmjx.engines.batch.engine import MjxEngine
+from petmjx.engines.batch.template import CARRIER_BODY, FIRST_BOX_BODY
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+
+FALLS_KG = 1000.0
+FALL_M = 0.01
+TREMBLE_M_S = 0.1
+CREEP_M = 1e-6
+
+CARRIER_KG = 25.0
+
+
+class FakeModel(NamedTuple):
+    """The model fields that overrides are made from."""
+
+    geom_size: jax.Array
+    geom_rbound: jax.Array
+    geom_aabb: jax.Array
+    body_pos: jax.Array
+    body_quat: jax.Array
+
+
+class FakeData(NamedTuple):
+    """What a stage reads of the data, and each box's mass, by which tests mark boxes."""
+
+    qpos: jax.Array
+    qvel: jax.Array
+    qacc_warmstart: jax.Array
+    qacc: jax.Array
+    mass: jax.Array
+
+
+class FakeStepper:
+    """Implements ``petmjx.engines.batch.stage.Stepper``."""
+
+    def __init__(self, capacity: int, lanes: int, *, held: bool) -> None:
+        self.capacity, self.lanes, self.held = capacity, lanes, held
+        bodies = capacity + 2
+        self.model = FakeModel(
+            jnp.zeros((bodies, 3)),
+            jnp.zeros(bodies),
+            jnp.zeros((bodies, 6)),
+            jnp.zeros((bodies, 3)),
+            jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (bodies, 1)),
+        )
+
+    @property
+    def joints(self) -> int:
+        return self.capacity + (not self.held)
+
+    def scratch(self) -> FakeData:
+        n, k = self.lanes, self.joints
+        mass = jnp.zeros((n, self.capacity))
+        return FakeData(
+            jnp.zeros((n, 7 * k)), jnp.zeros((n, 6 * k)), jnp.zeros((n, 6 * k)), jnp.zeros((n, 6 * k)), mass
+        )
+
+    def ages(self, data: FakeData) -> jax.Array:
+        """(lane, box) steps since each box was placed."""
+        return data.qacc_warmstart.reshape(self.lanes, self.joints, 6)[:, -self.capacity :, 0]
+
+    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: FakeData) -> FakeData:
+        n, k, c = self.lanes, self.joints, self.capacity
+        mass = overrides["body_mass"][:, FIRST_BOX_BODY:]
+        pose = inputs["qpos"].reshape(n, k, 7)
+        warm = inputs["qacc_warmstart"].reshape(n, k, 6).at[:, -c:, 0].add(1.0)
+        trembles = warm[:, -c:, 0] < mass
+        vel = jnp.zeros((n, k, 6)).at[:, -c:, 0].set(jnp.where(trembles, TREMBLE_M_S, 0.0))
+        push = inputs["xfrc_applied"][:, CARRIER_BODY, :2]
+        if self.held:
+            push = push - overrides["opt.gravity"][:, :2]
+        pose = pose.at[:, -c:, :2].add(CREEP_M * push[:, None])
+        pose = pose.at[:, -c:, 2].add(jnp.where(mass >= FALLS_KG, -FALL_M, 0.0))
+        flat = (n, -1)
+        return FakeData(pose.reshape(flat), vel.reshape(flat), warm.reshape(flat), jnp.zeros((n, 6 * k)), mass)
+
+    def top_force(self, overrides: dict[str, jax.Array], scratch: FakeData) -> jax.Array:
+        return self.ages(scratch)
+
+    def overflow(self, scratch: FakeData) -> jax.Array:
+        return jnp.zeros(self.lanes, jnp.int32)
+
+    def usage(self, scratch: FakeData) -> jax.Array:
+        return jnp.zeros(2, jnp.int32)
+
+    def iterations(self, scratch: FakeData) -> jax.Array:
+        return jnp.zeros(self.lanes, jnp.int32)
+
+
+class FakeEngine(MjxEngine):
+    """The MJX engines' lanes, stages and rules over the fake stepper."""
+
+    name = "fake"
+
+    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Any:
+        return FakeStepper(capacity, lanes, held=held)
+
+
+def fake_scene(*masses: float) -> Scene:
+    """Boxes side by side, at rest where they are put, with these masses in kg."""
+    n = len(masses)
+    target = np.column_stack((0.3 * np.arange(n), np.zeros(n), np.full(n, 0.1)))
+    return Scene(
+        half_size=np.full((n, 3), 0.1),
+        mass=np.array(masses, float),
+        target=target,
+        start_pos=target.copy(),
+        start_quat=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        box_friction=(0.5, 0.005, 0.0001),
+        carrier_friction=(0.5, 0.005, 0.0001),
+        floor_friction=(1.0, 0.005, 0.0001),
+        carrier_half_size=np.array([0.6, 0.4, 0.072]),
+        carrier_mass=CARRIER_KG,
+        floor_z=-0.144,
+    )
+
+
+def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
+    """Outcomes by job, each exactly once."""
+    listed = sorted(outcomes, key=lambda outcome: outcome.job)
+    assert [outcome.job for outcome in listed] == list(range(len(listed)))
+    return listed
+
+
+def run_all(engine: MjxEngine, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> list[Outcome]:
+    """Every job's outcome, in order."""
+    outcomes = in_order(engine.run(jobs, sim, progress))
+    assert len(outcomes) == len(jobs)
+    return outcomes
+
+
+def assert_same(found: Outcome, expected: Outcome, relative: float = 0.0, absolute: float = 0.0) -> None:
+    """Verdict, times and every metric of two worlds are the same."""
+    for name in ("verdict", "reason", "culprit", "n_boxes", "n_placed", "n_steps"):
+        assert getattr(found, name) == getattr(expected, name), name
+    np.testing.assert_equal(found.first_sign_s, expected.first_sign_s)
+    for name, values in vars(expected.boxes).items():
+        np.testing.assert_allclose(
+            getattr(found.boxes, name), values, rtol=relative, atol=absolute, equal_nan=True, err_msg=name
+        )

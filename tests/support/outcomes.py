@@ -1,0 +1,73 @@
+"""Plans and outcomes made by hand, for tests of what is done with results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from petmjx.plans.plan import Plan
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+
+
+def make_plan(plan_id: str = "00000001", n: int = 3) -> Plan:
+    return Plan(
+        plan_id=plan_id,
+        source="plans.json",
+        size_mm=np.full((n, 3), 200.0),
+        corner_mm=np.zeros((n, 3)),
+        mass_kg=np.ones(n),
+        item_ids=tuple(f"item-{k}" for k in range(n)),
+        articles=tuple(f"article-{k}" for k in range(n)),
+        sequence=np.arange(1, n + 1),
+    )
+
+
+def make_outcome(
+    n: int = 3, verdict: Verdict = Verdict.STABLE, reason: Reason = Reason.NONE, **changes: Any
+) -> Outcome:
+    """A world whose box k has metrics k + 1 (shift in mm), at rest, upright."""
+    k = np.arange(1.0, n + 1)
+    metrics = {
+        "shift_m": np.stack([k, -2 * k, np.zeros(n)], axis=1) / 1000,
+        "max_tilt_deg": k,
+        "max_lin_acc": 10 * k,
+        "max_ang_acc": 20 * k,
+        "max_top_force_n": 100 * k,
+        "rest_top_force_n": 50 * k,
+        "dropped": np.zeros(n, dtype=bool),
+        "drop_s": np.full(n, np.nan),
+        "max_sway_m": np.full(n, np.nan),
+        "pos": np.stack([k, k, k], axis=1),
+        "quat": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+    }
+    metrics.update({name: changes.pop(name) for name in tuple(changes) if name in metrics})
+    values: dict[str, Any] = {
+        "job": 0,
+        "verdict": verdict,
+        "reason": reason,
+        "culprit": -1,
+        "first_sign_s": float("nan"),
+        "n_boxes": n,
+        "n_placed": n,
+        "sim_time_s": 1.5,
+        "n_steps": 750,
+        "flags": Flag.NONE,
+        "boxes": BoxMetrics(**metrics),
+    }
+    return Outcome(**values | changes)
+
+
+def dropped_outcome() -> Outcome:
+    """Box 1 of three went first at 0.4 s and dropped at 0.8 s, before box 2 was placed."""
+    return make_outcome(
+        verdict=Verdict.UNSTABLE,
+        reason=Reason.DROP,
+        culprit=1,
+        first_sign_s=0.4,
+        n_placed=2,
+        flags=Flag.EARLY_STOP,
+        dropped=np.array([False, True, False]),
+        drop_s=np.array([np.nan, 0.8, np.nan]),
+        rest_top_force_n=np.full(3, np.nan),
+    )

@@ -1,0 +1,108 @@
+"""Small plans that stand, slide, tip and collapse, and their outcomes, computed once for all tests of a session."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from petmjx.config import PHYSICS, SimConfig
+from petmjx.engines.batch.engine import MjxEngine
+from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples.handmade import HANDMADE
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene, build_scene
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float], float]
+"""Size in mm, front-left-bottom corner in mm, mass in kg."""
+
+LANES = 8
+CAPACITIES = (2, 4)
+"""A step costs as lanes × capacity⁴ on a CPU (MJX multiplies dense matrices of all candidate contacts)."""
+
+MORE: dict[str, tuple[Box, ...]] = {
+    "uneven pile": (
+        ((400, 300, 200), (0, 0, 0), 9.0),
+        ((300, 300, 200), (400, 0, 0), 4.0),
+        ((500, 200, 120), (100, 50, 200), 6.0),
+        ((150, 150, 180), (150, 60, 320), 1.5),
+    ),
+    "brickwork": (
+        ((300, 200, 150), (0, 0, 0), 5.0),
+        ((300, 200, 150), (300, 0, 0), 5.0),
+        ((300, 200, 150), (150, 0, 150), 5.0),
+        ((300, 200, 150), (150, 0, 300), 5.0),
+    ),
+    "stack of 4": tuple(((400, 300, 200), (0, 0, 200 * k), 6.0) for k in range(4)),
+    "corner overhang of 30 %": (((400, 400, 200), (0, 0, 0), 8.0), ((400, 400, 200), (120, 120, 200), 5.0)),
+    "falls 60 mm flat": (((400, 300, 200), (0, 0, 0), 6.0), ((300, 200, 150), (50, 50, 260), 3.0)),
+    "two wings on a post": (
+        ((200, 200, 200), (200, 0, 0), 5.0),
+        ((200, 200, 100), (60, 0, 200), 4.0),
+        ((200, 200, 100), (400, 0, 200), 4.0),
+    ),
+    "light under heavy": (((300, 300, 100), (0, 0, 0), 0.5), ((300, 300, 250), (0, 0, 100), 20.0)),
+    "corner overhang of 70 %": (((400, 400, 200), (0, 0, 0), 8.0), ((400, 400, 200), (280, 280, 200), 5.0)),
+}
+
+
+def _placed(entry: dict[str, object]) -> Box:
+    item, corner = entry["item"], entry["flb_coordinates"]
+    assert isinstance(item, dict)
+    assert isinstance(corner, list)
+    return (item["length/mm"], item["width/mm"], item["height/mm"]), tuple(corner), item["weight/kg"]
+
+
+def boxes_by_plan() -> dict[str, tuple[Box, ...]]:
+    """The hand-made samples that fit into the capacities, then those above."""
+    small = {p.plan_id: tuple(map(_placed, p.placements)) for p in HANDMADE if len(p.placements) <= CAPACITIES[-1]}
+    return small | MORE
+
+
+def make_plan(plan_id: str, boxes: Sequence[Box]) -> Plan:
+    n = len(boxes)
+    return Plan(
+        plan_id=plan_id,
+        source=str(Path(__file__).name),
+        size_mm=np.array([size for size, _, _ in boxes], float),
+        corner_mm=np.array([corner for _, corner, _ in boxes], float),
+        mass_kg=np.array([mass for _, _, mass in boxes], float),
+        item_ids=("item",) * n,
+        articles=("article",) * n,
+        sequence=np.arange(1, n + 1),
+    )
+
+
+@functools.cache
+def scenes(physics: str = "pallet") -> dict[str, Scene]:
+    return {name: build_scene(make_plan(name, boxes), PHYSICS[physics]) for name, boxes in boxes_by_plan().items()}
+
+
+def simulate(engine: MjxEngine | MujocoEngine, some: dict[str, Scene], sim: SimConfig) -> dict[str, Outcome]:
+    """Outcomes by name."""
+    names = list(some)
+    with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
+        return {names[o.job]: o for o in engine.run([Job(scene) for scene in some.values()], sim)}
+
+
+@functools.cache
+def jax_engine() -> MjxJaxEngine:
+    """The one engine of the session: its programs take half a minute to compile."""
+    return MjxJaxEngine(LANES, capacities=CAPACITIES)
+
+
+@functools.cache
+def jax_outcomes() -> dict[str, Outcome]:
+    """More worlds than lanes, through two stages."""
+    return simulate(jax_engine(), scenes(), SimConfig())
+
+
+@functools.cache
+def exact_outcomes() -> dict[str, Outcome]:
+    return simulate(MujocoEngine(2), scenes(), SimConfig())

@@ -1,0 +1,142 @@
+"""The batched metrics against their NumPy twins and MuJoCo itself, in float32 and with rank promotion forbidden."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from petmjx.config import Quiet, Thresholds
+from petmjx.metrics import force_jax as force
+from petmjx.metrics import force_np, motion_np
+from petmjx.metrics import motion_jax as motion
+
+RNG = np.random.default_rng(3)
+LANES, BOXES = 8, 25
+
+DEGREES = 1e-4
+"""float32 resolves a quaternion component to 6e-8 rad; the half angle's sine comes from squares near one."""
+METRES = 1e-6
+"""float32 at a few metres."""
+
+
+def quaternions(shape: tuple[int, ...]) -> np.ndarray:
+    values = RNG.normal(size=(*shape, 4))
+    return values / np.linalg.norm(values, axis=-1, keepdims=True)
+
+
+def test_tilt_is_the_oracles() -> None:
+    quat = quaternions((LANES, BOXES))
+    expected = motion_np.tilt_deg(quat.reshape(-1, 4)).reshape(LANES, BOXES)
+    found = motion.tilt_deg(jnp.asarray(quat, jnp.float32))
+    # The oracle's arcsin is flat at 180°, so compare within 179°.
+    inside = expected < 179.0
+    assert inside.mean() > 0.9
+    np.testing.assert_allclose(np.asarray(found)[inside], expected[inside], atol=DEGREES)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 0.001, 0.02, 1.0, 20.0, 90.0, 180.0])
+def test_small_tilts_are_not_lost(tilt_deg: float) -> None:
+    half = np.radians(tilt_deg) / 2
+    yaw = np.array([np.cos(0.4), 0.0, 0.0, np.sin(0.4)])
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, yaw, np.array([np.cos(half), np.sin(half), 0.0, 0.0]))
+    found = motion.tilt_deg(jnp.asarray(quat, jnp.float32)[None, None])
+    assert float(found[0, 0]) == pytest.approx(tilt_deg, rel=1e-4, abs=1e-5)
+
+
+def test_lowest_points_are_the_oracles() -> None:
+    pos, half = RNG.normal(size=(LANES, BOXES, 3)), RNG.uniform(0.05, 0.3, (LANES, BOXES, 3))
+    quat = quaternions((LANES, BOXES))
+    expected = motion_np.lowest_z(pos.reshape(-1, 3), quat.reshape(-1, 4), half.reshape(-1, 3))
+    found = motion.hull_bottom_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
+    np.testing.assert_allclose(np.asarray(found).ravel(), expected, atol=METRES)
+
+
+def test_drops_and_signs() -> None:
+    limits = Thresholds()
+    upright = jnp.tile(jnp.array([1.0, 0, 0, 0]), (1, 4, 1))
+    half = jnp.full((1, 4, 3), 0.15)
+    pos = jnp.zeros((1, 4, 3)).at[0, :, 2].set(jnp.array([0.2, 0.051, 0.049, -0.01]))
+    # Hulls end at +0.05, −0.099, −0.101 and −0.16 m; the last one's centre is below the carrier's top as well.
+    dropped = motion.has_dropped(pos, upright, half, limits)
+    assert dropped.tolist() == [[False, False, True, True]]
+    shift = jnp.zeros((1, 4, 3)).at[0, :, 1].set(jnp.array([0.019, -0.021, 0.0, 0.1]))
+    excess = motion.excess(shift, jnp.array([[21.0, 0.0, 0.0, 0.0]]), dropped, limits)
+    assert (np.asarray(excess) > 1).tolist() == [[True, True, True, True]]
+    np.testing.assert_allclose(excess, [[1.05, 1.05, 1.0, 5.0]], rtol=1e-5)
+    none = motion.excess(shift[:, :1], jnp.array([[19.9]]), dropped[:, :1], limits)
+    assert float(none[0, 0]) < 1
+
+
+def test_shifts_under_the_floor_are_none() -> None:
+    pos = jnp.array([[[0.0009, -0.0011, 0.5]]])
+    np.testing.assert_allclose(motion.shift(pos, jnp.zeros((1, 1, 3)), 0.001), [[[0.0, -0.0011, 0.5]]])
+
+
+def test_the_pace_is_the_larger_of_both_speeds_in_units_of_their_limits() -> None:
+    vel = jnp.array([[[0.009, 0, 0, 0, 0, 0.049], [0.003, 0.004, 0, 0, 0, 0], [0, 0, 0, 0.03, 0.04, 0]]])
+    pace = jnp.sqrt(motion.pace_squared(vel, Quiet()))
+    np.testing.assert_allclose(pace, [[0.98, 0.5, 1.0]], rtol=1e-5)
+
+
+# ---------------------------------------------------------------------- contact forces
+
+
+def heap(cone: str, seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Turned boxes that fell onto a carrier and each other, in the geom order of the templates."""
+    rng = np.random.default_rng(seed)
+    bodies = "".join(
+        f'<body pos="{x:.3f} {y:.3f} {0.12 + 0.16 * k:.3f}" euler="{a:.1f} {b:.1f} {c:.1f}"><freejoint/>'
+        f'<geom type="box" size="0.1 0.08 0.07" mass="{2 + k}" friction="0.5 0.005 0.0001"/></body>'
+        for k, (x, y, a, b, c) in enumerate(rng.uniform([-0.1, -0.1, -30, -30, 0], [0.1, 0.1, 30, 30, 90], (6, 5)))
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="0.002" cone="{cone}"/><worldbody><geom type="plane" size="0 0 1" pos="0 0 -0.144"/>'
+        f'<body pos="0 0 -0.072"><freejoint/><geom type="box" size="0.3 0.3 0.072" mass="25"/></body>{bodies}'
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=60 + 40 * seed)
+    return model, data
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_top_forces_are_mujocos(cone: str, seed: int) -> None:
+    model, data = heap(cone, seed)
+    pyramidal = cone == "pyramidal"
+    contact = data.contact
+    address = np.asarray(contact.efc_address)
+    has_rows = address >= 0
+    rows = np.zeros((data.ncon, 4), np.float32)
+    k = 4 if pyramidal else 3
+    rows[has_rows, :k] = data.efc_force[address[has_rows, None] + np.arange(k)]
+    frame_z = np.asarray(contact.frame).reshape(-1, 3, 3)[:, :, 2].astype(np.float32)
+    found = force.contact_force_z(
+        jnp.asarray(rows),
+        jnp.asarray(frame_z),
+        jnp.asarray(np.asarray(contact.friction)[:, :2], jnp.float32),
+        pyramidal=pyramidal,
+    )
+    expected, wrench, total = [], np.zeros(6), np.zeros(model.nbody - 2)
+    for c in range(data.ncon):
+        mujoco.mj_contactForce(model, data, c, wrench)
+        expected.append(float(wrench[:3] @ np.asarray(contact.frame[c]).reshape(3, 3)[:, 2]))
+    assert data.ncon > 8
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
+
+    geom = np.asarray(contact.geom)
+    box, sign, counts = force.pressed_box(
+        jnp.asarray(geom), jnp.asarray(data.geom_xpos[geom, 2], jnp.float32), jnp.asarray(frame_z[:, 0]), 2
+    )
+    np.add.at(total, np.asarray(box)[np.asarray(counts)], np.asarray(sign * found)[np.asarray(counts)])
+    np.testing.assert_allclose(total, force_np.top_forces(data, model.nbody - 2, pyramidal), rtol=1e-4, atol=1e-3)
+
+
+def test_metrics_are_strict_about_ranks() -> None:
+    assert jax.config.jax_numpy_rank_promotion == "raise"
+    with pytest.raises(ValueError, match="rank_promotion"):
+        motion.shift(jnp.zeros((2, 3, 3)), jnp.zeros(3), 0.001)

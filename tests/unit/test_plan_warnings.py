@@ -1,0 +1,63 @@
+"""What is odd about plans that can be used: overlaps, boxes outside, boxes that float."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.command_line import write
+from support.plan_files import placement, tower
+
+from petmjx.plans.read import load_plans
+from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, check_layout
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+CUBE = (100.0, 100.0, 100.0)
+T = DEFAULT_TOLERANCE_MM
+
+
+@pytest.mark.parametrize(
+    ("boxes", "extent", "counts"),
+    [
+        ([((0, 0, 0), CUBE), ((100, 0, 0), CUBE), ((50, 0, 100), CUBE)], (200, 100), (0, 0, 0)),
+        ([((0, 0, 0), CUBE), ((100 - T, 0, 0), CUBE), ((0, 0, 100 - T), CUBE)], None, (0, 0, 0)),
+        ([((0, 0, 0), CUBE), ((99, 0, 0), CUBE)], None, (1, 0, 0)),
+        ([((0, 0, 0), CUBE), ((0, 0, 0), CUBE), ((0, 0, 0), CUBE)], None, (3, 0, 0)),
+        ([((0, 0, 0), CUBE), ((0, 0, 50), CUBE)], None, (1, 0, 0)),
+        ([((-1, 0, 0), CUBE), ((100, -T, 0), CUBE), ((300, 0, -2), CUBE)], None, (0, 2, 0)),
+        ([((0, 0, 0), CUBE), ((150, 0, 0), CUBE), ((250, 20, 0), CUBE)], (249, 115), (0, 2, 0)),
+        ([((0, 0, 0), CUBE), ((0, 0, 101), CUBE), ((200, 0, 1), CUBE)], None, (0, 0, 2)),
+        ([((0, 0, 0), CUBE), ((100, 0, 100), CUBE)], None, (0, 0, 1)),
+        ([((0, 0, 100), CUBE), ((0, 0, 0), CUBE)], None, (0, 0, 1)),
+    ],
+)
+def test_warnings_count_what_is_odd(
+    boxes: list[Box], extent: tuple[float, float] | None, counts: tuple[int, int, int]
+) -> None:
+    corner, size = (np.array(column, dtype=float) for column in zip(*boxes, strict=True))
+    found = check_layout("A", "f.json", corner, size, extent)
+    assert (found.n_overlapping_pairs, found.n_outside, found.n_floating) == counts
+    assert found.any == any(counts)
+
+
+def test_overlaps_agree_with_a_plain_loop() -> None:
+    rng = np.random.default_rng(5)
+    corner, size = rng.uniform(0, 600, (40, 3)), rng.uniform(0.2, 300, (40, 3))
+    expected = 0
+    for i in range(40):
+        for j in range(i):
+            depth = np.minimum(corner[i] + size[i], corner[j] + size[j]) - np.maximum(corner[i], corner[j])
+            expected += bool((depth > T).all())
+    assert expected > 20
+    assert check_layout("A", "f", corner, size).n_overlapping_pairs == expected
+
+
+def test_odd_plans_are_kept_and_reported_with_counts() -> None:
+    plans = {"fine": tower(2), "odd": [placement(corner=(700, 0, 0)), placement(corner=(0, 0, 50))]}
+    found = load_plans(write(Path("p.json"), plans), carrier_extent_mm=(1200, 800))
+    assert len(found) == 2
+    assert found.skipped == []
+    assert [str(w) for w in found.warnings] == ["p.json: plan odd: 1 boxes outside the carrier, 1 floating boxes"]

@@ -1,0 +1,251 @@
+"""What is refused of plans: every kind of bad input gets one line and costs nothing else."""
+
+from __future__ import annotations
+
+import copy
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.command_line import write
+from support.plan_files import placement, tower
+
+from petmjx.errors import InputError
+from petmjx.plans.read import DEFAULT_MAX_BOXES, load_plans
+from petmjx.plans.validate import PlanError, _find_fault, parse_plan
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+MISSING = object()
+
+
+def changed(path: list[Any], value: Any) -> list[dict[str, Any]]:
+    plan = tower(9)
+    target: Any = plan[7]
+    for key in path[:-1]:
+        target = target[key]
+    if value is MISSING:
+        del target[path[-1]]
+    else:
+        target[path[-1]] = value
+    return plan
+
+
+ITEM, CORNER = ["item"], ["flb_coordinates"]
+FIELD_FAULTS = [
+    ([*ITEM, "weight/kg"], -1, "weight/kg must be > 0, got -1"),
+    ([*ITEM, "weight/kg"], 0, "weight/kg must be > 0, got 0"),
+    ([*ITEM, "weight/kg"], True, "weight/kg must be a number, got true"),
+    ([*ITEM, "weight/kg"], "6.2", 'weight/kg must be a number, got "6.2"'),
+    ([*ITEM, "weight/kg"], None, "weight/kg must be a number, got null"),
+    ([*ITEM, "weight/kg"], float("nan"), "weight/kg must be finite, got NaN"),
+    ([*ITEM, "weight/kg"], 1e-9, "weight/kg must be from 1e-06 to 100000 (kilograms), got 1e-09"),
+    ([*ITEM, "length/mm"], float("inf"), "length/mm must be finite, got Infinity"),
+    ([*ITEM, "length/mm"], 0.6, "length/mm must be from 1 to 100000 (millimetres), got 0.6"),
+    ([*ITEM, "width/mm"], 10**400, "width/mm must be finite, got an integer of more than 60 digits"),
+    ([*ITEM, "width/mm"], [400], "width/mm must be a number, got a list"),
+    ([*ITEM, "height/mm"], MISSING, "height/mm is missing"),
+    ([*ITEM, "article"], 5, "article must be a string, got 5"),
+    ([*ITEM, "article"], "\ud800", "article is not UTF-8 text"),
+    ([*ITEM, "id"], MISSING, "id is missing"),
+    ([*ITEM, "id"], {}, "id must be a string, got an object"),
+    ([*ITEM, "sequence"], 1.0, "sequence must be an integer, got 1.0"),
+    ([*ITEM, "sequence"], True, "sequence must be an integer, got true"),
+    ([*ITEM, "sequence"], 2**63, "sequence is too large, got 9223372036854775808"),
+    (ITEM, MISSING, "item is missing"),
+    (ITEM, [1], "item must be an object, got a list"),
+    (["orientation"], 2, "orientation must be 0 or 1, got 2"),
+    (["orientation"], True, "orientation must be 0 or 1, got true"),
+    (["orientation"], 0.0, "orientation must be 0 or 1, got 0.0"),
+    (["orientation"], MISSING, "orientation is missing"),
+    (CORNER, MISSING, "flb_coordinates is missing"),
+    (CORNER, [0, 0], "flb_coordinates must be 3 numbers, got 2"),
+    (CORNER, [0, 0, 0, 0], "flb_coordinates must be 3 numbers, got 4"),
+    (CORNER, {"a": 1, "b": 1, "c": 1}, "flb_coordinates must be a list of 3 numbers, got an object"),
+    (CORNER, "000", 'flb_coordinates must be a list of 3 numbers, got "000"'),
+    ([*CORNER, 1], float("-inf"), "flb_coordinates[1] must be finite, got -Infinity"),
+    ([*CORNER, 2], False, "flb_coordinates[2] must be a number, got false"),
+    ([*CORNER, 0], -1e300, "flb_coordinates[0] must be from -100000 to 100000 (millimetres), got -1e+300"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "message"), FIELD_FAULTS)
+def test_a_bad_field_is_named_and_costs_only_its_plan(path: list[Any], value: Any, message: str) -> None:
+    plans = {"good": tower(2), "00100408": changed(path, value), "last": tower(1)}
+    file = write(Path("plans.json"), plans)
+    found = load_plans(file)
+    line = f"plans.json: plan 00100408, placement 7: {message}"
+    assert [plan.plan_id for plan in found] == ["good", "last"]
+    assert [(s.source, s.plan_id, s.message) for s in found.skipped] == [("plans.json", "00100408", line)]
+    with pytest.raises(InputError) as raised:
+        load_plans(file, strict=True)
+    assert str(raised.value) == line
+
+
+PLAN_FAULTS: list[tuple[Any, str]] = [
+    ([], "plan P: has no placement"),
+    ({"a": 1}, "plan P: must be a list of placements, got an object"),
+    ("x", 'plan P: must be a list of placements, got "x"'),
+    (None, "plan P: must be a list of placements, got null"),
+    ([[]], "plan P, placement 0: must be an object, got a list"),
+    ([placement(), "x"], 'plan P, placement 1: must be an object, got "x"'),
+    (
+        tower(1) * (DEFAULT_MAX_BOXES + 1),
+        f"plan P: has {DEFAULT_MAX_BOXES + 1} boxes, more than the largest capacity of {DEFAULT_MAX_BOXES}",
+    ),
+]
+
+
+@pytest.mark.parametrize(("value", "message"), PLAN_FAULTS)
+def test_a_bad_plan_is_named_and_costs_only_itself(value: Any, message: str) -> None:
+    found = load_plans(write(Path("plans.json"), {"A": tower(1), "P": value, "B": tower(1)}))
+    assert [plan.plan_id for plan in found] == ["A", "B"]
+    assert [str(skipped) for skipped in found.skipped] == [f"plans.json: {message}"]
+
+
+def test_max_boxes_is_a_parameter() -> None:
+    file = write(Path("plans.json"), {"A": tower(3), "B": tower(4)})
+    assert [plan.plan_id for plan in load_plans(file, max_boxes=3)] == ["A"]
+    assert len(load_plans(file, max_boxes=4)) == 2
+
+
+def test_repeated_ids_within_and_across_files_keep_the_first_good_one() -> None:
+    one, bad, two = json.dumps(tower(1)), "[]", json.dumps(tower(2))
+    write(Path("a.json"), f'{{"A": {bad}, "A": {two}, "A": {one}}}')
+    write(Path("b.json"), {"A": tower(1), "B": tower(1)})
+    found = load_plans(["a.json", "b.json"])
+    assert [(plan.plan_id, plan.n_boxes) for plan in found] == [("A", 2), ("B", 1)]
+    assert [str(skipped) for skipped in found.skipped] == [
+        "a.json: plan A: has no placement",
+        "a.json: plan A: repeated plan id, first used in this file",
+        "b.json: plan A: repeated plan id, first used in a.json",
+    ]
+
+
+FILE_FAULTS = [
+    (b"", "p.json: the file is empty"),
+    (b" \n", "p.json: the file is empty"),
+    (b"{}", "p.json: holds no plan"),
+    (b"{", "p.json: not JSON at line 1, column 2 (the file ends before a plan id; truncated?)"),
+    (b"[1, 2]", "p.json: the top level must be an object of plan id → placements, got a list"),
+    (b"3", "p.json: the top level must be an object of plan id → placements, got a number"),
+    (b"hello", "p.json: not JSON at line 1, column 1 (expected {)"),
+    (b"{\n  hello", "p.json: not JSON at line 2, column 3 (expected a plan id)"),
+    (b"{} x", "p.json: not JSON at line 1, column 4 (more text after the closing })"),
+    (bytes(range(256)) * 20, "p.json: not JSON at line 1, column 1 (expected {)"),
+    (gzip.compress(b"{}")[:11], "p.json: the gzip data is cut off"),
+    ("{}".encode("utf-16"), "p.json: is UTF-16 text; plans must be UTF-8"),
+    (b'{"A": ' + b"[" * 200_000, "p.json: plan A: not JSON at line 1, column 7 (nested too deeply)"),
+    (b"[" * 200_000, "p.json: not JSON at line 1, column 1 (expected {)"),
+    (b'{"A": ' + b"9" * 5000 + b"}", "p.json: plan A: must be a list of placements, got Infinity"),
+    (b'{"A\nB": [{}]}', "p.json: plan A\\nB: not JSON at line 1, column 4 (Invalid control character"),
+    (b'{"\\ud800": [{}]}', "p.json: plan \\ud800: the plan id must be text and not empty"),
+    (b'{"": [{}]}', "p.json: plan : the plan id must be text and not empty"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), FILE_FAULTS)
+def test_an_unusable_file_gives_one_line_and_the_others_are_read(content: bytes, message: str) -> None:
+    Path("p.json").write_bytes(content)
+    write(Path("q.json"), {"Q": tower(1)})
+    found = load_plans(["p.json", "q.json"])
+    assert [plan.plan_id for plan in found] == ["Q"]
+    assert len(found.skipped) == 1
+    assert found.skipped[0].message.startswith(message)
+    assert "\n" not in found.skipped[0].message
+    json.dumps([found.skipped[0].plan_id, found.skipped[0].message]).encode()
+    with pytest.raises(InputError, match=r"^p\.json: "):
+        load_plans("p.json", strict=True)
+
+
+def test_orders_are_told_from_plans() -> None:
+    order = {"item_sequence": {"1": placement()["item"]}, "properties": {"target": "euro-pallet"}}
+    found = load_plans(write(Path("orders.json"), {"1": order, "2": order}))
+    assert len(found.skipped) == 1
+    message = found.skipped[0].message
+    assert message.startswith("orders.json: 2 entries (1, …) are orders (item_sequence), not packing plans")
+    assert "petmjx samples --orders orders.json" in message
+
+
+@pytest.mark.parametrize(
+    ("paths", "message"),
+    [
+        ("nowhere.json", "nowhere.json: no such file or folder"),
+        (["there.json", "nowhere.json"], "nowhere.json: no such file or folder"),
+        ("empty", "empty: the folder holds no .json or .json.gz files"),
+        ([], "no plan files were given"),
+        ("nul\0byte", "nul\\u0000byte: "),
+    ],
+)
+def test_a_wrong_path_always_raises(paths: Any, message: str) -> None:
+    write(Path("there.json"), {"A": tower(1)})
+    Path("empty").mkdir()
+    with pytest.raises(InputError) as raised:
+        load_plans(paths)
+    assert str(raised.value).startswith(message)
+
+
+def test_an_unreadable_file_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    write(Path("a.json"), {"A": tower(1)})
+    write(Path("b.json"), {"B": tower(1)})
+    read_bytes = Path.read_bytes
+
+    def refuse(path: Path) -> bytes:
+        if path.name == "a.json":
+            raise PermissionError(13, "Permission denied")
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    found = load_plans(["a.json", "b.json"])
+    assert [plan.plan_id for plan in found] == ["B"]
+    assert str(found.skipped[0]) == "a.json: cannot be read (Permission denied)"
+
+
+@pytest.mark.parametrize("option", [{"limit": 0}, {"max_boxes": 0}])
+def test_senseless_options_raise(option: dict[str, int]) -> None:
+    write(Path("a.json"), {"A": tower(1)})
+    with pytest.raises(InputError):
+        load_plans("a.json", **option)  # type: ignore[arg-type]  # a mapping of one keyword
+
+
+JSON_VALUES = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=3),
+    st.sampled_from([0, 1, 2, -1, 0.5, 1.0, 100_000, 100_001, 2**63, 10**310, "\ud800"]),
+    st.lists(st.integers(0, 3), max_size=4),
+    st.dictionaries(st.text(max_size=1), st.integers(), max_size=2),
+)
+PATHS = [
+    [],
+    ["item"],
+    ["orientation"],
+    ["flb_coordinates"],
+    ["flb_coordinates", 1],
+    *(["item", field] for field in placement()["item"]),
+]
+
+
+@settings(max_examples=400, deadline=None, derandomize=True)
+@given(path=st.sampled_from(PATHS), value=JSON_VALUES)
+def test_the_fast_and_the_exact_check_agree(path: list[Any], value: Any) -> None:
+    """A plan is refused exactly if a fault is found in one of its placements, and then for that fault."""
+    box: Any = placement()
+    holder: Any = [box]
+    for key in [0, *path][:-1]:
+        holder = holder[key]
+    root = holder if not path else [box]
+    holder[[0, *path][-1]] = copy.deepcopy(value)
+    fault = _find_fault(root[0])
+    if fault is None:
+        assert parse_plan("P", "f", root, 4, {}).n_boxes == 1
+    else:
+        with pytest.raises(PlanError) as raised:
+            parse_plan("P", "f", root, 4, {})
+        assert str(raised.value) == f"f: plan P, placement 0: {fault}"

@@ -1,0 +1,299 @@
+"""Profiles: windows to the step, exact integrals, the RMS a PSD asks for, and reproducible phases."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from petmjx.errors import InputError
+from petmjx.units import STANDARD_GRAVITY
+from petmjx.world.profiles.base import Profile
+from petmjx.world.profiles.registry import (
+    BUILT_IN,
+    FAMILIES,
+    RandomVibration,
+    Strength,
+    Tilt,
+    Window,
+    WindowProfile,
+    build_drive,
+    chain,
+    define_profile,
+    psd_integral,
+    psd_rms_g,
+    read_windows,
+    resolve,
+)
+from petmjx.world.profiles.vibration import read_psd_csv
+from petmjx.world.profiles.windows import JOLTS, RADIAL, RADIAL_CHAIN, SINE
+from petmjx.world.random import WorldKey
+
+DT = 0.002
+FIRST_DRAWS = [0.08556518956524295, 0.26279225484417856, 0.4202946722471652]
+"""WorldKey(7, "00100408", 3).rng("x").random(3)"""
+
+ROUNDING = 1e-12
+"""Sums of some thousand float64 terms of size 1."""
+
+PSD = ((1.0, 1e-4), (4.0, 1e-2), (16.0, 1e-2), (40.0, 1e-3), (200.0, 1e-5))
+
+
+def samples(profile: Profile, start_s: float = 0.0) -> np.ndarray:
+    return profile.excitation(DT, start_s).samples
+
+
+def test_radial_is_ten_windows_of_fifteen_or_so_steps_with_the_table_s_vectors() -> None:
+    rows = samples(RADIAL)
+    acting = np.flatnonzero(rows.any(axis=1))
+    # int(0.33/dt) − int(0.3/dt) is 15 or 16 steps, as truncation falls; ten windows that do not touch.
+    starts = acting[np.flatnonzero(np.diff(acting, prepend=-10) > 1)]
+    assert starts.tolist() == [int(t / DT) for t in (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 3.1, 3.4)]
+    expected = [int((t + 0.03) / DT) - int(t / DT) for t in (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 3.1, 3.4)]
+    assert len(acting) == sum(expected)
+    assert rows[0].tolist() == [math.sqrt(2), 0.0, 0.1]
+    assert rows[int(3.4 / DT)].tolist() == [0.0, 1.0, 1.0]
+    assert len(rows) == RADIAL.n_steps(DT) == int((3.4 + 0.03) / DT)
+
+
+def test_jolts_add_up_where_they_overlap() -> None:
+    rows = samples(JOLTS)
+    both = rows[int(1.1 / DT) : int(1.15 / DT)]
+    np.testing.assert_allclose(both, np.tile([0.5, 0.0, 0.0], (25, 1)), atol=ROUNDING)
+    np.testing.assert_allclose(rows[int(1.1 / DT) - 1], [0.9, 0.1, 0.0])
+    np.testing.assert_allclose(rows[int(1.2 / DT)], [-0.4, -0.1, 0.0])
+    assert rows[:, 2].max() == 10.0
+
+
+def test_sine_has_99_windows_and_follows_the_sine() -> None:
+    assert len(SINE.windows) == 99
+    rows = samples(SINE)
+    assert not rows[: int(0.1 / DT)].any()
+    np.testing.assert_allclose(rows[int(5.0 / DT) + 3], [math.sin(5.0), 0.0, math.sin(15.0)])
+
+
+def test_windows_are_rounded_in_absolute_time() -> None:
+    profile = WindowProfile("one", (Window(0.3, 0.03, (1.0, 0.0, 0.0)),), "test")
+    for start_s in (0.0, 0.001, 20.041, 22.0, 7.123):
+        rows = samples(profile, start_s)
+        begin = int((start_s + 0.3) / DT) - int(start_s / DT)
+        end = int(((start_s + 0.3) + 0.03) / DT) - int(start_s / DT)
+        assert np.flatnonzero(rows.any(axis=1)).tolist() == list(range(begin, end)), start_s
+
+
+def test_demo_chain_is_seven_scaled_radials() -> None:
+    rows = samples(RADIAL_CHAIN, 22.0)
+    assert len(RADIAL_CHAIN.windows) == 70
+    assert not rows[: int(24.0 / DT) - 11000].any()
+    assert rows[int(24.0 / DT) - 11000, 0] == math.sqrt(2)
+    assert rows[int(39.0 / DT) - 11000, 0] == pytest.approx(2 * math.sqrt(2))
+    # At 10.1 s after the chain's begin the third and the fourth radial would push together; the reference pushes once.
+    at = int((22.0 + 10.1) / DT) - 11000 + 5
+    assert rows[at].tolist() in ([1.2, 0.0, 1.2], [0.0, 1.3 * math.sqrt(2), 0.1 * 1.3])
+
+
+def test_windows_that_replace_each_other_act_one_at_a_time() -> None:
+    def push(start_s: float, x: float) -> Window:
+        return Window(start_s, 0.02, (x, 0.0, 0.0))
+
+    # Together, then one that begins while another acts: its force ends with the first end after it.
+    windows = (push(0.01, 1.0), push(0.01, 2.0), push(0.1, 4.0), push(0.11, 8.0))
+    added = samples(WindowProfile("add", windows, "test"))[:, 0]
+    replaced = samples(WindowProfile("replace", windows, "test", replaces=True))[:, 0]
+    assert added[5:15].tolist() == [3.0] * 10
+    assert replaced[5:15].tolist() == [2.0] * 10
+    assert added[50:65].tolist() == [4.0] * 5 + [12.0] * 5 + [8.0] * 5
+    assert replaced[50:65].tolist() == [4.0] * 5 + [8.0] * 5 + [0.0] * 5
+    assert np.count_nonzero(replaced) == 20
+
+
+def test_impulse_of_a_chain_is_the_sum_of_its_links() -> None:
+    twice = chain("twice", [(RADIAL, 0.0, 1.0), (RADIAL, 1.0, 0.5), (JOLTS, 0.25, 2.0)], "test")
+    # Steps per window differ by at most one from offset to offset, so compare at a timestep that divides all times.
+    dt = 0.01 / 64
+    total = twice.excitation(dt).samples.sum(axis=0) * dt
+    radial = RADIAL.excitation(dt).samples.sum(axis=0) * dt
+    jolts = JOLTS.excitation(dt).samples.sum(axis=0) * dt
+    one_step_of_each_window = dt * 30 * 20
+    np.testing.assert_allclose(total, 1.5 * radial + 2 * jolts, atol=one_step_of_each_window)
+
+
+def test_eumos_trapezoid_has_its_integral_and_plateau() -> None:
+    (eumos,) = resolve("eumos-40509")
+    for dt in (0.002, 0.001, 0.003):
+        rows = eumos.excitation(dt).samples
+        assert rows.sum(axis=0)[0] * dt == pytest.approx(STANDARD_GRAVITY * 0.35, rel=1e-12)
+        assert rows[:, 0].max() == pytest.approx(STANDARD_GRAVITY)
+        assert not rows[:, 1:].any()
+    rows = samples(eumos)
+    assert len(rows) == 200
+    assert np.count_nonzero(np.isclose(rows[:, 0], STANDARD_GRAVITY)) == 150
+    assert rows[:25, 0].tolist() == pytest.approx([STANDARD_GRAVITY * (i + 0.5) / 25 for i in range(25)])
+
+
+@pytest.mark.parametrize(
+    ("name", "level_g", "direction"),
+    [("forward", 0.8, (-1, 0)), ("rearward", 0.5, (1, 0)), ("left", 0.5, (0, -1)), ("right", 0.5, (0, 1))],
+)
+def test_en_12195_1_levels_and_directions(name: str, level_g: float, direction: tuple[int, int]) -> None:
+    (profile,) = resolve(f"en-12195-1-{name}")
+    peak = samples(profile)[500]
+    np.testing.assert_allclose(peak, STANDARD_GRAVITY * level_g * np.array([*direction, 0.0]), atol=ROUNDING)
+    assert profile in resolve("en-12195-1")
+
+
+def test_tilt_keeps_gravity_s_length_and_tells_its_angle() -> None:
+    tilt = Tilt(max_deg=30.0, rate_deg_s=10.0, hold_s=0.5, return_s=1.0)
+    gravity = np.array([0.0, 0.0, -STANDARD_GRAVITY]) - samples(tilt)
+    np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), STANDARD_GRAVITY, rtol=ROUNDING)
+    angle = np.degrees(np.arctan2(-gravity[:, 0], -gravity[:, 2]))
+    for step in (1, 700, 1500, 1750, 2000, len(angle)):
+        assert angle[step - 1] == pytest.approx(tilt.angle_at(step, DT), abs=1e-9)
+    assert tilt.angle_at(0, DT) == 0
+    assert tilt.angle_at(750, DT) == pytest.approx(15.0)
+    assert tilt.angle_at(1600, DT) == 30.0
+    with pytest.raises(ValueError, match="cannot be scaled"):
+        build_drive(tilt, DT, scale=1.1)
+
+
+@pytest.mark.parametrize("duration_ms", [6.0, 11.0, 20.0])
+def test_half_sine_changes_velocity_by_two_over_pi(duration_ms: float) -> None:
+    shock = define_profile("s", {"kind": "half-sine", "duration_ms": duration_ms, "axis": [0, 0, 2]}, Path())
+    rows = samples(shock)
+    assert rows[:, 2].sum() * DT == pytest.approx(2 / math.pi * STANDARD_GRAVITY * duration_ms / 1000, rel=1e-12)
+    assert len(rows) == math.ceil(duration_ms / 2)
+    assert shock.strength is Strength.LEVEL
+
+
+def test_psd_integral_has_its_closed_forms() -> None:
+    flat = ((10.0, 0.02), (60.0, 0.02))
+    assert psd_rms_g(flat) == pytest.approx(1.0)
+    reciprocal = ((1.0, 0.5), (100.0, 0.005))  # slope −1: the logarithm
+    assert psd_integral(reciprocal, np.array([100.0]))[0] == pytest.approx(0.5 * math.log(100))
+    grid = np.geomspace(1, 200, 200_001)
+    density = np.exp(np.interp(np.log(grid), np.log([f for f, _ in PSD]), np.log([g for _, g in PSD])))
+    numeric = np.trapezoid(density, grid)
+    assert psd_integral(PSD, np.array([1e9]))[0] == pytest.approx(numeric, rel=1e-6)
+
+
+@pytest.mark.parametrize("duration_s", [4.0, 10.0, 10.002])
+def test_random_vibration_has_the_psd_s_rms(duration_s: float) -> None:
+    vibration = RandomVibration("truck", PSD, duration_s, "xz")
+    rows = vibration.excitation(DT, world=WorldKey(3, "plan")).samples / STANDARD_GRAVITY
+    rms = np.sqrt((rows**2).mean(axis=0))
+    assert rms[0] == pytest.approx(psd_rms_g(PSD), rel=1e-9)
+    assert rms[2] == pytest.approx(psd_rms_g(PSD), rel=1e-9)
+    assert rms[1] == 0
+    # The spectrum is where the PSD is, not only its sum.
+    power = 2 * np.abs(np.fft.rfft(rows[:, 0]) / len(rows)) ** 2
+    frequency = np.fft.rfftfreq(len(rows), DT)
+    plateau = (frequency > 4.5) & (frequency < 15.5)
+    np.testing.assert_allclose(power[plateau] * len(rows) * DT, 0.01, rtol=1e-6)
+
+
+def test_random_vibration_depends_on_seed_plan_replicate_and_name_alone() -> None:
+    vibration = RandomVibration("truck", PSD, 4.0)
+    keys = [WorldKey(seed, plan, replicate) for seed in (0, 1) for plan in ("a", "b") for replicate in (0, 1)]
+    forwards = [vibration.excitation(DT, world=key).samples for key in keys]
+    backwards = [vibration.excitation(DT, world=key).samples for key in reversed(keys)][::-1]
+    for one, other in zip(forwards, backwards, strict=True):
+        assert np.array_equal(one, other)
+    assert len({rows.tobytes() for rows in forwards}) == len(keys)
+    renamed = RandomVibration("ship", PSD, 4.0).excitation(DT, world=keys[0]).samples
+    assert not np.array_equal(renamed, forwards[0])
+
+
+def test_random_numbers_are_the_same_on_every_machine() -> None:
+    # Written down once: whoever changes the key derivation changes every published sweep.
+    drawn = WorldKey(7, "00100408", 3).rng("x").random(3)
+    np.testing.assert_array_equal(drawn, WorldKey(7, "00100408", 3).rng("x").random(3))
+    assert drawn.tolist() == pytest.approx(FIRST_DRAWS, abs=1e-15)
+
+
+def test_random_vibration_refuses_what_the_timestep_cannot_show() -> None:
+    with pytest.raises(InputError, match="250 Hz"):
+        RandomVibration("fast", ((1.0, 0.1), (300.0, 0.1)), 4.0).excitation(DT)
+
+
+def test_a_drive_is_scaled_and_turned() -> None:
+    (eumos,) = resolve("eumos-40509")
+    drive = build_drive(eumos, DT, scale=0.5, direction_deg=90.0, rest_s=2.0)
+    assert (drive.scale, drive.yaw_rad, drive.rest_s) == (0.5, math.pi / 2, 2.0)
+    assert drive.excitation.kind == "acceleration"
+
+
+def test_every_built_in_profile_names_its_source() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "profiles.md").read_text(encoding="utf-8")
+    for name, profile in BUILT_IN.items():
+        assert profile.source
+        family = next((family for family, members in FAMILIES.items() if name in members), name)
+        assert f"| `{family}` |" in text, name
+        assert len(profile.excitation(DT).samples) == profile.n_steps(DT)
+
+
+def test_windows_from_parquet_and_toml_agree(tmp_path: Path) -> None:
+    columns = {"start_s": [0.0, 0.5], "duration_s": [0.1, 0.25], "x": [1.0, 0.0], "y": [0.0, -2.0], "z": [0.1, 0.0]}
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "push.parquet")
+    lines = []
+    for row in zip(*columns.values(), strict=True):
+        lines += ["[[window]]", *(f"{key} = {value}" for key, value in zip(columns, row, strict=True))]
+    (tmp_path / "push.toml").write_text("\n".join(lines))
+    from_parquet = read_windows(tmp_path / "push.parquet")
+    inline = define_profile(
+        "push", {"kind": "windows", "windows": [[0, 0.1, 1, 0, 0.1], [0.5, 0.25, 0, -2, 0]]}, tmp_path
+    )
+    named = define_profile("push", {"kind": "windows", "file": "push.toml"}, tmp_path)
+    for other in (read_windows(tmp_path / "push.toml"), inline, named):
+        assert np.array_equal(samples(from_parquet), samples(other))
+    assert samples(from_parquet)[260].tolist() == [0.0, -2.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[[window]]\nstart_s = 1\nduration_s = 1\nx = 1\ny = 0\n", "window 0: z is missing"),
+        ("[[window]]\nstart_s = 1\nduration_s = 0\nx = 1\ny = 0\nz = 0\n", "window 0: duration_s must be > 0, got 0"),
+        ("[[window]]\nstart_s = -1\nduration_s = 1\nx = 1\ny = 0\nz = 0\n", "window 0: start_s must be ≥ 0, got -1"),
+        ("[[window]]\nstart_s = 1\nduration_s = 1\nx = 'a'\ny = 0\nz = 0\n", "window 0: expected 5 finite numbers"),
+        ("", "at least one window"),
+        ("window = 3", "array of tables"),
+        ("[[window", "cannot be read as a list of windows"),
+    ],
+)
+def test_bad_window_files_get_one_clear_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_windows(path)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_no_parquet_or_missing_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "no.parquet").write_text("no")
+    with pytest.raises(InputError, match="is not Parquet"):
+        read_windows(tmp_path / "no.parquet")
+    for name in ("gone.parquet", "gone.toml"):
+        with pytest.raises(InputError, match="no such file"):
+            read_windows(tmp_path / name)
+
+
+def test_psd_tables_from_csv(tmp_path: Path) -> None:
+    path = tmp_path / "psd.csv"
+    path.write_text("# truck\nfrequency_hz,g2_per_hz\n1,0.1\n10,0.01\n")
+    assert read_psd_csv(path) == ((1.0, 0.1), (10.0, 0.01))
+    for text, message in (
+        ("1,0.1\n", "at least two rows"),
+        ("1,0.1\n1,0.2\n", "frequencies must rise"),
+        ("1,0.1\n2,-1\n", "density must be finite and > 0, got -1"),
+        ("1,0.1\n2,nan\n", "density must be finite and > 0"),
+        ("1,0.1\n2,x\n", "row 1: expected two numbers"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=message):
+            read_psd_csv(path)

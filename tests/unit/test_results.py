@@ -1,0 +1,381 @@
+"""Results on disk: what is written is read back, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from support.outcomes import dropped_outcome, make_outcome, make_plan
+
+from petmjx.errors import InputError, PetmjxError
+from petmjx.results import parts
+from petmjx.results.reader import load_run
+from petmjx.results.schema import SCHEMA_VERSION, Param, boxes_schema, worlds_schema
+from petmjx.results.writer import RunWriter, write_summary
+from petmjx.verdict import Attempt, Flag, Reason, Verdict
+
+SPEC_WORLDS = (
+    "plan_id variant engine solver attempt schedule n_boxes n_placed verdict reason culprit first_sign_s max_shift_m "
+    "max_tilt_deg n_dropped first_drop_s max_lin_acc max_ang_acc max_top_force_n rest_top_force_n sim_time_s n_steps "
+    "flags"
+)
+SPEC_BOXES = (
+    "plan_id variant box item_id article sequence shift_x_m shift_y_m shift_z_m max_tilt_deg dropped drop_s "
+    "max_lin_acc max_ang_acc max_top_force_n rest_top_force_n pos_x_m pos_y_m pos_z_m quat_w quat_x quat_y quat_z"
+)
+
+
+def write_run(
+    folder: Path, ids: tuple[str, ...] = ("a", "b"), end: BaseException | None = None, **options: Any
+) -> None:
+    """Write a run with a standing world for each id; ``end`` is raised after the last."""
+    with RunWriter(folder, {}, **options) as run:
+        for plan_id in ids:
+            run.add(make_plan(plan_id), 0, "mujoco", "fixed", make_outcome())
+        if end is not None:
+            raise end
+
+
+def read_all(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    results = load_run(folder)
+    return results.worlds, results.boxes
+
+
+def part_files(folder: Path) -> list[str]:
+    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+
+
+def test_columns_are_the_specified_ones_and_carry_units(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    worlds = pq.read_schema(tmp_path / "worlds/part-00000.parquet")
+    boxes = pq.read_schema(tmp_path / "boxes/part-00000.parquet")
+    assert " ".join(worlds.names) == SPEC_WORLDS
+    assert " ".join(boxes.names) == SPEC_BOXES
+    assert " ".join(boxes_schema(dynamic=True).names) == f"{SPEC_BOXES} max_sway_m"
+    assert worlds.metadata[b"schema_version"] == str(SCHEMA_VERSION).encode()
+    for schema in (worlds, boxes):
+        for column in schema:
+            assert set(column.metadata) == {b"unit", b"description"}
+            assert column.metadata[b"description"]
+    assert worlds.field("max_lin_acc").metadata[b"unit"] == b"m/s^2"
+    suffixes = {"_m": b"m", "_s": b"s", "_n": b"N", "_deg": b"deg"}
+    for column in (*worlds, *boxes):
+        for suffix, unit in suffixes.items():
+            if column.name.endswith(suffix):
+                assert column.metadata[b"unit"] == unit, column.name
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", {"sim": {"interval_s": 0.7}}, versions={"mujoco": "3"}, device="cpu") as run:
+        run.add(make_plan("stands"), 0, "mujoco", "adaptive", make_outcome())
+        run.add(make_plan("falls"), 0, "mujoco", "adaptive", dropped_outcome())
+        run.skip("bad", "plans.json", "plans.json: plan bad, placement 0: weight/kg must be > 0, got -1")
+        run.timings["simulate_s"] = 2.0
+    results = load_run(tmp_path / "run")
+    stands, falls = results.worlds.to_dict("records")
+    assert (stands["plan_id"], stands["verdict"], stands["reason"]) == ("stands", "stable", "")
+    assert pd.isna(stands["culprit"])
+    assert pd.isna(stands["first_sign_s"])
+    assert pd.isna(stands["first_drop_s"])
+    assert stands["max_shift_m"] == 0.006  # the largest component of box 2: -2 · 3 mm
+    assert (stands["max_tilt_deg"], stands["max_lin_acc"], stands["max_ang_acc"]) == (3.0, 30.0, 60.0)
+    assert (stands["max_top_force_n"], stands["rest_top_force_n"]) == (300.0, 150.0)
+    assert (stands["sim_time_s"], stands["n_steps"], stands["n_dropped"]) == (1.5, 750, 0)
+    assert (falls["verdict"], falls["reason"], falls["culprit"]) == ("unstable", "drop", 1)
+    assert (falls["first_sign_s"], falls["n_dropped"], falls["first_drop_s"]) == (0.4, 1, 0.8)
+    assert (falls["n_placed"], falls["flags"]) == (2, int(Flag.EARLY_STOP))
+    assert falls["max_tilt_deg"] == 2.0  # box 2 was never placed and does not count
+    assert pd.isna(falls["rest_top_force_n"])
+    boxes = results.boxes[results.boxes.plan_id == "falls"].reset_index(drop=True)
+    assert boxes.box.tolist() == [0, 1, 2]
+    assert boxes.item_id.tolist() == ["item-0", "item-1", "item-2"]
+    assert boxes.sequence.tolist() == [1, 2, 3]
+    assert boxes.dropped.tolist() == [False, True, False]
+    assert boxes.loc[2, ["shift_x_m", "max_tilt_deg", "pos_x_m", "quat_w"]].isna().all()
+    assert boxes.shift_y_m[1] == np.float32(-0.004)
+    assert results.info["status"] == "finished"
+    assert results.info["counts"] == {
+        "worlds": 2,
+        "stable": 1,
+        "unstable": 1,
+        "invalid": 0,
+        "by_reason": {"unstable": {"drop": 1}, "invalid": {}},
+        "retried": 0,
+        "skipped_plans": 1,
+    }
+    assert results.info["config"] == {"sim": {"interval_s": 0.7}}
+    assert results.info["versions"].keys() == {"python", "mujoco"}
+    assert results.info["skipped"][0]["plan_id"] == "bad"
+    assert results.info["timings"]["simulate_s"] == 2.0
+    assert results.summary is None
+    assert results.attempts.empty
+
+
+def test_outcomes_are_copied(tmp_path: Path) -> None:
+    outcome = make_outcome()
+    with RunWriter(tmp_path, {}) as run:
+        run.add(make_plan(), 0, "mujoco", "fixed", outcome)
+        outcome.boxes.max_tilt_deg[:] = 99.0
+    assert load_run(tmp_path).worlds.max_tilt_deg.tolist() == [3.0]
+
+
+def test_other_readers(tmp_path: Path) -> None:
+    write_run(tmp_path / "out", ids=tuple("abcde"), worlds_per_part=2)
+    out = tmp_path / "out"
+    rows = duckdb.sql(
+        f"SELECT verdict, count(*) FROM '{out}/worlds/*.parquet' JOIN '{out}/boxes/*.parquet' "
+        "USING (plan_id, variant) GROUP BY verdict"
+    ).fetchall()
+    assert rows == [("stable", 15)]
+    assert len(pd.read_parquet(out / "worlds")) == 5
+    assert len(pd.read_parquet(out / "boxes")) == 15
+
+
+def test_attempts_are_kept_where_there_was_more_than_one(tmp_path: Path) -> None:
+    first = make_outcome(verdict=Verdict.INVALID, reason=Reason.EXPLOSION, flags=Flag.EXPLOSION)
+    last = make_outcome(solver="cg", attempt=2)
+    attempts = [Attempt.of(first, 0.002), Attempt.of(last, 0.002)]
+    with RunWriter(tmp_path, {}) as run:
+        run.add(make_plan("a"), 0, "mujoco", "fixed", last, attempts)
+        run.add(make_plan("b"), 0, "mujoco", "fixed", make_outcome(), [Attempt.of(make_outcome(), 0.002)])
+    results = load_run(tmp_path)
+    assert results.attempts[["plan_id", "attempt", "solver", "verdict", "reason"]].values.tolist() == [
+        ["a", 1, "newton", "invalid", "explosion"],
+        ["a", 2, "cg", "stable", ""],
+    ]
+    assert results.attempts.timestep_s.tolist() == [0.002, 0.002]
+    assert results.worlds.attempt.tolist() == [2, 1]
+    assert results.info["counts"]["retried"] == 1
+
+
+def test_sweep_parameters_are_columns_with_units(tmp_path: Path) -> None:
+    params = [Param("level_g", "g", "hold of the trapezoid"), Param("profile", "", "which one", str)]
+    with RunWriter(tmp_path, {}, params=params, dynamic=True) as run:
+        outcome = make_outcome(max_sway_m=np.array([0.1, 0.2, 0.3]))
+        run.add(make_plan(), 0, "mujoco", "fixed", outcome)
+        run.add(make_plan(), 1, "mujoco", "fixed", outcome, params={"profile": "tilt", "level_g": 0.5})
+        with pytest.raises(ValueError, match="no parameter 'yaw'"):
+            run.add(make_plan(), 2, "mujoco", "fixed", outcome, params={"yaw": 1})
+    results = load_run(tmp_path)
+    assert results.worlds.columns[-2:].tolist() == ["level_g", "profile"]
+    assert results.worlds.level_g[1] == 0.5
+    assert results.worlds.profile[1] == "tilt"
+    assert results.worlds[["level_g", "profile"]].isna().iloc[0].all()
+    assert results.units("worlds")["level_g"] == "g"
+    assert results.boxes.max_sway_m.iloc[0] == np.float32(0.1)
+    assert results.info["params"][0] == {"name": "level_g", "unit": "g", "description": "hold of the trapezoid"}
+
+
+def test_a_parameter_cannot_take_a_columns_name() -> None:
+    with pytest.raises(ValueError, match="'flags'"):
+        worlds_schema([Param("flags")])
+
+
+def test_summary(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    frame = pd.DataFrame({"plan_id": ["a"], "share_standing": [0.75], "n": [4]})
+    with pytest.raises(ValueError, match="'n' needs a unit"):
+        write_summary(tmp_path, frame, {"share_standing": "1"})
+    write_summary(tmp_path, frame, {"share_standing": "1", "n": "1"}, {"n": "worlds"})
+    results = load_run(tmp_path)
+    assert results.summary is not None
+    assert results.summary.to_dict("records") == frame.to_dict("records")
+    assert results.units("summary") == {"plan_id": "", "share_standing": "1", "n": "1"}
+
+
+def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}, worlds_per_part=2, expected_worlds=5) as run:
+        assert json.loads((tmp_path / "run.json").read_text())["status"] == "running"
+        for number in range(5):
+            run.add(make_plan(str(number)), 0, "mujoco", "fixed", make_outcome())
+            on_disk = json.loads((tmp_path / "run.json").read_text())["counts"]["worlds"]
+            assert on_disk == (number + 1) // 2 * 2
+            assert run.worlds_done == number + 1
+    assert [file for file in part_files(tmp_path) if file.startswith("worlds")] == [
+        f"worlds/part-0000{number}.parquet" for number in range(3)
+    ]
+    assert load_run(tmp_path).worlds.plan_id.tolist() == list("01234")
+
+
+def test_slow_worlds_are_written_after_a_while(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}, seconds_per_part=0.0) as run:
+        run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+        assert (tmp_path / "worlds/part-00000.parquet").exists()
+
+
+def test_ctrl_c_keeps_whole_parts_and_says_how_many(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        write_run(tmp_path, ids=("0", "1", "2"), end=KeyboardInterrupt(), worlds_per_part=2)
+    results = load_run(tmp_path)
+    assert results.info["status"] == "interrupted"
+    assert results.info["counts"]["worlds"] == len(results.worlds) == 3
+    assert len(results.boxes) == 9
+
+
+def test_ctrl_c_while_a_part_is_written_neither_loses_nor_doubles_worlds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = os.replace
+    calls = 0
+
+    def interrupted_replace(source: Any, target: Any) -> None:
+        nonlocal calls
+        real(source, target)
+        calls += str(target).endswith(".parquet")
+        if calls == 1:  # the boxes are in place, the worlds are not
+            calls += 1
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(parts.os, "replace", interrupted_replace)
+    with pytest.raises(KeyboardInterrupt):
+        write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
+    results = load_run(tmp_path)
+    assert results.worlds.plan_id.tolist() == ["0", "1"]
+    assert results.boxes.plan_id.tolist() == ["0"] * 3 + ["1"] * 3
+    assert results.info["counts"]["worlds"] == 2
+
+
+def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError):
+        write_run(tmp_path, ids=("a",), end=RuntimeError("the engine\nbroke"))
+    info = load_run(tmp_path).info
+    assert (info["status"], info["error"], info["counts"]["worlds"]) == (
+        "failed",
+        "RuntimeError: the engine broke",
+        1,
+    )
+
+
+CRASH = """
+import os, sys
+sys.path.insert(0, sys.argv[2])
+from support.outcomes import make_outcome, make_plan
+from petmjx.results.writer import RunWriter
+real = os.replace
+def replace(source, target):
+    if str(target).endswith("worlds/part-00001.parquet"):
+        os._exit(9)
+    real(source, target)
+os.replace = replace
+with RunWriter(sys.argv[1], {}, worlds_per_part=2) as run:
+    for number in range(4):
+        run.add(make_plan(str(number)), 0, "mujoco", "fixed", make_outcome())
+"""
+
+
+def test_a_crash_between_the_renames_of_a_part_leaves_readable_results(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    here = Path(__file__).parents[1]
+    command = [sys.executable, "-c", CRASH, str(out), str(here)]
+    environment = {**os.environ, "PYTHONPATH": str(here.parent)}
+    assert subprocess.run(command, check=False, timeout=60, env=environment).returncode == 9
+    assert (out / "boxes/part-00001.parquet").exists()
+    assert (out / "worlds/.part-00001.parquet.tmp").exists()
+    results = load_run(out)
+    assert results.worlds.plan_id.tolist() == ["0", "1"]
+    assert sorted(set(results.boxes.plan_id)) == ["0", "1"]
+    assert results.info["status"] == "running"
+    assert results.info["counts"]["worlds"] == 2
+    # leftovers do not disturb a reader that knows nothing of petmjx, and overwriting takes them away
+    assert len(pd.read_parquet(out / "worlds")) == 2
+    write_run(out, overwrite=True)
+    assert part_files(out) == ["boxes/part-00000.parquet", "run.json", "worlds/part-00000.parquet"]
+
+
+def test_a_run_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
+    write_run(tmp_path, ids=("a", "b"), worlds_per_part=1)
+    note = tmp_path / "note.txt"
+    note.write_text("mine")
+    with pytest.raises(InputError, match="holds a run already"):
+        write_run(tmp_path)
+    assert len(load_run(tmp_path).worlds) == 2
+    write_run(tmp_path, ids=("c",), overwrite=True)
+    assert load_run(tmp_path).worlds.plan_id.tolist() == ["c"]
+    assert note.read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write results there"):
+        write_run(tmp_path / "file" / "run")
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(parts.pq, "write_table", full)
+    with pytest.raises(PetmjxError, match="cannot write results: No space left"):
+        write_run(tmp_path)
+    assert load_run(tmp_path).info["status"] == "failed"
+    assert load_run(tmp_path).worlds.empty
+
+
+def test_a_run_without_worlds_has_its_columns(tmp_path: Path) -> None:
+    write_run(tmp_path, ids=())
+    assert " ".join(pd.read_parquet(tmp_path / "worlds").columns) == SPEC_WORLDS
+    results = load_run(tmp_path)
+    assert results.worlds.empty
+    assert results.boxes.empty
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda run: (run / "run.json").unlink(), "no run of petmjx there"),
+        (lambda run: (run / "run.json").write_text("{"), "run.json: cannot be read"),
+        (lambda run: (run / "run.json").write_bytes(b"\xff\xfe"), "run.json: cannot be read"),
+        (lambda run: (run / "run.json").write_text("[]"), "not written by petmjx"),
+        (lambda run: (run / "run.json").write_text('{"schema_version": 99}'), "newer petmjx"),
+        (lambda run: (run / "worlds/part-00000.parquet").write_bytes(b"PAR1"), "worlds/part-00000.parquet: damaged"),
+        (lambda run: _truncate(run / "boxes/part-00000.parquet"), "boxes/part-00000.parquet: damaged"),
+        (lambda run: (run / "boxes/part-00000.parquet").unlink(), "boxes/part-00000.parquet: missing"),
+    ],
+)
+def test_damaged_runs_get_one_clear_line(tmp_path: Path, damage: Any, message: str) -> None:
+    write_run(tmp_path)
+    damage(tmp_path)
+    with pytest.raises(InputError, match=message) as caught:
+        read_all(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def _truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-100])
+
+
+def test_no_such_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        load_run(tmp_path / "nowhere")
+
+
+def test_an_outcome_of_another_plan_is_refused(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}) as run, pytest.raises(ValueError, match="has 3 boxes, its outcome 2"):
+        run.add(make_plan(n=3), 0, "mujoco", "fixed", make_outcome(n=2))
+
+
+def test_writing_is_never_what_a_run_waits_for(tmp_path: Path) -> None:
+    plan, outcome = make_plan(n=43), make_outcome(n=43)
+    start = time.process_time()
+    with RunWriter(tmp_path, {}) as run:
+        for number in range(4_000):
+            run.add(plan, number, "mujoco", "fixed", outcome)
+    worlds_per_s = 4_000 / (time.process_time() - start)
+    # about 10,000 on an idle core; the margin is for a busy machine. An H100 finishes a few hundred.
+    assert worlds_per_s > 2_000
+
+
+def test_reading_results_imports_no_jax() -> None:
+    code = "import sys, petmjx.results.compare, petmjx.show.tables; sys.exit('jax' in sys.modules)"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60, env=environment).returncode == 0

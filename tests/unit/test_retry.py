@@ -1,0 +1,202 @@
+"""The retry procedure, on an engine that fails as planned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from petmjx.config import SimConfig, Solver
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.retry import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE, World, nominal_worlds, score_worlds
+from petmjx.plans.plan import Plan
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.world.job import Drive, Excitation, Job
+
+
+def one_box_plan(plan_id: str) -> Plan:
+    return Plan(
+        plan_id=plan_id,
+        source="test",
+        size_mm=np.full((1, 3), 200.0),
+        corner_mm=np.zeros((1, 3)),
+        mass_kg=np.ones(1),
+        item_ids=("item",),
+        articles=("article",),
+        sequence=np.ones(1, dtype=np.int64),
+    )
+
+
+def outcome_of(job: int, verdict: Verdict) -> Outcome:
+    invalid = verdict is Verdict.INVALID
+    boxes = BoxMetrics(
+        shift_m=np.zeros((1, 3)),
+        max_tilt_deg=np.zeros(1),
+        max_lin_acc=np.zeros(1),
+        max_ang_acc=np.zeros(1),
+        max_top_force_n=np.zeros(1),
+        rest_top_force_n=np.zeros(1),
+        dropped=np.zeros(1, dtype=bool),
+        drop_s=np.full(1, np.nan),
+        max_sway_m=np.full(1, np.nan),
+        pos=np.zeros((1, 3)),
+        quat=np.zeros((1, 4)),
+    )
+    return Outcome(
+        job=job,
+        verdict=verdict,
+        reason=Reason.EXPLOSION if invalid else Reason.NONE,
+        culprit=-1,
+        first_sign_s=float("nan"),
+        n_boxes=1,
+        n_placed=1,
+        sim_time_s=1.0,
+        n_steps=500,
+        flags=Flag.EXPLOSION if invalid else Flag.NONE,
+        boxes=boxes,
+    )
+
+
+@dataclass
+class FailingEngine:
+    """Answers in reverse order; the world whose box weighs k kg is invalid in its first k − 1 attempts."""
+
+    name: str = "failing"
+    calls: list[tuple[SimConfig, list[Job]]] = field(default_factory=list)
+    drop_last: bool = False
+    repeat_last: bool = False
+
+    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+        self.calls.append((sim, list(jobs)))
+        for index in reversed(range(len(jobs))):
+            if index == 0 and self.drop_last:
+                return
+            failures = round(float(jobs[index].scene.mass[0])) - 1
+            attempt = sum(any(job.scene is jobs[index].scene for job in batch) for _, batch in self.calls)
+            yield outcome_of(index, Verdict.INVALID if attempt <= failures else Verdict.STABLE)
+        if self.repeat_last:
+            yield outcome_of(0, Verdict.STABLE)
+
+
+def worlds_failing(*failures: int) -> list[World]:
+    """One world for each number: how many of its attempts are invalid."""
+    plans = [replace(one_box_plan(f"p{i}"), mass_kg=np.array([k + 1.0])) for i, k in enumerate(failures)]
+    return list(nominal_worlds(plans, SimConfig().physics))
+
+
+def test_valid_worlds_run_once() -> None:
+    engine = FailingEngine()
+    results = list(score_worlds(worlds_failing(0, 0, 0), SimConfig(), engine))
+    assert {r.world.plan.plan_id for r in results} == {"p0", "p1", "p2"}
+    assert [len(r.attempts) for r in results] == [1, 1, 1]
+    assert len(engine.calls) == 1
+
+
+def test_invalid_worlds_run_again_as_one_batch_until_they_are_valid() -> None:
+    engine = FailingEngine()
+    results = {r.world.plan.plan_id: r for r in score_worlds(worlds_failing(0, 1, 3, 9, 1), SimConfig(), engine)}
+    assert [len(jobs) for _, jobs in engine.calls] == [5, 4, 2, 2, 1]
+    assert {name: len(r.attempts) for name, r in results.items()} == {"p0": 1, "p1": 2, "p2": 4, "p3": 5, "p4": 2}
+    assert {name: r.outcome.attempt for name, r in results.items()} == {
+        "p0": 1, "p1": 2, "p2": 4, "p3": 5, "p4": 2
+    }  # fmt: skip
+    assert results["p3"].outcome.verdict is Verdict.INVALID
+    assert results["p3"].outcome.reason is Reason.EXPLOSION
+    assert results["p2"].outcome.verdict is Verdict.STABLE
+    assert [a.verdict for a in results["p2"].attempts] == ["invalid", "invalid", "invalid", "stable"]
+    assert [a.solver for a in results["p3"].attempts] == ["newton", "newton", "cg", "cg", "newton"]
+    assert [a.timestep_s for a in results["p3"].attempts] == [0.002] * 4 + [0.001]
+
+
+def test_no_attempt_repeats_another() -> None:
+    engine = FailingEngine()
+    list(score_worlds(worlds_failing(9), SimConfig(), engine))
+    sims = [sim for sim, _ in engine.calls]
+    assert len(sims) == len(ATTEMPTS) == 5
+    assert all(sims[i] != sims[j] for i in range(5) for j in range(i))
+    assert [sim.solver for sim in sims] == [Solver.NEWTON, Solver.NEWTON, Solver.CG, Solver.CG, Solver.NEWTON]
+    assert [sim.solver_iterations for sim in sims] == [None, CAREFUL_ITERATIONS, None, CAREFUL_ITERATIONS, None]
+    assert [sim.solver_tolerance for sim in sims] == [None, CAREFUL_TOLERANCE, None, CAREFUL_TOLERANCE, None]
+
+
+def test_half_the_timestep_keeps_durations() -> None:
+    sim = SimConfig()
+    half = ATTEMPTS[-1].apply_to_sim(sim)
+    assert half.physics.timestep_s == sim.physics.timestep_s / 2
+    for name in ("steps", "min_steps", "poll_steps"):
+        before, after = (getattr(s.quiet, name) * s.physics.timestep_s for s in (sim, half))
+        assert after == pytest.approx(before)
+
+
+def test_half_the_timestep_resamples_force_profiles_and_keeps_them_shared() -> None:
+    engine = FailingEngine()
+    pulse = Excitation("pulse", "force", np.arange(6.0).reshape(2, 3))
+    worlds = [replace(world, job=replace(world.job, drive=Drive(pulse, scale=2.0))) for world in worlds_failing(9, 9)]
+    list(score_worlds(worlds, SimConfig(), engine))
+    drives = [job.drive for job in engine.calls[-1][1]]
+    assert drives[0] is not None
+    assert drives[1] is not None
+    assert drives[0].scale == 2.0
+    np.testing.assert_array_equal(drives[0].excitation.samples, [[0, 1, 2], [0, 1, 2], [3, 4, 5], [3, 4, 5]])
+    assert drives[0].excitation is drives[1].excitation
+    assert engine.calls[0][1][0].drive is worlds[0].job.drive
+
+
+def test_worlds_are_drawn_a_chunk_at_a_time() -> None:
+    engine = FailingEngine()
+    drawn = 0
+
+    def source() -> Iterator[World]:
+        nonlocal drawn
+        for world in worlds_failing(*[0] * 10):
+            drawn += 1
+            yield world
+
+    results = score_worlds(source(), SimConfig(), engine, chunk_worlds=4)
+    next(results)
+    assert drawn == 4
+    assert len(list(results)) == 9
+    assert [len(jobs) for _, jobs in engine.calls] == [4, 4, 2]
+
+
+def test_invalid_worlds_of_several_chunks_gather() -> None:
+    engine = FailingEngine()
+    results = list(score_worlds(worlds_failing(1, 0, 1, 0, 0, 1), SimConfig(), engine, chunk_worlds=2))
+    assert [len(jobs) for _, jobs in engine.calls] == [2, 2, 2, 2, 1]
+    assert sorted(r.world.plan.plan_id for r in results) == ["p0", "p1", "p2", "p3", "p4", "p5"]
+
+
+def test_no_worlds() -> None:
+    engine = FailingEngine()
+    assert list(score_worlds([], SimConfig(), engine)) == []
+    assert engine.calls == []
+
+
+def test_an_engine_that_loses_or_repeats_a_world_is_found_out() -> None:
+    with pytest.raises(RuntimeError, match="did not answer 1 of 2 jobs"):
+        list(score_worlds(worlds_failing(0, 0), SimConfig(), FailingEngine(drop_last=True)))
+    with pytest.raises(RuntimeError, match="answered job 0 twice"):
+        list(score_worlds(worlds_failing(0, 0), SimConfig(), FailingEngine(repeat_last=True)))
+
+
+def test_second_attempts_change_what_the_c_engine_computes() -> None:
+    plan = replace(
+        one_box_plan("tower"),
+        size_mm=np.full((3, 3), 200.0),
+        corner_mm=np.array([[0.0, 0, 0], [0, 0, 200], [30, 0, 400]]),
+        mass_kg=np.array([1.0, 4.0, 9.0]),
+        item_ids=("item",) * 3,
+        articles=("article",) * 3,
+        sequence=np.arange(3),
+    )
+    sim = SimConfig()
+    jobs = [world.job for world in nominal_worlds([plan], sim.physics)]
+    positions = []
+    for recipe in ATTEMPTS:
+        [outcome] = MujocoEngine(1).run(recipe.apply_to_jobs(jobs), recipe.apply_to_sim(sim))
+        positions.append(outcome.boxes.pos)
+        assert outcome.verdict is Verdict.STABLE
+    assert all((positions[i] != positions[j]).any() for i in range(5) for j in range(i))

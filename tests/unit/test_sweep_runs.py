@@ -1,0 +1,284 @@
+"""Sweeps: every placement once, forks to the step, the same worlds however they are batched, and true answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import petmjx
+from petmjx.config import SimConfig, Thresholds
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.cpu.running import OracleMetrics
+from petmjx.plans.plan import Plan
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.run import SAME_STEP_ATTEMPTS, Batching, SweepRun
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+
+DRIVE_STEPS = 200 + 250
+"""Of EUMOS's profile at 2 ms, 0.4 s, with 0.5 s to come to rest."""
+
+QUICK = """
+[simulation]
+settle_s = 0.4
+rest_s = 0.5
+early_stop = false
+"""
+
+
+def stack(plan_id: str, n_boxes: int = 2, overhang_mm: float = 0.0) -> Plan:
+    """Boxes of 400 × 300 × 200 mm on top of each other, every second moved along x; the carrier ends at x = 0."""
+    corner = np.array([[overhang_mm * (k % 2), 0.0, 200.0 * k] for k in range(n_boxes)])
+    return Plan(
+        plan_id=plan_id,
+        source="test",
+        size_mm=np.tile([[400.0, 300.0, 200.0]], (n_boxes, 1)),
+        corner_mm=corner,
+        mass_kg=np.full(n_boxes, 5.0),
+        item_ids=tuple(f"item-{k}" for k in range(n_boxes)),
+        articles=tuple(f"carton-{k}" for k in range(n_boxes)),
+        sequence=np.arange(n_boxes),
+    )
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "x.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+class Recorder(MujocoEngine):
+    """The engine, which remembers what it was asked."""
+
+    def __init__(self, threads: int | None = None) -> None:
+        super().__init__(threads)
+        self.batches: list[tuple[list[Job], SimConfig]] = []
+
+    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+        self.batches.append((list(jobs), sim))
+        return super().run(jobs, sim, progress)
+
+
+EUMOS_GRID = """
+[axes]
+profile = "eumos-40509"
+direction = ["+x", "-x", "+y", "-y"]
+level = { from = 0.05, to = 0.8, step = 0.05 }
+"""
+
+
+def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Path) -> None:
+    plan = SweepPlan(load_sweep(write(tmp_path, QUICK + EUMOS_GRID), plans_given=True), [stack("a")])
+    engine, progress = Recorder(2), Progress()
+    run = SweepRun(plan, engine, progress=progress)
+    worlds = list(run.worlds())
+    (placements, _), (drives, _) = engine.batches
+    assert [job.keep_state for job in placements] == [True]
+    assert len(drives) == len(worlds) == 64
+    assert all(job.start is drives[0].start and job.start is not None for job in drives)
+    (alone,) = MujocoEngine(1).run([Job(placements[0].scene, keep_state=True)], run.sim)
+    assert progress.world_steps == alone.n_steps + 64 * DRIVE_STEPS
+    assert (run.tally.placements, run.tally.placement_steps) == (1, alone.n_steps)
+    assert (run.tally.drives, run.tally.drive_steps) == (64, 64 * DRIVE_STEPS)
+    assert {world.outcome.n_steps for world in worlds} == {DRIVE_STEPS}
+    assert sorted(world.variant.index for world in worlds) == list(range(1, 65))
+
+
+MIXED = (
+    """
+seed = 3
+replicates = 2
+nominal = true
+"""
+    + QUICK
+    + """
+[axes]
+placement_error_mm = [0, 3]
+profile = "eumos-40509"
+direction = [0, 90]
+level = [0.3, 0.55]
+"""
+)
+
+
+def sorted_tables(results: petmjx.RunResults) -> list[pd.DataFrame]:
+    worlds = results.worlds.sort_values(["plan_id", "variant"], ignore_index=True)
+    boxes = results.boxes.sort_values(["plan_id", "variant", "box"], ignore_index=True)
+    assert results.summary is not None
+    return [worlds, boxes, results.summary]
+
+
+SEARCH = (
+    QUICK
+    + """
+[axes]
+friction_factor = [0.6, 1.0]
+profile = "eumos-40509"
+direction = ["+x", "+y"]
+[search]
+upper = 1.0
+"""
+)
+
+
+@pytest.mark.parametrize("text", [MIXED, SEARCH], ids=["grid", "search"])
+def test_threads_order_and_batches_change_nothing(text: str, tmp_path: Path) -> None:
+    file = write(tmp_path, text)
+    plans = [stack("a"), stack("b", 3, 90.0), stack("falls", 2, -380.0)]
+    one = petmjx.sweep(file, plans, engine="mujoco", threads=1)
+    other = petmjx.sweep(
+        file, plans[::-1], engine="mujoco", threads=3, batching=Batching(placements=2, worlds=5, drives=3)
+    )
+    assert len(one.worlds) > 30
+    for mine, theirs in zip(sorted_tables(one), sorted_tables(other), strict=True):
+        pd.testing.assert_frame_equal(mine, theirs, check_exact=True)
+
+
+def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path: Path) -> None:
+    text = MIXED.replace("early_stop = false", "")
+    engine = Recorder(2)
+    results = petmjx.sweep(write(tmp_path, text), [stack("stands"), stack("falls", 2, -380.0)], engine=engine)
+    worlds = results.worlds.set_index(["plan_id", "variant"]).sort_index()
+    # 4 drives of the exact placement, and of each of the 2 replicates with an error
+    assert worlds.loc["stands"].index.tolist() == worlds.loc["falls"].index.tolist() == [*range(13)]
+    falls = worlds.loc["falls"]
+    assert set(falls["verdict"]) == {"unstable"}
+    assert (falls["n_steps"].drop(index=0) == 0).all()
+    assert (falls["flags"].drop(index=0) & int(Flag.FORKED) != 0).all()
+    assert falls["sign_in_profile_s"].isna().all()
+    assert not falls["eumos_passed"].drop(index=0).astype(bool).any()
+    assert len([job for jobs, _ in engine.batches for job in jobs if job.start is not None]) == 12
+    stands = worlds.loc["stands"]
+    nominal = stands.loc[0]
+    assert (nominal["verdict"], nominal["mode"]) == ("stable", "")
+    assert pd.isna(nominal["profile"])
+    assert np.isnan(nominal["level_g"])
+    assert np.isfinite(nominal["rest_top_force_n"])
+    slides = stands[stands["level_g"] == 0.55]
+    assert set(slides["mode"]) == {"slide"}
+    assert slides["sign_in_profile_s"].between(0.2, 0.9).all()
+    assert (slides["eumos_permanent_share"] > 0).all()
+    assert results.units("worlds")["level_g"] == "g"
+    assert results.units("worlds")["eumos_foot_permanent_m"] == "m"
+
+
+def test_the_summary_has_shares_with_intervals_and_units(tmp_path: Path) -> None:
+    results = petmjx.sweep(write(tmp_path, MIXED), [stack("a"), stack("b", 3)], engine="mujoco")
+    assert results.summary is not None
+    summary = results.summary.set_index(["plan_id", "axis", "value"])
+    worlds = results.worlds
+    chosen = worlds[(worlds["plan_id"] == "b") & (worlds["level_g"] == 0.3)]
+    row = summary.loc[("b", "level_g", "0.3")]
+    assert row["n_worlds"] == len(chosen) == 6
+    assert row["n_standing"] == (chosen["verdict"] == "stable").sum()
+    assert row["n_eumos_passed"] == chosen["eumos_passed"].sum()
+    assert row["low"] <= row["share"] <= row["high"]
+    assert summary.loc[("*", "", ""), "n_worlds"] == len(worlds) == 26
+    units = results.units("summary")
+    assert units["share"] == units["n_eumos"] == "1"
+    assert units["plan_id"] == ""
+
+
+def test_drawn_axes_are_divided_into_ranges(tmp_path: Path) -> None:
+    text = """
+mode = "sample"
+sample = 30
+[simulation]
+check = "static"
+duration_s = 0.3
+[axes]
+friction_factor = { from = 0.2, to = 1.0 }
+mass_factor = [0.5, 1.5]
+"""
+    results = petmjx.sweep(write(tmp_path, text), [stack("a")], engine="mujoco")
+    assert results.summary is not None
+    friction = results.summary.query("plan_id == 'a' and axis == 'friction_factor'")
+    assert friction["n_worlds"].sum() == 30
+    assert set(friction["value"]) <= {f"{0.2 + 0.1 * k:.4g} to {0.3 + 0.1 * k:.4g}" for k in range(8)}
+    assert set(results.summary.query("axis == 'mass_factor'")["value"]) == {"0.5", "1.5"}
+    assert "sign_in_profile_s" not in results.worlds
+
+
+def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    plans = [stack("stands"), stack("falls", 2, -380.0)]
+    results = petmjx.sweep(write(tmp_path, SEARCH), plans, engine="mujoco", out=folder)
+    assert results.summary is not None
+    summary = results.summary.set_index(["plan_id", "friction_factor", "direction_deg"])
+    answer = summary.loc[("stands", 1.0, 0.0)]
+    # sliding begins at 0.5 g; with 0.3 s at the level, 20 mm need a little more
+    assert 0.5 <= answer["largest_level_g"] <= 0.56
+    assert answer["first_failed_level_g"] == pytest.approx(answer["largest_level_g"] + 0.01)
+    assert answer["mode"] == "slide"
+    assert answer["article"] == f"carton-{answer['box']}"
+    assert 0.2 <= answer["sign_in_profile_s"] <= 0.9
+    assert summary.loc[("stands", 0.6, 0.0), "largest_level_g"] < 0.4
+    worlds = results.worlds
+    mine = worlds.query("plan_id == 'stands' and friction_factor == 1 and direction_deg == 0").set_index("level_g")
+    assert len(mine) == answer["n_tests"]
+    assert mine.loc[answer["largest_level_g"], "verdict"] == "stable"
+    assert mine.loc[answer["first_failed_level_g"], "verdict"] == "unstable"
+    assert answer["eumos_passed"] == mine.loc[answer["largest_level_g"], "eumos_passed"]
+    fallen = summary.loc[("falls", 1.0, 0.0)]
+    assert not fallen["stands_at_rest"]
+    assert np.isnan(fallen["largest_level_g"])
+    assert (fallen["box"], fallen["mode"], fallen["n_tests"]) == (1, "drop", 0)
+    # one unsimulated row for each of its searches
+    assert worlds.query("plan_id == 'falls'")["n_steps"].tolist() == [0] * 4
+    assert results.units("summary")["largest_level_g"] == "g"
+
+
+def test_tilting_tells_the_angle(tmp_path: Path) -> None:
+    text = """
+[simulation]
+settle_s = 0.2
+sample_interval_s = 0.04
+[axes]
+profile = "tilt"
+"""
+    (world,) = petmjx.sweep(write(tmp_path, text), [stack("a", 1)], engine="mujoco").worlds.to_dict("records")
+    # atan 0.5 = 26.57°, and the time a box takes to slide 20 mm once it is past it
+    assert 26.5 < world["fail_angle_deg"] < 30.0
+    assert world["fail_angle_deg"] == pytest.approx(5.0 * world["sign_in_profile_s"])
+    assert world["mode"] in ("slide", "drop")
+
+
+class _NeverBelieved(Recorder):
+    """Every outcome is invalid."""
+
+    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+        for outcome in super().run(jobs, sim, progress):
+            yield replace(outcome, verdict=Verdict.INVALID, reason=Reason.NONFINITE)
+
+
+def test_states_are_never_shared_between_timesteps(tmp_path: Path) -> None:
+    engine = _NeverBelieved(1)
+    results = petmjx.sweep(write(tmp_path, QUICK + EUMOS_GRID), [stack("a", 1)], engine=engine)
+    assert len(engine.batches) == len(SAME_STEP_ATTEMPTS)
+    assert {sim.physics.timestep_s for _, sim in engine.batches} == {0.002}
+    assert set(results.worlds["reason"]) == {"nonfinite"}
+    assert results.worlds["mode"].unique().tolist() == ["nonfinite"]
+    assert results.worlds["eumos_passed"].isna().all()
+
+
+def test_a_hard_landing_is_no_sign_of_the_drive() -> None:
+    scene = build_scene(stack("a", 2), SimConfig().physics)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    metrics = OracleMetrics(scene, Thresholds())
+    metrics.add_pose(0.2, scene.target - np.array([0.0, 0.0, 0.03]), upright)
+    assert metrics.culprit == 0
+    over = metrics.fork()
+    over.begin_drive(scene.target + np.array([0.03, 0.0, 0.0]), upright)
+    assert (over.culprit, over.first_sign_s) == (0, 0.2)
+    metrics.begin_drive(scene.target, upright)
+    assert metrics.culprit == -1
+    metrics.add_pose(1.0, scene.target + np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0]]), upright)
+    assert (metrics.culprit, metrics.first_sign_s) == (1, 1.0)

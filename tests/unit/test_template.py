@@ -1,0 +1,104 @@
+"""The padded template and its per-world overrides against what MuJoCo compiles for the exact model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from mujoco import mjx
+from support.fake_stepper import fake_scene
+
+from petmjx.config import PHYSICS, Physics, Solver
+from petmjx.engines.batch.state import upload_worlds
+from petmjx.engines.batch.template import override_fields, padded_template, parked_positions
+from petmjx.world.job import Job
+from petmjx.world.model import HeldCarrier, build_spec
+from petmjx.world.scene import Scene
+
+CAPACITY = 4
+ROUNDING = 2e-6
+"""float32 arithmetic of a few operations."""
+
+PER_BODY = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
+PER_GEOM = ("geom_size", "geom_rbound", "geom_aabb", "geom_friction")
+
+
+@pytest.fixture(autouse=True)
+def _ranks_may_differ() -> Iterator[None]:
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+def scene_of_boxes(n: int) -> Scene:
+    scene = fake_scene(*np.linspace(0.3, 14.0, n))
+    scene.half_size[:] = np.random.default_rng(n).uniform(0.04, 0.3, (n, 3))
+    return scene
+
+
+def template(physics: Physics, *, held: bool) -> mujoco.MjModel:
+    return padded_template(
+        CAPACITY, physics, held=held, solver=Solver.NEWTON, tolerance=1e-6, iterations=100, native_ccd=True
+    )
+
+
+def overrides(scenes: list[Scene], base: Any, *, held: bool) -> dict[str, jax.Array]:
+    worlds = upload_worlds([Job(scene) for scene in scenes], len(scenes), CAPACITY, {}, 0.002)
+    return override_fields(
+        worlds.half, worlds.mass, worlds.carrier_half, worlds.carrier_mass, worlds.friction, base, held=held
+    )
+
+
+@pytest.mark.parametrize("physics", list(PHYSICS))
+@pytest.mark.parametrize("held", [False, True])
+def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
+    scenes = [scene_of_boxes(n) for n in (1, 3, CAPACITY)]
+    base = mjx.put_model(template(PHYSICS[physics], held=held), impl="jax")
+    fields = overrides(scenes, base, held=held)
+    for lane, scene in enumerate(scenes):
+        carrier = HeldCarrier(scene.carrier_pos, np.array([1.0, 0, 0, 0])) if held else None
+        exact = build_spec(scene, PHYSICS[physics], carrier).compile()
+        used = scene.n_boxes + 2
+        for name in (*PER_BODY, *PER_GEOM):
+            if name not in fields:
+                continue
+            found, expected = np.asarray(fields[name][lane])[:used], getattr(exact, name)
+            if name == "body_subtreemass":  # that of the world counts boxes of the padding as well
+                found, expected = found[1:], expected[1:]
+            if name == "body_inertia":  # MuJoCo sorts the axes
+                found, expected = np.sort(found), np.sort(expected)
+            if name in ("geom_size", "geom_aabb", "geom_rbound"):  # the plane's is infinite or has no meaning
+                found, expected = found[1:], expected[1:]
+            np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=ROUNDING, atol=1e-7, err_msg=name)
+        dofs = exact.nv
+        np.testing.assert_allclose(fields["dof_invweight0"][lane][:dofs], exact.dof_invweight0, rtol=ROUNDING)
+
+
+def test_the_template_has_the_options_and_contact_numbers_of_the_exact_model() -> None:
+    for physics in PHYSICS.values():
+        padded, exact = template(physics, held=False), build_spec(scene_of_boxes(2), physics).compile()
+        for name in ("timestep", "cone", "integrator", "solver", "impratio"):
+            assert getattr(padded.opt, name) == getattr(exact.opt, name), name
+        np.testing.assert_array_equal(padded.opt.gravity, exact.opt.gravity)
+        for name in ("geom_solref", "geom_solimp", "geom_gap", "geom_margin", "geom_condim", "geom_type"):
+            np.testing.assert_array_equal(getattr(padded, name)[:4], getattr(exact, name), err_msg=name)
+        np.testing.assert_array_equal(padded.geom_pos[0], exact.geom_pos[0])
+
+
+def test_parked_boxes_touch_nothing() -> None:
+    model = template(PHYSICS["pallet"], held=False)
+    model.geom_size[2:] = 0.6  # larger than any item
+    model.geom_rbound[2:] = 0.6 * np.sqrt(3)
+    data = mujoco.MjData(model)
+    rows = data.qpos.reshape(-1, 7)
+    rows[0, :3] = (0.4, 0.3, -0.072 + 1e-3)
+    rows[1:, :3] = np.asarray(parked_positions(CAPACITY))
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+    # Not even their bounding spheres meet, nor that of a pallet of 3 m.
+    gaps = np.linalg.norm(rows[1:, None, :3] - rows[None, 1:, :3], axis=-1) + 1e3 * np.eye(CAPACITY)
+    assert gaps.min() > 2 * 0.6 * np.sqrt(3)
+    assert rows[1:, 2].min() - 0.6 * np.sqrt(3) > 3.0
