@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,6 +23,7 @@ app = typer.Typer(add_completion=False, context_settings={"help_option_names": [
 
 
 @app.command()
+@opt.takes("limit", "lanes", "threads")
 def bench(
     names: Annotated[
         list[str] | None,
@@ -37,12 +38,9 @@ def bench(
             "--plans", metavar="FILE", help="The workload's plans.", show_default="samples of seed 0, generated"
         ),
     ] = None,
-    limit: opt.LimitOption = None,
     skip: Annotated[
         int, typer.Option("--skip", metavar="N", min=0, help="Leave out the workload's first N plans.")
     ] = 0,
-    lanes: opt.LanesOption = None,
-    threads: opt.ThreadsOption = None,
     max_seconds: Annotated[
         float | None,
         typer.Option(
@@ -92,6 +90,7 @@ def bench(
         str | None, typer.Option("--date", metavar="TEXT", help="Date to write into the results.", show_default="now")
     ] = None,
     list_cases: Annotated[bool, typer.Option("--list", help="List the cases and groups, and stop.")] = False,
+    **options: Any,
 ) -> None:
     """Measure speed and agreement: declared cases, one JSON line a result.
 
@@ -114,10 +113,8 @@ def bench(
     settings = Settings(
         work=work if work is not None else Path(tempfile.mkdtemp(prefix="petmjx-bench-")),
         plans=plans,
-        limit=limit,
         skip=skip,
-        lanes=lanes,
-        threads=threads,
+        **options,
         max_seconds=max_seconds,
         repeat=repeat,
         oracles=tuple(_oracle_schedule(name) for name in _words(oracle or "")),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from petmjx.config import PHYSICS, Check, Schedule, SimConfig
+from petmjx.config import PHYSICS, Check, Schedule, Simulation
 from petmjx.errors import InputError
 
 SEED = 0
@@ -33,9 +33,9 @@ class StackCase:
     duration_s: float = 1.0
 
     @property
-    def sim(self) -> SimConfig:
+    def sim(self) -> Simulation:
         """Static check of fixed length; nothing ends a world early."""
-        return SimConfig(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=self.duration_s, early_stop=False)
+        return Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=self.duration_s, early_stop=False)
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class WorkloadCase:
     plans: int = WORKLOAD_PLANS
 
     @property
-    def sim(self) -> SimConfig:
+    def sim(self) -> Simulation:
         """The configuration of ``petmjx score`` with this schedule and physics."""
-        return SimConfig(physics=PHYSICS[self.physics], schedule=self.schedule)
+        return Simulation(physics=PHYSICS[self.physics], schedule=self.schedule)
 
 
 @dataclass(frozen=True)

@@ -22,15 +22,15 @@ from benchmarks.record import (
     peak_memory_bytes,
     reset_peak_memory,
 )
-from petmjx.config import PHYSICS, SOFT_START_STEPS, Schedule
+from petmjx.config import PHYSICS, SOFT_START_STEPS, Schedule, Simulation
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.choose import Choice, make_engine
-from petmjx.engines.retry import WorldResult
+from petmjx.engines.choose import make_engine
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans, write_samples
 from petmjx.results.reader import RunResults, load_run
+from petmjx.sweeps.run import SweptWorld
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
@@ -82,10 +82,10 @@ class _Watch:
     deadline: float | None
     progress: Progress = field(default_factory=Progress)
 
-    def begin(self, total: int, choice: Choice, progress: Progress) -> None:
-        self.progress = progress
+    def begin(self, start: api.RunStart) -> None:
+        self.progress = start.progress
 
-    def world_done(self, result: WorldResult) -> None:
+    def world_done(self, world: SweptWorld) -> None:
         if self.deadline is not None and time.perf_counter() > self.deadline:
             raise _TimeIsUp
 
@@ -168,7 +168,7 @@ class Bench:
     ) -> tuple[RunResults, bool]:
         """From file to Parquet. Returns the results, and whether time was up before the end."""
         skip = self.settings.skip
-        found = api.gather_plans(path, limit=skip + count)
+        found = load_plans(path, limit=skip + count)
         plans = PlanSet(found.plans[skip:], found.skipped, found.warnings)
         if not plans.plans:
             raise InputError(f"{path}: no plans left after the first {skip}")
@@ -240,7 +240,7 @@ class Bench:
         engine, start_s = self._engine(engine_name)
         threads = getattr(engine, "threads", None)
         worlds = 4 * threads if threads else self.settings.lanes or DEFAULT_STACK_LANES
-        scene = build_scene(self._stack_plan(case.boxes), case.sim.physics)
+        scene = build_scene(self._stack_plan(case.boxes), case.sim)
         jobs = [Job(scene) for _ in range(worlds)]
         self._say(f"{case.name} on {engine_name}: {worlds} worlds")
         reset_peak_memory()
@@ -296,7 +296,7 @@ class Bench:
         for plan in spread_over_sizes(plans):
             if run_s >= max_seconds:
                 break
-            scene: Scene = build_scene(plan, physics)
+            scene: Scene = build_scene(plan, Simulation(physics=physics))
             begin = time.perf_counter()
             plain_loop(scene, physics, parked_on_floor=case.parked_on_floor)
             run_s += time.perf_counter() - begin

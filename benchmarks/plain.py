@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import SOFT_START_STEPS, Cone, Physics, SimConfig
+from petmjx.config import SOFT_START_STEPS, Cone, Physics, Simulation
 from petmjx.engines.cpu.running import OracleMetrics, Sample
 from petmjx.metrics.force_np import top_forces
 from petmjx.world.model import build_spec
@@ -49,7 +49,7 @@ def plain_loop(scene: Scene, physics: Physics, *, parked_on_floor: bool) -> NDAr
     if not parked_on_floor:
         lifted[:, 2] = weight
     data.time = 0.0
-    metrics = OracleMetrics(scene, SimConfig().thresholds)
+    metrics = OracleMetrics(scene, Simulation().thresholds)
     placed, last_s = 0, 0.0
     for step in range(1, fixed_steps(n, physics.timestep_s) + 1):
         mujoco.mj_step(model, data)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from benchmarks.plain import INTERVAL_S, plain_loop
 from benchmarks.record import device_of, environment
-from petmjx.config import PHYSICS, Physics, Schedule, SimConfig
+from petmjx.config import PHYSICS, Physics, Schedule, Simulation
 from petmjx.engines.cpu.world import WorldRun
 from petmjx.plans.read import load_plans
 from petmjx.world.job import Job
@@ -30,7 +30,7 @@ def cases(scene: Scene, physics: Physics) -> dict[str, Callable[[], object]]:
     """Everything that is timed for one physics preset, by name."""
 
     def engine(schedule: Schedule) -> Callable[[], object]:
-        sim = SimConfig(physics=physics, schedule=schedule, interval_s=INTERVAL_S)
+        sim = Simulation(physics=physics, schedule=schedule, interval_s=INTERVAL_S)
         # The world is run in this thread, so that its CPU time can be read.
         return lambda: WorldRun(0, Job(scene), sim, lambda: False).run()
 
@@ -57,7 +57,7 @@ def main() -> None:
     options = parser.parse_args()
     plan = next(plan for plan in load_plans([options.plans]) if plan.plan_id == options.plan_id)
     for name, physics in PHYSICS.items():
-        timed = cases(build_scene(plan, physics), physics)
+        timed = cases(build_scene(plan, Simulation(physics=physics)), physics)
         seconds: dict[str, list[float]] = {case: [] for case in timed}
         for _ in range(options.repeat):
             for case, run in timed.items():

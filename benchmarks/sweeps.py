@@ -36,9 +36,10 @@ import numpy as np
 
 import petmjx
 from benchmarks.record import device_of, environment
-from petmjx.api import gather_plans
+from petmjx.config import RunOptions, Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import make_engine
+from petmjx.plans.gather import gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.compare import KEY, compare_runs
 from petmjx.sweeps.file import load_sweep
@@ -197,7 +198,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the order of plans under --max-seconds")
     parser.add_argument("--out", type=Path, help="file the lines are appended to")
     options = parser.parse_args()
-    plans = gather_plans(options.plans, limit=options.limit).plans
+    plans = gather_plans(options.plans, Simulation(), RunOptions(limit=options.limit)).plans
     names = options.engine.split(",")
     fixed = {"benchmark": f"sweeps/{options.case}", **environment()}
     if options.case == "forks":

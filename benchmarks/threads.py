@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 from benchmarks.record import device_of, environment
-from petmjx.config import PHYSICS, SimConfig
+from petmjx.config import PHYSICS, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate, write_plans
@@ -24,17 +24,17 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 
-def sample_jobs(count: int, seed: int, sim: SimConfig) -> list[Job]:
+def sample_jobs(count: int, seed: int, sim: Simulation) -> list[Job]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plans.json"
         write_plans(path, generate(count, seed).items())
         plans = list(load_plans([path]))
     # Longest first: otherwise the last plan may leave one of two threads without work.
     plans.sort(key=lambda plan: plan.n_boxes, reverse=True)
-    return [Job(build_scene(plan, sim.physics)) for plan in plans]
+    return [Job(build_scene(plan, sim)) for plan in plans]
 
 
-def seconds(jobs: list[Job], sim: SimConfig, threads: int) -> tuple[float, float]:
+def seconds(jobs: list[Job], sim: Simulation, threads: int) -> tuple[float, float]:
     """Wall and CPU time of one run, s."""
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     for _ in MujocoEngine(threads).run(jobs, sim):
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--repeat", type=int, default=4)
     options = parser.parse_args()
-    sim = SimConfig(physics=PHYSICS["pallet"])
+    sim = Simulation(physics=PHYSICS["pallet"])
     jobs = sample_jobs(options.plans, options.seed, sim)
     times: dict[int, list[tuple[float, float]]] = {threads: [] for threads in options.threads}
     for _ in range(options.repeat):

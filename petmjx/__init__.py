@@ -10,6 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from petmjx.api import score, sweep
+    from petmjx.config import (
+        PHYSICS,
+        Carrier,
+        Check,
+        Cone,
+        Physics,
+        Quiet,
+        RunOptions,
+        Schedule,
+        Simulation,
+        Solver,
+        Thresholds,
+    )
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
@@ -18,13 +31,50 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+_HOME = {
+    "score": "petmjx.api",
+    "sweep": "petmjx.api",
+    "Carrier": "petmjx.config",
+    "Check": "petmjx.config",
+    "Cone": "petmjx.config",
+    "PHYSICS": "petmjx.config",
+    "Physics": "petmjx.config",
+    "Quiet": "petmjx.config",
+    "RunOptions": "petmjx.config",
+    "Schedule": "petmjx.config",
+    "Simulation": "petmjx.config",
+    "Solver": "petmjx.config",
+    "Thresholds": "petmjx.config",
+    "EngineUnavailable": "petmjx.errors",
+    "InputError": "petmjx.errors",
+    "PetmjxError": "petmjx.errors",
+    "Plan": "petmjx.plans.plan",
+    "PlanSet": "petmjx.plans.plan",
+    "load_plans": "petmjx.plans.read",
+    "compare_runs": "petmjx.results.compare",
+    "RunResults": "petmjx.results.reader",
+    "load_run": "petmjx.results.reader",
+}
+"""Public name → the module that has it."""
+
 __all__ = [
+    "PHYSICS",
+    "Carrier",
+    "Check",
+    "Cone",
     "EngineUnavailable",
     "InputError",
     "PetmjxError",
+    "Physics",
     "Plan",
     "PlanSet",
+    "Quiet",
+    "RunOptions",
     "RunResults",
+    "Schedule",
+    "Simulation",
+    "Solver",
+    "Thresholds",
     "__version__",
     "compare_runs",
     "load_plans",
@@ -32,20 +82,6 @@ __all__ = [
     "score",
     "sweep",
 ]
-
-_HOME = {
-    "EngineUnavailable": "petmjx.errors",
-    "InputError": "petmjx.errors",
-    "PetmjxError": "petmjx.errors",
-    "Plan": "petmjx.plans",
-    "PlanSet": "petmjx.plans",
-    "RunResults": "petmjx.results.reader",
-    "compare_runs": "petmjx.results.compare",
-    "load_plans": "petmjx.plans",
-    "load_run": "petmjx.results.reader",
-    "score": "petmjx.api",
-    "sweep": "petmjx.api",
-}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,17 +1,34 @@
-"""What a run does, in frozen, validated records that are written beside the results.
+"""Every option, said once: what results depend on (``Simulation``), how and where a run runs (``RunOptions``).
 
-Every number of the world model is here, with its unit in the name and its source in the docstring.
+Defaults, units, checks and descriptions stand here alone. ``petmjx.score`` and ``petmjx.sweep``, the command line and
+the ``[simulation]`` table of sweep files are made from these records, and they are written beside the results.
 """
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
+
+from petmjx.checked import Checked
+from petmjx.errors import InputError
+
+SOFT_START_STEPS: Final = 100
+"""Steps without gravity, and again steps in which gravity grows by k/100, before time counts."""
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+@dataclass(frozen=True)
+class Flag:
+    """How a field is called on the command line, and what stands for its value in the help there."""
+
+    name: str
+    metavar: str = "NAME"
+    short: str = ""
 
 
 class Check(StrEnum):
@@ -65,47 +82,93 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
 Triple = tuple[float, float, float]
 
 
-class Physics(_Frozen):
-    """The contact world. Friction triples are MuJoCo's sliding / torsional / rolling coefficients.
+def _no_negatives(values: Triple) -> Triple:
+    if min(values) < 0:
+        raise ValueError(f"must be ≥ 0, got {values}")
+    return values
 
-    Numbers are the reference implementation's (PET-Physics); boxes slide on boxes at 0.5 after the CTU
-    Code (cardboard on cardboard). ``floor_z_m`` is minus a pallet's height.
+
+def _impedances(values: Triple) -> Triple:
+    if not (0 < values[0] < 1 and 0 < values[1] < 1 and values[2] > 0):
+        raise ValueError(f"must be two impedances between 0 and 1 and a width > 0 m, got {values}")
+    return values
+
+
+Friction = Annotated[Triple, AfterValidator(_no_negatives)]
+"""MuJoCo's sliding, torsional and rolling coefficients of a geom; of two partners the larger ones count."""
+
+CUSTOM: Final = "custom"
+
+
+class Physics(Checked):
+    """The contact world.
+
+    Numbers are the reference implementation's (PET-Physics), but for the cone and the carrier's friction, which are the
+    preset's. Boxes slide on boxes at 0.5 after the CTU Code (cardboard on cardboard, Annex 7, Appendix 2).
+
+    Made from a preset's name ("pallet"), from a table that names one and changes some of its values
+    (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
     """
 
-    name: str
-    cone: Cone
-    carrier_friction: Triple
-    box_friction: Triple = (0.5, 0.005, 0.0001)
-    floor_friction: Triple = (1.0, 0.005, 0.0001)
-    floor_z_m: float = -0.144
-    carrier_half_height_m: float = 0.072
-    carrier_mass_kg: float = 25.0
-    timestep_s: float = 0.002
-    gravity_m_s2: float = 9.81
-    solref: tuple[float, float] = (0.02, 1.0)
-    solimp: Triple = (0.99, 0.99, 0.01)
+    cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
+    carrier_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of the carrier")
+    box_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of boxes")
+    floor_friction: Friction = Field((1.0, 0.005, 0.0001), description="friction of the floor")
+    floor_z_m: float = Field(-0.144, lt=0, description="height of the floor: a pallet's height below z = 0")
+    carrier_half_height_m: float = Field(0.072, gt=0, description="half the carrier's height")
+    carrier_mass_kg: float = Field(25.0, gt=0, description="the carrier's mass")
+    timestep_s: float = Field(0.002, gt=0, le=0.02, description="length of a step")
+    gravity_m_s2: float = Field(9.81, gt=0, le=100, description="gravity, downwards")
+    solref: tuple[float, float] = Field((0.02, 1.0), description="MuJoCo's time constant and damping ratio of contacts")
+    solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
+        (0.99, 0.99, 0.01), description="MuJoCo's impedances of contacts and their width, m"
+    )
+
+    @computed_field(description="the preset that these values are, or custom")  # type: ignore[prop-decorator]
+    @property
+    def name(self) -> str:
+        """The preset that these values are, or "custom"."""
+        return next((name for name, preset in PHYSICS.items() if preset == self), CUSTOM)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_preset(cls, values: Any) -> Any:
+        """A preset by name, or a preset with changes."""
+        if isinstance(values, str):
+            values = {"name": values}
+        if not isinstance(values, Mapping) or "name" not in values:
+            return values
+        changes = dict(values)
+        name = changes.pop("name")
+        if name not in (*PHYSICS, CUSTOM):
+            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, got {name!r}")
+        preset = {} if name == CUSTOM else PHYSICS[name].model_dump(exclude={"name"})
+        return preset | changes
 
 
-PHYSICS: dict[str, Physics] = {
-    "pallet": Physics(name="pallet", cone=Cone.ELLIPTIC, carrier_friction=(0.5, 0.005, 0.0001)),
-    "reference": Physics(name="reference", cone=Cone.PYRAMIDAL, carrier_friction=(3.0, 0.005, 0.0001)),
-}
-"""The presets. ``reference`` is PET-Physics; ``pallet`` has elliptic cones, which do not creep, and the
-friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
+PHYSICS: dict[str, Physics] = {}
+PHYSICS["pallet"] = Physics()
+PHYSICS["reference"] = Physics(cone=Cone.PYRAMIDAL, carrier_friction=(3.0, 0.005, 0.0001))
+"""The presets. ``reference`` is PET-Physics; ``pallet`` has elliptic cones, which creep less, and the friction of
+cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 
 
-class Thresholds(_Frozen):
+class Thresholds(Checked):
     """Where a plan stops being stable, and a simulation stops being believable (paper, section IV-C)."""
 
-    shift_m: float = Field(0.02, gt=0, description="largest final |x|, |y| or |z| displacement of a box")
-    shift_floor_m: float = Field(0.001, ge=0, description="components below this count as 0")
-    tilt_deg: float = Field(20.0, gt=0, description="largest angle between a box's z axis and the world's")
-    drop_hull_z_m: float = Field(-0.1, description="a box whose hull reaches below this has dropped")
-    lin_acc_m_s2: float = Field(110.0, gt=0, description="explosion: linear acceleration before any sign")
-    ang_acc_rad_s2: float = Field(110.0, gt=0, description="explosion: angular acceleration before any sign")
+    shift_m: Annotated[float, Flag("--shift-limit-m", "M")] = Field(
+        0.02, gt=0, description="unstable from a larger final displacement of a box in x, y or z, m"
+    )
+    shift_floor_m: float = Field(0.001, ge=0, description="components of a displacement below this count as 0, m")
+    tilt_deg: Annotated[float, Flag("--tilt-limit-deg", "DEG")] = Field(
+        20.0, gt=0, description="unstable from a larger angle between a box's z axis and the world's, degrees"
+    )
+    drop_hull_z_m: float = Field(-0.1, description="a box whose hull reaches below this has dropped, m")
+    lin_acc_m_s2: float = Field(110.0, gt=0, description="explosion: linear acceleration before any sign, m/s²")
+    ang_acc_rad_s2: float = Field(110.0, gt=0, description="explosion: angular acceleration before any sign, rad/s²")
 
 
-class Quiet(_Frozen):
+class Quiet(Checked):
     """When a pallet is quiet enough for the next box.
 
     A box's pace is its linear or angular speed in units of its limit, whichever is larger. Pallets are looked at every
@@ -119,46 +182,149 @@ class Quiet(_Frozen):
     threshold, where creep leads to is known, and it holds nothing up any more.
     """
 
-    lin_vel_m_s: float = 0.01
-    ang_vel_rad_s: float = 0.05
+    lin_vel_m_s: float = Field(0.01, gt=0, description="linear speed below which a box is quiet, m/s")
+    ang_vel_rad_s: float = Field(0.05, gt=0, description="angular speed below which a box is quiet, rad/s")
     rest_share: float = Field(0.1, ge=0, description="pace below which a box is at rest")
     slowing: float = Field(0.5, ge=0, description="a faster box creeps unless it slows to this share of its pace")
-    steps: int = 25
-    min_steps: int = 50
-    poll_steps: int = 5
+    steps: int = Field(25, ge=1, description="steps for which all boxes must have been quiet")
+    min_steps: int = Field(50, ge=1, description="steps after a placement before which no pallet is quiet")
+    poll_steps: int = Field(5, ge=1, description="steps between two looks")
 
 
-class SimConfig(_Frozen):
-    """Everything the outcome of a world depends on besides its scene."""
+class Simulation(Checked):
+    """Everything that the outcome of a world depends on besides its plan and its variant."""
 
-    physics: Physics = PHYSICS["pallet"]
-    check: Check = Check.ONE_BY_ONE
-    schedule: Schedule = Schedule.ADAPTIVE
-    interval_s: float = Field(0.7, gt=0, description="time between two placements; at most, unless fixed")
-    duration_s: float = Field(10.0, gt=0, description="length of the static check")
-    sample_interval_s: float = Field(0.2, gt=0, description="time between two samples of the metrics")
-    rest_window_s: float = Field(0.2, gt=0, description="rest_top_force_n is averaged over this at the end")
-    early_stop: bool = Field(True, description="stop a world once a box has dropped")
-    thresholds: Thresholds = Thresholds()
-    quiet: Quiet = Quiet()
-    solver: Solver = Solver.NEWTON
+    check: Annotated[Check, Flag("--check")] = Field(
+        Check.ONE_BY_ONE,
+        description="how boxes come to stand: one-by-one: box after box; static: all from the start",
+    )
+    schedule: Annotated[Schedule, Flag("--schedule")] = Field(
+        Schedule.ADAPTIVE,
+        description="when the next box is placed: adaptive: as soon as the pallet is quiet and nothing creeps; "
+        "brisk: as soon as it is quiet, creeping or not; fixed: every interval",
+    )
+    physics: Annotated[Physics, Flag("--physics")] = Field(
+        PHYSICS["pallet"],
+        description="contact physics: pallet: elliptic friction cones, a wooden pallet; reference: as in PET-Physics",
+    )
+    carrier: Annotated[Carrier, Flag("--carrier")] = Field(
+        Carrier.FOOTPRINT,
+        description="what the boxes stand on: footprint: the plan's own extent; euro-pallet: 1200×800 mm; "
+        "rollcontainer: 800×700 mm (x × y)",
+    )
+    size_reduction_mm: Annotated[float, Flag("--size-reduction-mm", "MM")] = Field(
+        0.1, ge=0, description="each box dimension is reduced by this, so that neighbours do not start in contact, mm"
+    )
+    interval_s: Annotated[float, Flag("--interval", "S")] = Field(
+        0.7, gt=0, description="time between two placements, s; the longest unless the schedule is fixed"
+    )
+    duration_s: Annotated[float, Flag("--duration", "S")] = Field(
+        10.0, gt=0, description="length of the static check, s"
+    )
+    settle_s: Annotated[float, Flag("--settle", "S")] = Field(
+        2.0, ge=0, description="rest between the last placement and a profile, s; the longest unless fixed"
+    )
+    rest_s: Annotated[float, Flag("--rest", "S")] = Field(
+        1.0, ge=0, description="time to come to rest after a profile's last sample, s"
+    )
+    total_time_factor: float | None = Field(
+        None,
+        gt=1,
+        description="fixed, one by one: the whole run as a multiple of the placement time, instead of rest_s",
+    )
+    sample_interval_s: Annotated[float, Flag("--sample-interval", "S")] = Field(
+        0.2, gt=0, description="time between two samples of the metrics, s"
+    )
+    rest_window_s: float = Field(0.2, gt=0, description="rest_top_force_n is averaged over this at the end, s")
+    early_stop: Annotated[bool, Flag("--early-stop/--no-early-stop")] = Field(
+        True, description="stop a world once a box has dropped, instead of going on to the end of the schedule"
+    )
+    thresholds: Thresholds = Field(Thresholds(), description="where a plan stops being stable")
+    quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
+    solver: Annotated[Solver, Flag("--solver")] = Field(
+        Solver.NEWTON, description="constraint solver of the first attempt"
+    )
     solver_iterations: int | None = Field(
-        None, gt=0, description="most iterations a step; None: the engine's own choice"
+        None, gt=0, description="most solver iterations a step; none: the engine's own choice"
     )
     solver_tolerance: float | None = Field(
-        None, gt=0, description="MuJoCo's opt.tolerance; None: the engine's own choice"
+        None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"
     )
-    settle_s: float = Field(2.0, ge=0, description="rest between the last placement and a force profile")
+
+    @field_validator("interval_s", "duration_s", "sample_interval_s", "rest_window_s")
+    @classmethod
+    def _at_least_a_step(cls, value: float, info: Any) -> float:
+        physics = info.data.get("physics")
+        if isinstance(physics, Physics) and value < physics.timestep_s:
+            raise ValueError(f"must be at least the timestep of {physics.timestep_s:g} s, got {value:g}")
+        return value
+
+    @model_validator(mode="after")
+    def _whole_run(self) -> Self:
+        if self.total_time_factor is not None:
+            if self.check is not Check.ONE_BY_ONE or self.schedule is not Schedule.FIXED:
+                raise ValueError("total_time_factor needs check one-by-one and schedule fixed")
+            if self.rest_s != type(self).model_fields["rest_s"].default:
+                raise ValueError("rest_s contradicts total_time_factor: drop one of them")
+        return self
 
     @property
     def waits_for_creep(self) -> bool:
         """Whether boxes that creep hold up the next one.
 
         Not with pyramidal cones: there everything creeps a little, and waiting for it brought next to nothing
-        (benchmarks/README.md).
+        (docs/performance.md).
         """
         return self.schedule is Schedule.ADAPTIVE and self.physics.cone is Cone.ELLIPTIC
 
 
-SOFT_START_STEPS = 100
-"""Steps without gravity, and again steps in which gravity grows by k/100, before time counts."""
+AUTO: Final = "auto"
+
+
+class RunOptions(Checked):
+    """How and where a run runs: none of it changes the outcome of a world."""
+
+    engine: Annotated[Any, Flag("--engine")] = Field(
+        AUTO,
+        description="what steps worlds: mujoco: C MuJoCo on CPU threads; mjx-jax, mjx-warp: MJX in batches; auto: "
+        "mjx-warp where it runs and is expected to finish first, else mujoco; in Python also an engine of your own",
+    )
+    threads: Annotated[int | None, Flag("--threads", "N")] = Field(
+        None, ge=1, description="CPU threads of the engine mujoco; by default all that this process may use"
+    )
+    lanes: Annotated[int | None, Flag("--lanes", "N")] = Field(
+        None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
+    )
+    limit: Annotated[int | None, Flag("--limit", "N")] = Field(None, ge=1, description="take only this many plans")
+    strict: Annotated[bool, Flag("--strict")] = Field(
+        False, description="stop at the first unusable plan instead of skipping it"
+    )
+    allow_large: Annotated[bool, Flag("--yes", short="-y")] = Field(
+        False, description="run sweeps of more than a million worlds too"
+    )
+    out: Annotated[Path | None, Flag("--out", "DIR", "-o")] = Field(
+        None,
+        description="folder for the results; in Python by default a temporary one that goes with what is returned",
+    )
+    overwrite: Annotated[bool, Flag("--overwrite")] = Field(
+        False, description="replace the results that the folder holds"
+    )
+
+
+def sorted_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Options by name, as fields of ``Simulation`` and fields of ``RunOptions``.
+
+    Raises:
+        InputError: no such option; the line names the one that was probably meant.
+    """
+    ours: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+    records: tuple[type[Checked], ...] = (Simulation, RunOptions)
+    for name, value in options.items():
+        home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
+        if home is None:
+            known = [field for record in records for field in record.model_fields]
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+            raise InputError(f"unknown option {name}; {hint}")
+        ours[home][name] = value
+    return ours

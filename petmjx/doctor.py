@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.choose import ENGINES, make_engine
 from petmjx.errors import EngineUnavailable
 from petmjx.machine import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
@@ -68,9 +68,9 @@ def _examine_engine(name: str, check: Callable[[], str]) -> EngineReport:
 
 
 def _check_mujoco() -> str:
-    sim = SimConfig()
+    sim = Simulation()
     engine = make_engine("mujoco", threads=1)
-    [outcome] = engine.run([Job(build_scene(_one_box(), sim.physics))], sim)
+    [outcome] = engine.run([Job(build_scene(_one_box(), sim))], sim)
     if outcome.verdict is not Verdict.STABLE:
         raise RuntimeError(f"a single box came out {outcome.verdict.value} {outcome.reason.value}")
     return f"{cpu_threads()} CPU threads; a single box stands after {outcome.n_steps} steps"

@@ -64,6 +64,22 @@ def package_versions() -> dict[str, str]:
     return versions
 
 
+def device_name(engine: str, threads: int | None = None) -> str:
+    """What an engine's worlds run on, in words.
+
+    Args:
+        threads: CPU threads of the engine ``mujoco``; None: all.
+    """
+    if engine == "mjx-warp" and cuda_devices():
+        return cuda_devices()[0]
+    if engine == "mjx-jax":
+        import jax
+
+        device = jax.devices()[0]
+        return device.device_kind if device.platform != "cpu" else f"{cpu_name()} (jax on {device.platform})"
+    return f"{cpu_name()}, {threads or cpu_threads()} threads"
+
+
 def why_no_warp() -> str | None:
     """Why mjx-warp cannot run here, cheapest check first; None where it can.
 

@@ -37,3 +37,25 @@ def is_text(text: str) -> bool:
 def one_line(error: BaseException) -> str:
     """An error's kind and text, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """ "1 plan", "2,000 plans"; a plural that does more than end in s is given."""
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
+def rounded(count: float) -> str:
+    """A large number in three digits: "136 thousand"."""
+    for unit, size in (("billion", 1e9), ("million", 1e6), ("thousand", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f}"
+
+
+def duration(seconds: float) -> str:
+    """A time to wait, in whole seconds, minutes or tenths of an hour."""
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

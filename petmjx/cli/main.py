@@ -13,6 +13,7 @@ import typer
 
 from petmjx import __version__
 from petmjx.cli import compare, doctor, export, samples, score, sweep
+from petmjx.cli.runs import Interrupted
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.text import one_line
 
@@ -92,7 +93,7 @@ def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) ->
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)
-    except score.Interrupted as interrupt:
+    except Interrupted as interrupt:
         return _report(f"interrupted: {interrupt}", ExitCode.INTERRUPTED)
     except (InputError, EngineUnavailable) as error:
         return _report(str(error), ExitCode.UNUSABLE)

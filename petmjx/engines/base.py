@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
@@ -27,6 +27,6 @@ class Engine(Protocol):
 
     name: str
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once with ``sim.solver``. No retries: those are the runner's."""
         ...

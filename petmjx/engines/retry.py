@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
-from petmjx.config import Carrier, Physics, SimConfig, Solver
+from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Engine, Progress
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Attempt, Outcome, Verdict
 from petmjx.world.job import Excitation, Job
-from petmjx.world.scene import DEFAULT_SIZE_REDUCTION_MM, build_scene
 
 CAREFUL_ITERATIONS = 400
 """Most solver iterations a step in a second attempt: four times MuJoCo's default, which CG often exhausts."""
@@ -41,20 +41,19 @@ class AttemptRecipe:
     careful: bool = False
     timestep_divisor: int = 1
 
-    def apply_to_sim(self, sim: SimConfig) -> SimConfig:
+    def apply_to_sim(self, sim: Simulation) -> Simulation:
         """The run's configuration, changed as this attempt asks. Durations in seconds stay what they were."""
-        update: dict[str, object] = {}
+        update: dict[str, Any] = {}
         if self.solver is not None:
             update["solver"] = self.solver
         if self.careful:
             update |= {"solver_iterations": CAREFUL_ITERATIONS, "solver_tolerance": CAREFUL_TOLERANCE}
         if self.timestep_divisor != 1:
             factor = self.timestep_divisor
-            update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
-            update["quiet"] = sim.quiet.model_copy(
-                update={name: getattr(sim.quiet, name) * factor for name in ("steps", "min_steps", "poll_steps")}
-            )
-        return sim.model_copy(update=update)
+            update["physics"] = sim.physics.changed(timestep_s=sim.physics.timestep_s / factor)
+            quiet = {name: getattr(sim.quiet, name) * factor for name in ("steps", "min_steps", "poll_steps")}
+            update["quiet"] = sim.quiet.changed(**quiet)
+        return sim.changed(**update)
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
         """The same jobs, their force profiles resampled to this attempt's timestep (and still shared)."""
@@ -109,20 +108,9 @@ class _Pending:
     attempts: tuple[Attempt, ...] = ()
 
 
-def nominal_worlds(
-    plans: Iterable[Plan],
-    physics: Physics,
-    carrier: Carrier = Carrier.FOOTPRINT,
-    size_reduction_mm: float = DEFAULT_SIZE_REDUCTION_MM,
-) -> Iterator[World]:
-    """Variant 0 of each plan. Lazy: a scene is built when its world is asked for."""
-    for plan in plans:
-        yield World(plan, 0, Job(build_scene(plan, physics, carrier, size_reduction_mm)))
-
-
 def score_worlds(
     worlds: Iterable[World],
-    sim: SimConfig,
+    sim: Simulation,
     engine: Engine,
     *,
     progress: Progress | None = None,
@@ -155,7 +143,7 @@ def score_worlds(
 
 
 def _retry(
-    invalid: list[_Pending], attempts: Sequence[AttemptRecipe], sim: SimConfig, engine: Engine, progress: Progress
+    invalid: list[_Pending], attempts: Sequence[AttemptRecipe], sim: Simulation, engine: Engine, progress: Progress
 ) -> Iterator[WorldResult]:
     """Take invalid worlds through the attempts, all of them at one attempt before the next begins."""
     for attempt in attempts:
@@ -172,7 +160,7 @@ def _retry(
 
 
 def _run_attempt(
-    batch: Sequence[_Pending], attempt: AttemptRecipe, sim: SimConfig, engine: Engine, progress: Progress
+    batch: Sequence[_Pending], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
 ) -> Iterator[tuple[_Pending, Outcome]]:
     """One attempt at each world of a batch: yields the world with this attempt's record added, and the outcome."""
     attempt_sim = attempt.apply_to_sim(sim)

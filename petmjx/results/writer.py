@@ -106,7 +106,7 @@ class RunWriter:
 
     Args:
         out_dir: the run's folder; made if it is not there.
-        config: the resolved configuration, JSON-like (``SimConfig.model_dump(mode="json")`` and what is beside it).
+        config: the resolved configuration, JSON-like (``Simulation.model_dump(mode="json")`` and what is beside it).
         params: parameters of a sweep's variants, a column of ``worlds`` each.
         dynamic: worlds have a force profile: ``boxes`` gets ``max_sway_m``.
         versions: package → version; Python's own is added.

@@ -10,8 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.show.tables import FEW_PLANS
 from petmjx.sweeps.shares import ALL_PLANS
+
+FEW_ROWS: Final = 40
+"""Up to so many worlds or searches a table with a row for each is shown."""
 
 MAX_VALUES: Final = 50
 """Axis values shown, at most; all of them are in ``summary``."""
@@ -29,7 +31,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[Table]:
         yield shares_table(summary)
         return
     yield levels_table(summary)
-    if len(summary) <= FEW_PLANS:
+    if len(summary) <= FEW_ROWS:
         yield answers_table(summary)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,13 +12,42 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from petmjx.results.reader import RunResults
 from petmjx.show.progress import rate
+from petmjx.show.sweep_tables import FEW_ROWS, sweep_tables
+from petmjx.text import counted
 from petmjx.verdict import Verdict
 
-FEW_PLANS: Final = 40
-"""Up to so many worlds a table with a row for each is shown."""
+SHOWN_SKIPPED: Final = 10
+"""Lines shown of skipped plans, at most; all of them are in ``run.json``."""
 
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
+
+
+def run_tables(results: RunResults) -> Iterator[RenderableType]:
+    """All that is shown of a run: answers or worlds where they are few, what was skipped, and the counts."""
+    sweep = results.info["config"]["command"] == "sweep"
+    if results.summary is not None:
+        for table in sweep_tables(results.summary):
+            yield table
+            yield ""
+    elif not sweep and len(results.worlds) <= FEW_ROWS:
+        yield worlds_table(results.worlds.sort_values(["plan_id", "variant"]), results.boxes)
+        yield ""
+    yield from notes(results.info)
+    yield summary_table(results.info, results.path, "worlds" if sweep else "plans")
+
+
+def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
+    """Skipped plans, a line each as far as there is room, and how many plans are odd."""
+    skipped, odd = info["skipped"], len(info["warnings"])
+    for entry in skipped[:SHOWN_SKIPPED]:
+        yield Text(f"skipped: {entry['error']}", style="yellow", overflow="fold")
+    if len(skipped) > SHOWN_SKIPPED:
+        yield Text(f"skipped: {len(skipped) - SHOWN_SKIPPED} more, in run.json", style="yellow")
+    if odd:
+        text = f"{counted(odd, 'plan')} with overlapping, floating or outside boxes, listed in run.json"
+        yield Text(text, style="yellow")
 
 
 def summary_table(info: Mapping[str, Any], out_dir: str | Path | None = None, what: str = "plans") -> RenderableType:

@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from petmjx.config import PHYSICS, Carrier, Check, Schedule, SimConfig, Thresholds
+from petmjx.checked import describe
+from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.sweeps.axes import Axis, read_axis
-from petmjx.world.profiles.registry import DEFAULT_REST_S, Profile, Strength, define_profile, resolve
-from petmjx.world.scene import DEFAULT_SIZE_REDUCTION_MM
+from petmjx.world.profiles.registry import Profile, Strength, define_profile, resolve
 from petmjx.world.variants import Distribution
 
 SAMPLES = "samples"
@@ -27,38 +27,6 @@ MAX_SEARCH_LEVELS = 1_000_000
 
 class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Simulation(_Table):
-    """``[simulation]``: how boxes are placed and what counts as standing. Defaults are `petmjx score`'s."""
-
-    check: Check = Check.ONE_BY_ONE
-    schedule: Schedule = Schedule.ADAPTIVE
-    physics: Literal["pallet", "reference"] = "pallet"
-    carrier: Carrier = Carrier.FOOTPRINT
-    size_reduction_mm: float = Field(DEFAULT_SIZE_REDUCTION_MM, ge=0)
-    interval_s: float = Field(0.7, gt=0)
-    duration_s: float = Field(10.0, gt=0)
-    sample_interval_s: float = Field(0.2, gt=0)
-    settle_s: float = Field(2.0, ge=0)
-    rest_s: float = Field(DEFAULT_REST_S, ge=0)
-    total_time_factor: float | None = Field(None, gt=1)
-    early_stop: bool = True
-    thresholds: Thresholds = Thresholds()
-
-    def sim_config(self) -> SimConfig:
-        """The part of a run's configuration that a sweep file sets."""
-        return SimConfig(
-            physics=PHYSICS[self.physics],
-            check=self.check,
-            schedule=self.schedule,
-            interval_s=self.interval_s,
-            duration_s=self.duration_s,
-            sample_interval_s=self.sample_interval_s,
-            settle_s=self.settle_s,
-            early_stop=self.early_stop,
-            thresholds=self.thresholds,
-        )
 
 
 class Search(_Table):
@@ -138,12 +106,13 @@ def _plain(value: float | str | Distribution) -> float | str:
     return value.label() if isinstance(value, Distribution) else value
 
 
-def load_sweep(path: str | Path, plans_given: bool = False) -> Sweep:
+def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None) -> Sweep:
     """Read and check a sweep file.
 
     Args:
         plans_given: plans come from the command line, so the file need not name any, and those it names
             need not exist.
+        simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
         InputError: one line that names file and field, such as
@@ -162,16 +131,38 @@ def load_sweep(path: str | Path, plans_given: bool = False) -> Sweep:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     try:
-        return _check(raw, path, plans_given)
+        sweep = _check(raw, path, plans_given)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if not simulation:
+        return sweep
+    return sweep.model_copy(update={"simulation": sweep.simulation.changed(**simulation)})
+
+
+def nominal_sweep(sim: Simulation) -> Sweep:
+    """The sweep with one variant, the unchanged plan: a score."""
+    return Sweep(
+        file="",
+        name="nominal",
+        description="",
+        plans=None,
+        n_sample=None,
+        seed=0,
+        replicates=1,
+        nominal=True,
+        shifts_from_release=False,
+        simulation=sim,
+        search=None,
+        axes={},
+        profiles={},
+    )
 
 
 def _check(raw: Mapping[str, Any], path: Path, plans_given: bool) -> Sweep:
     try:
         file = _File.model_validate(raw)
     except ValidationError as error:
-        raise InputError(describe_validation_error(error)) from None
+        raise InputError(describe(error)) from None
     if file.mode == "sample" and file.sample is None:
         raise InputError('sample is missing: mode = "sample" needs the number of variants to draw')
     if file.mode == "grid" and file.sample is not None:
@@ -287,30 +278,5 @@ def _refuse_contradictions(sweep: Sweep) -> None:
         raise InputError('replicates contradicts mode = "sample": every sample has random numbers of its own')
     if sweep.replicates > 1 and not errors and not any(profile.random for profile in profiles.values()):
         raise InputError(f"replicates = {sweep.replicates} needs something random: no axis and no profile is")
-    simulation = sweep.simulation
-    if simulation.total_time_factor is not None:
-        if simulation.check is not Check.ONE_BY_ONE or simulation.schedule is not Schedule.FIXED:
-            raise InputError("simulation.total_time_factor needs check one-by-one and schedule fixed")
-        if "rest_s" in simulation.model_fields_set:
-            raise InputError("simulation.rest_s contradicts simulation.total_time_factor: drop one of them")
     if not axes and not sweep.nominal:
         raise InputError("axes is empty: nothing is varied (nominal = true simulates the unchanged plans)")
-
-
-def describe_validation_error(error: ValidationError) -> str:
-    """The first of pydantic's complaints as "simulation.interval_s must be > 0, got -1"."""
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"])
-    kind, context, value = first["type"], first.get("ctx", {}), first.get("input")
-    if kind == "extra_forbidden":
-        return f"{place}: unknown field"
-    if kind == "missing":
-        return f"{place} is missing"
-    signs = {"greater_than": (">", "gt"), "greater_than_equal": ("≥", "ge"), "less_than_equal": ("≤", "le")}
-    if kind in signs:
-        sign, key = signs[kind]
-        return f"{place} must be {sign} {context[key]:g}, got {value!r}"
-    if kind in ("literal_error", "enum"):
-        return f"{place} must be {context['expected']}, got {value!r}"
-    message = first["msg"].removeprefix("Input ").replace("\n", " ")
-    return f"{place}: {message}, got {value!r}"

@@ -7,13 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pandas as pd
 
-from petmjx.config import SOFT_START_STEPS, Check, Schedule
+from petmjx.config import Check, Schedule
+from petmjx.engines.cost import Work
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.axes import AXIS_KINDS, Axis, Value
 from petmjx.sweeps.file import Search, Sweep
+from petmjx.text import counted, duration, rounded
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Drive
 from petmjx.world.profiles.registry import Profile, Strength, build_drive
@@ -23,11 +24,6 @@ from petmjx.world.variants import ZERO, Distribution, DriveSpec, PlacementChange
 
 MAX_WORLDS = 1_000_000
 """More worlds than this are refused unless the user insists."""
-
-ADAPTIVE_SHARE = 0.25
-"""Steps of a schedule that waits for quiet as a share of the fixed one's, for estimates: measured on 2,000 generated
-plans, adaptive, physics ``pallet`` (benchmarks/README.md). ``brisk`` takes a fifth less, physics ``reference`` twice as
-many."""
 
 Point = Mapping[str, Value]
 
@@ -81,8 +77,8 @@ class SweepPlan:
             raise InputError(f"{self.sweep.file}: plans: no usable plan to sweep over")
         if self.n_worlds > MAX_WORLDS and not self.allow_large:
             raise InputError(
-                f"{self.sweep.file}: axes make {self.n_worlds:,} worlds ({_count(len(self.plans), 'plan')} × "
-                f"{_count(self.n_variants, 'variant')}), more than {MAX_WORLDS:,}: pass --yes if that is meant"
+                f"{self.sweep.file}: axes make {self.n_worlds:,} worlds ({counted(len(self.plans), 'plan')} × "
+                f"{counted(self.n_variants, 'variant')}), more than {MAX_WORLDS:,}: pass --yes if that is meant"
             )
 
     # Counting never enumerates, so that a grid too large is refused at once.
@@ -171,12 +167,6 @@ class SweepPlan:
         for _, variants in self._grouped_variants():
             yield from variants
 
-    def parameters(self) -> pd.DataFrame:
-        """One row a variant: ``variant`` and the parameter columns; join it to worlds by ``variant``."""
-        columns = ["variant", *self.parameter_columns]
-        rows = [{"variant": variant.index, **variant.parameters} for variant in self.variants()]
-        return pd.DataFrame(rows, columns=columns)
-
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
         """The world that tests one level of one item of a search. Its number says which, in any order."""
         items = self.search_items()
@@ -193,9 +183,7 @@ class SweepPlan:
 
     def scene(self, group: PlacementGroup) -> Scene:
         """The scene of a group's placement."""
-        simulation = self.sweep.simulation
-        sim = simulation.sim_config()
-        nominal = build_scene(group.plan, sim.physics, simulation.carrier, simulation.size_reduction_mm)
+        nominal = build_scene(group.plan, self.sweep.simulation)
         return group.placement.apply(nominal, group.plan.plan_id, self.sweep.seed)
 
     def drive_start_s(self, plan: Plan) -> float:
@@ -230,7 +218,7 @@ class SweepPlan:
         time, wherever the profile is then.
         """
         simulation = self.sweep.simulation
-        timestep_s = simulation.sim_config().physics.timestep_s
+        timestep_s = simulation.physics.timestep_s
         factor = simulation.total_time_factor
         drive = build_drive(profile, timestep_s, 1.0, 0.0, start_s, simulation.rest_s, world)
         if factor is None:
@@ -247,41 +235,30 @@ class SweepPlan:
 
     # Cost.
 
-    def placement_steps(self, plan: Plan) -> int:
-        """Steps one placement takes, soft start and settling included; an estimate for ``adaptive``."""
-        simulation = self.sweep.simulation
-        timestep_s = simulation.sim_config().physics.timestep_s
-        one_by_one = simulation.check is Check.ONE_BY_ONE
-        duration_s = (plan.n_boxes + 1) * simulation.interval_s if one_by_one else simulation.duration_s
-        if self.sweep.profiles:
-            duration_s = self.drive_start_s(plan)
-        share = 1.0 if simulation.schedule is Schedule.FIXED else ADAPTIVE_SHARE
-        return 2 * SOFT_START_STEPS + int(share * seconds_to_steps(duration_s, timestep_s))
-
-    def drive_steps(self, profile: Profile) -> int:
-        """Steps one world of a profile takes after its placement, coming to rest included."""
-        simulation = self.sweep.simulation
-        timestep_s = simulation.sim_config().physics.timestep_s
-        return profile.n_steps(timestep_s) + seconds_to_steps(simulation.rest_s, timestep_s)
-
-    def estimated_steps(self) -> list[tuple[int, int]]:
-        """(boxes, steps) of each plan, all its placements and drives together."""
-        profiles = list(self.sweep.profiles.values())
-        mean_drive = sum(self.drive_steps(profile) for profile in profiles) / len(profiles) if profiles else 0.0
-        placements = self.n_placements + int(self.sweep.nominal)
-        driven = (self.n_variants - int(self.sweep.nominal)) * mean_drive
-        return [(plan.n_boxes, int(placements * self.placement_steps(plan) + driven)) for plan in self.plans]
-
-    def estimate(self, seconds: float) -> str:
-        """One line on the size of the sweep and its time, for an engine that is expected to take ``seconds``."""
-        steps = sum(count for _, count in self.estimated_steps())
-        most = "at most " if self.search is not None else ""
-        return (
-            f"{most}{_count(self.n_worlds, 'world')} ({_count(len(self.plans), 'plan')} × "
-            f"{_count(self.n_variants, 'variant')}) from "
-            f"{_count(len(self.plans) * self.n_placements, 'placement')}, about {_short(steps)} steps, "
-            f"about {_duration(seconds)}"
+    def work(self) -> Work:
+        """What all worlds together are expected to cost."""
+        sim, profiles = self.sweep.simulation, list(self.sweep.profiles.values())
+        rest_steps = seconds_to_steps(sim.rest_s, sim.physics.timestep_s)
+        drives = [profile.n_steps(sim.physics.timestep_s) + rest_steps for profile in profiles]
+        nominal = int(self.sweep.nominal)
+        return Work(
+            sim=sim,
+            boxes=[plan.n_boxes for plan in self.plans],
+            placements=self.n_placements + nominal,
+            drives=self.n_variants - nominal if profiles else 0,
+            drive_steps=sum(drives) / len(drives) if drives else 0.0,
         )
+
+    def size(self, seconds: float | None) -> str:
+        """One line on how much there is to simulate, and how long that is expected to take (None: nobody knows)."""
+        most = "at most " if self.search is not None else ""
+        variants = f" ({counted(len(self.plans), 'plan')} × {counted(self.n_variants, 'variant')})"
+        what = counted(len(self.plans), "plan")
+        if self.sweep.axes:
+            placements = counted(len(self.plans) * self.n_placements, "placement")
+            what = f"{most}{counted(self.n_worlds, 'world')}{variants} from {placements}"
+        long = "" if seconds is None else f", about {duration(seconds)}"
+        return f"{what}, about {rounded(float(self.work().steps.sum()))} steps{long}"
 
     # Inside.
 
@@ -314,6 +291,8 @@ class SweepPlan:
 
     def _placement_counts(self) -> list[tuple[int, int]]:
         """(points, replicates of each): points with a random error are repeated, the others are not."""
+        if not self.sweep.axes:
+            return []
         axes = self._placement_axes()
         everything = self._n_points(axes)
         calm = 1
@@ -326,6 +305,8 @@ class SweepPlan:
         if self.sweep.nominal:
             nominal = Variant(0, PlacementChange(shifts_from_release=self.sweep.shifts_from_release))
             yield nominal, (nominal,)
+        if not self.sweep.axes:
+            return
         if self.sweep.n_sample is not None:
             grouped: dict[PlacementKey, list[Variant]] = {}
             for variant in self._sampled():
@@ -408,22 +389,3 @@ def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
 
 def _is_random(profile: Profile | None) -> bool:
     return profile is not None and profile.random
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
-
-
-def _short(count: float) -> str:
-    for unit, size in (("billion", 1e9), ("million", 1e6), ("thousand", 1e3)):
-        if count >= size:
-            return f"{count / size:.3g} {unit}"
-    return f"{count:.0f}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{max(seconds, 1):.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.retry import ATTEMPTS, World, WorldResult, score_worlds
+from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, World, WorldResult, score_worlds
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.grid import PlacementGroup, SearchItem, SweepPlan
 from petmjx.sweeps.search import Bisection
@@ -32,11 +32,14 @@ class Batching:
     """How much of a sweep is held and simulated at a time. None of it changes a result.
 
     Attributes:
+        undriven: worlds without a drive handed to the engine at a time, whose states nobody needs. Their scenes take
+            160 MB, of 43 boxes each; fewer would have the MJX engines choose (and compile) their shapes more often.
         placements: settled states kept at a time; one of 43 boxes takes 10 to 20 KB.
         worlds: variants that these states are forked into, at most (a single placement with more is one chunk).
         drives: forked worlds handed to the engine at a time; in a search a round of tests, whose outcomes are held.
     """
 
+    undriven: int = DEFAULT_CHUNK_WORLDS
     placements: int = 4096
     worlds: int = 65_536
     drives: int = 16_384
@@ -147,24 +150,23 @@ class SweepRun:
     tally: Tally = field(default_factory=Tally)
 
     @cached_property
-    def sim(self) -> SimConfig:
+    def sim(self) -> Simulation:
         """The configuration of every world, before retries change it."""
-        return self.plan.sweep.simulation.sim_config()
+        return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[SweptWorld]:
         """Simulate everything; each world once, as it becomes final, in any order."""
+        profiles = bool(self.plan.sweep.profiles)
+        if self.plan.sweep.nominal or not profiles:
+            yield from self._run_placements(group for group in self.plan.groups() if not _is_driven(group))
+        if not profiles:
+            return
         for chunk in self._chunks():
-            still = [group for group in chunk if not self._is_driven(group)]
-            driven = [group for group in chunk if self._is_driven(group)]
-            yield from self._run_placements(still)
-            settled = self._settle(driven)
+            settled = self._settle(chunk)
             yield from self._search(settled) if self.plan.search is not None else self._fork(settled)
 
-    def _is_driven(self, group: PlacementGroup) -> bool:
-        """Whether a placement's worlds have drives; all of a group have, or none. A search's group is empty."""
-        return all(variant.drive is not None for variant in group.variants)
-
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
+        """Placements with drives, as many at a time as may be held."""
         search = self.plan.search
         most = self.batching.worlds
         per_search = 0
@@ -173,7 +175,7 @@ class SweepRun:
             most = self.batching.drives
         chunk: list[PlacementGroup] = []
         worlds = 0
-        for group in self.plan.groups():
+        for group in filter(_is_driven, self.plan.groups()):
             more = len(group.variants) or per_search
             if chunk and (worlds + more > most or len(chunk) >= self.batching.placements):
                 yield chunk
@@ -194,17 +196,15 @@ class SweepRun:
         self.tally.placements += 1
         self.tally.placement_steps += outcome.n_steps
 
-    def _run_placements(self, groups: Sequence[PlacementGroup]) -> Iterator[SweptWorld]:
+    def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
         """Worlds without a drive: the placement's own outcome, rest window included."""
-        if not groups:
-            return
         watch = _Stopwatch()
         results = score_worlds(
             self._placing(groups, keep_state=False),
             self.sim,
             self.engine,
             progress=self.progress,
-            chunk_worlds=self.batching.drives,
+            chunk_worlds=self.batching.undriven,
         )
         for result in results:
             world = result.world
@@ -218,8 +218,6 @@ class SweepRun:
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[Settled]:
         """Simulate placements and keep their states, in the order of the groups."""
-        if not groups:
-            return []
         watch = _Stopwatch()
         found: dict[int, Settled] = {}
         number = {id(group): index for index, group in enumerate(groups)}
@@ -328,6 +326,11 @@ class SweepRun:
             worlds = _needed(worlds, bisection)
         for answer in _answers(asked, items, bisection, worlds):
             self.on_answer(answer)
+
+
+def _is_driven(group: PlacementGroup) -> bool:
+    """Whether a placement's worlds have drives; all of a group have, or none. A search's group is empty."""
+    return all(variant.drive is not None for variant in group.variants)
 
 
 def _swept(world: _Driving, result: WorldResult) -> SweptWorld:

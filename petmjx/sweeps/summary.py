@@ -46,7 +46,7 @@ class SweepColumns:
     def __init__(self, plan: SweepPlan) -> None:
         self._plan = plan
         sweep = plan.sweep
-        self._sim = sweep.simulation.sim_config()
+        self._sim = sweep.simulation
         self.parameters = [
             Param(name, unit, "parameter of the variant", _type_of(name, sweep.axes))
             for name, unit in plan.parameter_columns.items()
@@ -63,6 +63,11 @@ class SweepColumns:
         columns += [FAIL_ANGLE] if self.has_tilt else []
         columns += EUMOS if self.has_eumos else ()
         return columns
+
+    @property
+    def strength(self) -> str:
+        """Column of what a search looks for: ``level_g`` or ``scale``."""
+        return next(param.name for param in self.parameters if param.name in _STRENGTHS)
 
     def of(self, world: SweptWorld) -> dict[str, Any]:
         """Column → value of one world; what is missing is null."""
@@ -169,12 +174,9 @@ def _smallest(worlds: pd.DataFrame, axes: Sequence[str], column: str) -> pd.Data
 # Searches.
 
 
-def search_row(answer: Answer, columns: SweepColumns, strength: str) -> dict[str, Any]:
-    """One row of a search's summary.
-
-    Args:
-        strength: column of what was searched, ``level_g`` or ``scale``.
-    """
+def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
+    """One row of a search's summary."""
+    strength = columns.strength
     box = answer.box if answer.box >= 0 else None
     row: dict[str, Any] = {
         "plan_id": answer.plan.plan_id,
@@ -215,11 +217,6 @@ def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     frame = frame.astype({name: kind for name, kind in numbers.items() if name in frame})
     frame = frame.astype(dict.fromkeys(floats, "float64"))
     return frame.sort_values(["plan_id", "placement", "profile", "direction_deg"], ignore_index=True)
-
-
-def search_strength(plan: SweepPlan) -> str:
-    """Column of what a search looks for."""
-    return next(name for name in plan.parameter_columns if name in _STRENGTHS)
 
 
 def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str], dict[str, str]]:

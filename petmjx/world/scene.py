@@ -10,12 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import CARRIER_EXTENT_M, Carrier, Physics, Triple
+from petmjx.config import CARRIER_EXTENT_M, Simulation, Triple
 from petmjx.plans.plan import Plan
 from petmjx.units import mm_to_m, round_to_micrometre
-
-DEFAULT_SIZE_REDUCTION_MM = 0.1
-"""Each box dimension is reduced by this so that neighbours that touch on paper do not start in contact."""
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
@@ -64,21 +61,17 @@ class Scene:
         return float(self.mass.sum() + self.carrier_mass)
 
 
-def build_scene(
-    plan: Plan,
-    physics: Physics,
-    carrier: Carrier = Carrier.FOOTPRINT,
-    size_reduction_mm: float = DEFAULT_SIZE_REDUCTION_MM,
-) -> Scene:
+def build_scene(plan: Plan, sim: Simulation) -> Scene:
     """The nominal scene of a plan.
 
-    Sizes shrink by ``size_reduction_mm`` (absolute, mm) with the front-left-bottom corner kept; half
+    Sizes shrink by ``sim.size_reduction_mm`` (absolute) with the front-left-bottom corner kept; half
     sizes and centres are rounded half-up to 1 µm, as the reference implementation writes them.
     """
-    size = plan.size_mm - size_reduction_mm
+    physics = sim.physics
+    size = plan.size_mm - sim.size_reduction_mm
     half_size = round_to_micrometre(mm_to_m(size / 2))
     target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
-    extent = CARRIER_EXTENT_M[carrier]
+    extent = CARRIER_EXTENT_M[sim.carrier]
     if extent is None:
         top_corner_mm = (plan.corner_mm + plan.size_mm).max(axis=0)
         extent = (float(top_corner_mm[0]) / 1000, float(top_corner_mm[1]) / 1000)

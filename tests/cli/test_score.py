@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.command_line import only_line, run, write
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
@@ -157,7 +157,7 @@ class _BrokenEngine(MujocoEngine):
 
     error: BaseException = RuntimeError("the floor\ncaved in")
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         yield from super().run(jobs[:2], sim, progress)
         raise self.error
 

@@ -44,7 +44,7 @@ def test_the_demo_s_chain_does_to_plans_what_the_reference_printed(file: str, pl
     (group,) = plan.groups()
     (variant,) = group.variants
     job = Job(plan.scene(group), plan.drive(group.plan, variant))
-    (outcome,) = MujocoEngine(1).run([job], sweep.simulation.sim_config())
+    (outcome,) = MujocoEngine(1).run([job], sweep.simulation)
     assert outcome.verdict is Verdict.UNSTABLE
     assert run["is_stable"] is False
     assert outcome.n_steps == run["steps"]

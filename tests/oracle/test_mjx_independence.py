@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.worlds import CAPACITIES, LANES, jax_engine, jax_outcomes, scenes, simulate
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.verdict import Outcome, Verdict
 
@@ -38,7 +38,7 @@ def assert_alike(found: Outcome, expected: Outcome) -> None:
 
 @pytest.mark.parametrize("name", ["hand-overhang-45", "hand-beside-carrier", "uneven pile"])
 def test_alone_as_in_a_full_batch_with_refills(name: str) -> None:
-    alone = simulate(jax_engine(), {name: scenes()[name]}, SimConfig())[name]
+    alone = simulate(jax_engine(), {name: scenes()[name]}, Simulation())[name]
     assert_alike(alone, jax_outcomes()[name])
 
 
@@ -47,7 +47,7 @@ def test_last_in_the_queue_as_first() -> None:
     names = ["hand-overhang-45", "hand-one-box", "hand-beside-carrier"]
     crowd = {f"{name} {k}": scenes()[name] for k in range(LANES // 2) for name in reversed(names)}
     assert len(crowd) > LANES
-    found = simulate(jax_engine(), crowd, SimConfig())
+    found = simulate(jax_engine(), crowd, Simulation())
     for name in names:
         for k in (0, LANES // 2 - 1):
             assert_alike(found[f"{name} {k}"], jax_outcomes()[name])
@@ -55,6 +55,6 @@ def test_last_in_the_queue_as_first() -> None:
 
 def test_one_stage_as_two() -> None:
     names = (*STANDING, *FALLING)
-    whole = simulate(MjxJaxEngine(4, capacities=CAPACITIES[-1:]), {n: scenes()[n] for n in names}, SimConfig())
+    whole = simulate(MjxJaxEngine(4, capacities=CAPACITIES[-1:]), {n: scenes()[n] for n in names}, Simulation())
     for name in names:
         assert_alike(whole[name], jax_outcomes()[name])

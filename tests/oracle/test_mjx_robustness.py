@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.fake_stepper import FakeData, FakeEngine, FakeStepper, assert_same, fake_scene, run_all
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch import engine as mjx
 from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, is_out_of_memory
@@ -19,7 +19,7 @@ from petmjx.engines.batch.stage import Stage
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 
-SHORT = SimConfig(interval_s=0.3, sample_interval_s=0.05)
+SHORT = Simulation(interval_s=0.3, sample_interval_s=0.05)
 MARKED_KG = 13.0
 """Boxes of this mass are those that something happens to."""
 HAPPENS_AT_AGE = 7
@@ -56,7 +56,7 @@ class OverflowingEngine(FakeEngine):
         self.enough = enough
         self.growths: list[int] = []
 
-    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         self.growths.append(growth)
         kind = OverflowingStepper if growth < self.enough else FakeStepper
         return kind(capacity, lanes, held=held)
@@ -71,7 +71,7 @@ class PoisonedStepper(FakeStepper):
 
 
 class PoisonedEngine(FakeEngine):
-    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         return PoisonedStepper(capacity, lanes, held=held)
 
 
@@ -142,7 +142,7 @@ class SmallDevice(FakeEngine):
         self.holds = holds
         self.tried: list[int] = []
 
-    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         self.tried.append(lanes)
         if lanes > self.holds:
             raise out_of_memory()

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from support.fake_stepper import CARRIER_KG, CREEP_M, FALLS_KG, FakeEngine, assert_same, fake_scene, run_all
 
-from petmjx.config import Check, Schedule, SimConfig
+from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 
 DT = 0.002
-SHORT = SimConfig(interval_s=0.3, sample_interval_s=0.05, duration_s=0.5, settle_s=0.4)
+SHORT = Simulation(interval_s=0.3, sample_interval_s=0.05, duration_s=0.5, settle_s=0.4)
 FORCE_RELATIVE = 1e-5
 """Resting forces are float32 sums of whole numbers, divided."""
 
@@ -36,7 +36,7 @@ class Plain:
     end: int
 
 
-def plainly(masses: Sequence[float], sim: SimConfig) -> Plain:
+def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
     """The rules for a world of the fake stepper's boxes, step by step, in float64 as MuJoCo's clock runs."""
     n, adaptive = len(masses), sim.schedule is not Schedule.FIXED
     static = sim.check is Check.STATIC
@@ -66,7 +66,7 @@ def plainly(masses: Sequence[float], sim: SimConfig) -> Plain:
             return Plain(placed_at, step)
 
 
-def placements(outcome: Outcome, sim: SimConfig) -> np.ndarray:
+def placements(outcome: Outcome, sim: Simulation) -> np.ndarray:
     """When boxes were placed, from the force at rest: a box's mean age over the rest window."""
     mean_age = outcome.boxes.rest_top_force_n
     middle = outcome.n_steps - (int(sim.rest_window_s / DT) - 1) / 2
@@ -98,7 +98,7 @@ def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule:
 
 
 def test_fixed_intervals_are_whole_steps_of_the_running_clock() -> None:
-    sim = SimConfig(schedule=Schedule.FIXED, interval_s=0.5)
+    sim = Simulation(schedule=Schedule.FIXED, interval_s=0.5)
     masses = [1.0] * 5
     (outcome,) = run_all(FakeEngine(16, capacities=(5,)), [Job(fake_scene(*masses))], sim)
     expected = plainly(masses, sim)

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 import petmjx
-from petmjx.config import PHYSICS, SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one, write_plans
@@ -40,7 +40,7 @@ SMALL_FORCE_N = 1.0
 TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-beside-carrier", "corner overhang of 30 %")
 CAPACITY = 3
 
-SHORT = SimConfig(interval_s=0.1, rest_window_s=0.1)
+SHORT = Simulation(interval_s=0.1, rest_window_s=0.1)
 
 on_gpu = pytest.mark.gpu
 
@@ -54,12 +54,12 @@ def _ranks_may_differ() -> Iterator[None]:
 
 def tiny_scenes(names: tuple[str, ...] = TINY) -> dict[str, Scene]:
     plans = boxes_by_plan()
-    return {name: build_scene(make_plan(name, plans[name]), PHYSICS["pallet"]) for name in names}
+    return {name: build_scene(make_plan(name, plans[name]), Simulation()) for name in names}
 
 
 @functools.cache
 def exact() -> dict[str, Outcome]:
-    return simulate(MujocoEngine(2), tiny_scenes(), SimConfig())
+    return simulate(MujocoEngine(2), tiny_scenes(), Simulation())
 
 
 def engine() -> MjxWarpEngine:
@@ -83,7 +83,7 @@ def assert_twins(found: dict[str, Outcome], expected: dict[str, Outcome]) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=on_gpu)])
 def test_tiny_plans_as_in_c(device: str) -> None:
-    assert_twins(simulate(engine(), tiny_scenes(), SimConfig()), exact())
+    assert_twins(simulate(engine(), tiny_scenes(), Simulation()), exact())
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_tiny_plans_as_in_c(device: str) -> None:
 def test_buffers_that_are_too_small_grow_and_give_the_same(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # 10 contacts a world: the bridge has at least 16.
     monkeypatch.setattr(mjx_warp, "LANE_CONTACTS_PER_BOX", 2)
-    found = simulate(engine(), tiny_scenes(), SimConfig())
+    found = simulate(engine(), tiny_scenes(), Simulation())
     assert found["hand-bridge"].flags & Flag.RERUN_AFTER_OVERFLOW
     assert not any(outcome.flags & Flag.CONTACT_OVERFLOW for outcome in found.values())
     assert_twins(found, exact())
@@ -150,7 +150,7 @@ def free_bytes() -> int:
 def test_a_contact_pool_that_is_too_small_grows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 1)
     some = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(4)}
-    found = simulate(engine(), some, SimConfig())
+    found = simulate(engine(), some, Simulation())
     assert any(outcome.flags & Flag.RERUN_AFTER_OVERFLOW for outcome in found.values())
     for name, outcome in found.items():
         twin = exact()[name.rsplit(" ", 1)[0]]
@@ -164,8 +164,8 @@ def test_bundled_and_generated_plans_as_in_c(tmp_path: Path) -> None:
     write_plans(more, (generate_one(index, seed=5) for index in range(64 - len(plans))))
     plans = [*plans, *load_plans(more).plans]
     assert len(plans) == 64
-    sim = SimConfig()
-    jobs = [Job(build_scene(plan, sim.physics)) for plan in plans]
+    sim = Simulation()
+    jobs = [Job(build_scene(plan, sim)) for plan in plans]
     expected = {o.job: o for o in MujocoEngine().run(jobs, sim)}
     found = {o.job: o for o in MjxWarpEngine().run(jobs, sim)}
     assert found.keys() == expected.keys()
@@ -182,7 +182,7 @@ def test_a_held_carrier_carries() -> None:
     excitation = Excitation("still", "acceleration", np.zeros((20, 3)))
     scene = tiny_scenes(("hand-bridge",))["hand-bridge"]
     jobs = [Job(scene, drive=Drive(excitation, rest_s=0.3))]
-    sim = SimConfig(settle_s=0.4)
+    sim = Simulation(settle_s=0.4)
     (expected,) = MujocoEngine(1).run(jobs, sim)
     (found,) = engine().run(jobs, sim)
     assert (found.verdict, found.n_steps) == (expected.verdict, expected.n_steps)

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from petmjx.config import PHYSICS, Cone, Schedule, SimConfig, Thresholds
+from petmjx.config import PHYSICS, Cone, Schedule, Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu import live as mujoco_live
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -54,10 +54,10 @@ def falling() -> Plan:
 
 
 def scene_of(plan: Plan, physics: str = "pallet") -> Scene:
-    return build_scene(plan, PHYSICS[physics])
+    return build_scene(plan, Simulation(physics=physics))
 
 
-def run_one(job: Job, sim: SimConfig) -> Outcome:
+def run_one(job: Job, sim: Simulation) -> Outcome:
     (outcome,) = MujocoEngine(1).run([job], sim)
     return outcome
 
@@ -182,8 +182,8 @@ def test_the_clock_is_mujocos_running_sum() -> None:
 
 def test_fixed_and_adaptive_agree_and_adaptive_is_shorter() -> None:
     scene = scene_of(stack())
-    fixed = run_one(Job(scene), SimConfig(schedule=Schedule.FIXED))
-    adaptive = run_one(Job(scene), SimConfig(schedule=Schedule.ADAPTIVE))
+    fixed = run_one(Job(scene), Simulation(schedule=Schedule.FIXED))
+    adaptive = run_one(Job(scene), Simulation(schedule=Schedule.ADAPTIVE))
     assert fixed.verdict is adaptive.verdict is Verdict.STABLE
     assert fixed.n_steps == int(6 * 0.7 / 0.002)
     assert adaptive.n_steps < fixed.n_steps / 2
@@ -193,7 +193,7 @@ def test_fixed_and_adaptive_agree_and_adaptive_is_shorter() -> None:
 
 @pytest.mark.parametrize("physics", list(PHYSICS))
 def test_how_the_world_grows_does_not_matter(physics: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    sim = SimConfig(physics=PHYSICS[physics])
+    sim = Simulation(physics=PHYSICS[physics])
     scene = scene_of(stack(7), physics)
     outcomes = []
     for block in (1, 3, 7):
@@ -207,8 +207,8 @@ def test_how_the_world_grows_does_not_matter(physics: str, monkeypatch: pytest.M
 
 def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
     scene = scene_of(falling())
-    early = run_one(Job(scene), SimConfig())
-    whole = run_one(Job(scene), SimConfig(early_stop=False))
+    early = run_one(Job(scene), Simulation())
+    whole = run_one(Job(scene), Simulation(early_stop=False))
     assert early.verdict is whole.verdict is Verdict.UNSTABLE
     assert early.culprit == whole.culprit == 1
     assert early.flags & Flag.EARLY_STOP
@@ -224,7 +224,7 @@ def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
 @pytest.mark.parametrize("kind", ["force", "acceleration"])
 @pytest.mark.parametrize("schedule", list(Schedule))
 def test_a_fork_equals_the_world_it_was_forked_from(schedule: Schedule, kind: str) -> None:
-    sim = SimConfig(schedule=schedule, settle_s=0.5, interval_s=0.3)
+    sim = Simulation(schedule=schedule, settle_s=0.5, interval_s=0.3)
     scene = scene_of(stack(4))
     drive = push(level=0.3 if kind == "force" else 3.0, kind=kind)
     whole = run_one(Job(scene, drive), sim)
@@ -239,7 +239,7 @@ def test_a_fork_equals_the_world_it_was_forked_from(schedule: Schedule, kind: st
 
 
 def test_64_forks_cost_one_placement() -> None:
-    sim = SimConfig(settle_s=0.5)
+    sim = Simulation(settle_s=0.5)
     scene = scene_of(stack(3))
     progress = Progress()
     kept = run_one(Job(scene, keep_state=True), sim)
@@ -256,8 +256,8 @@ def test_64_forks_cost_one_placement() -> None:
 
 def test_forks_of_a_collapse_have_its_outcome() -> None:
     scene = scene_of(falling())
-    kept = run_one(Job(scene, keep_state=True), SimConfig())
-    fork = run_one(Job(scene, push(), start=kept.state), SimConfig())
+    kept = run_one(Job(scene, keep_state=True), Simulation())
+    fork = run_one(Job(scene, push(), start=kept.state), Simulation())
     assert (fork.verdict, fork.reason, fork.culprit) == (kept.verdict, kept.reason, kept.culprit)
     assert fork.n_steps == 0
 
@@ -267,8 +267,8 @@ def test_forks_of_a_collapse_have_its_outcome() -> None:
 
 def test_outcomes_do_not_depend_on_the_number_of_threads() -> None:
     jobs = [Job(scene_of(stack(n, shift_mm=shift))) for n in (2, 4, 6) for shift in (10, 90, 280)]
-    alone = {outcome.job: outcome for outcome in MujocoEngine(1).run(jobs, SimConfig())}
-    together = {outcome.job: outcome for outcome in MujocoEngine(4).run(jobs, SimConfig())}
+    alone = {outcome.job: outcome for outcome in MujocoEngine(1).run(jobs, Simulation())}
+    together = {outcome.job: outcome for outcome in MujocoEngine(4).run(jobs, Simulation())}
     assert alone.keys() == together.keys() == set(range(len(jobs)))
     for job, outcome in alone.items():
         assert outcome.n_steps == together[job].n_steps
@@ -295,7 +295,7 @@ class CountedJobs(Sequence[Job]):
 def test_closing_the_run_stops_it_and_jobs_are_taken_as_needed() -> None:
     before = threading.active_count()
     jobs = CountedJobs(Job(scene_of(stack(2))), 10_000)
-    outcomes = MujocoEngine(2).run(jobs, SimConfig())
+    outcomes = MujocoEngine(2).run(jobs, Simulation())
     assert isinstance(outcomes, Generator)
     next(outcomes)
     assert jobs.asked <= 8
@@ -307,11 +307,11 @@ def test_ctrl_c_ends_long_worlds_at_once() -> None:
     program = """
 import sys
 sys.path[:0] = ["tests", "tests/oracle"]
-from petmjx.config import PHYSICS, Check, Schedule, SimConfig
+from petmjx.config import PHYSICS, Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.world.job import Job
 from test_mujoco_engine import scene_of, stack
-sim = SimConfig(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=1e5)
+sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=1e5)
 print("started", flush=True)
 try:
     list(MujocoEngine(2).run([Job(scene_of(stack(3)))] * 4, sim))
@@ -334,7 +334,7 @@ def test_broken_numbers_are_invalid_and_leave_no_log(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     samples = np.full((5, 3), np.nan)
     drive = Drive(Excitation("broken", "force", samples), rest_s=0.1)
-    outcome = run_one(Job(scene_of(stack(2)), drive), SimConfig(settle_s=0.1))
+    outcome = run_one(Job(scene_of(stack(2)), drive), Simulation(settle_s=0.1))
     assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.NONFINITE)
     assert list(tmp_path.iterdir()) == []
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from petmjx.config import PHYSICS, Check, Schedule, SimConfig
+from petmjx.config import PHYSICS, Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
@@ -61,8 +61,8 @@ def reference_run(plan_id: str, check: str) -> dict[str, Any]:
     )
 
 
-def reference_config(check: Check) -> SimConfig:
-    return SimConfig(
+def reference_config(check: Check) -> Simulation:
+    return Simulation(
         physics=PHYSICS["reference"],
         check=check,
         schedule=Schedule.FIXED,
@@ -72,8 +72,8 @@ def reference_config(check: Check) -> SimConfig:
     )
 
 
-def simulate(plan_id: str, sim: SimConfig) -> Outcome:
-    scene = build_scene(real_plans()[plan_id], sim.physics)
+def simulate(plan_id: str, sim: Simulation) -> Outcome:
+    scene = build_scene(real_plans()[plan_id], sim)
     return next(iter(MujocoEngine(1).run([Job(scene)], sim)))
 
 
@@ -109,7 +109,7 @@ def test_matches_the_reference_without_forces(plan_id: str, check: Check) -> Non
 CULPRITS = {"00100408": 24, "00100001": 8, "00100002": 3, "00100003": 16, "00100004": 21}
 
 
-def assert_known_verdict(plan_id: str, sim: SimConfig) -> None:
+def assert_known_verdict(plan_id: str, sim: Simulation) -> None:
     outcome = simulate(plan_id, sim)
     if plan_id == "packing_plan_a":
         assert (outcome.verdict, outcome.reason, outcome.culprit) == (Verdict.STABLE, Reason.NONE, -1)
@@ -125,9 +125,9 @@ def assert_known_verdict(plan_id: str, sim: SimConfig) -> None:
 @pytest.mark.parametrize("physics", ["pallet", "reference"])
 @pytest.mark.parametrize("plan_id", ["packing_plan_a", *CULPRITS])
 def test_real_plans_have_known_verdicts(plan_id: str, physics: str, schedule: Schedule, interval_s: float) -> None:
-    assert_known_verdict(plan_id, SimConfig(physics=PHYSICS[physics], schedule=schedule, interval_s=interval_s))
+    assert_known_verdict(plan_id, Simulation(physics=PHYSICS[physics], schedule=schedule, interval_s=interval_s))
 
 
 def test_the_pallet_that_stood_in_reality_stands_when_placed_at_once() -> None:
-    outcome = simulate("packing_plan_a", SimConfig(check=Check.STATIC))
+    outcome = simulate("packing_plan_a", Simulation(check=Check.STATIC))
     assert outcome.verdict is Verdict.STABLE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from petmjx.config import PHYSICS, Carrier, Check, Schedule, SimConfig
+from petmjx.config import PHYSICS, Carrier, Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.plan import Plan
 from petmjx.units import FloatArray
@@ -39,7 +39,7 @@ def make_plan(*boxes: Box) -> Plan:
     )
 
 
-def simulate(plan: Plan, sim: SimConfig, drive: Drive | None = None) -> Outcome:
+def simulate(plan: Plan, sim: Simulation, drive: Drive | None = None) -> Outcome:
     scene = build_scene(plan, sim.physics, Carrier.EURO_PALLET)
     return next(iter(MujocoEngine(1).run([Job(scene, drive)], sim)))
 
@@ -48,7 +48,7 @@ def simulate(plan: Plan, sim: SimConfig, drive: Drive | None = None) -> Outcome:
 @pytest.mark.parametrize(("overhang_mm", "stands"), [(180, True), (220, False)])
 def test_a_box_tips_when_more_than_half_of_it_hangs_over(overhang_mm: float, stands: bool, check: Check) -> None:
     plan = make_plan(((400, 300, 200), (0, 100, 0), 8.0), ((400, 300, 200), (overhang_mm, 100, 200), 5.0))
-    outcome = simulate(plan, SimConfig(check=check))
+    outcome = simulate(plan, Simulation(check=check))
     assert (outcome.verdict is Verdict.STABLE) == stands
     if not stands:
         assert outcome.culprit == 1
@@ -58,7 +58,7 @@ def test_a_box_tips_when_more_than_half_of_it_hangs_over(overhang_mm: float, sta
 def test_every_box_of_a_tower_bears_what_stands_on_it(physics: str) -> None:
     masses = [9.0, 7.0, 5.0, 3.0, 2.0, 1.0]
     plan = make_plan(*(((300, 300, 150), (200, 200, 150.0 * k), mass) for k, mass in enumerate(masses)))
-    outcome = simulate(plan, SimConfig(physics=PHYSICS[physics]))
+    outcome = simulate(plan, Simulation(physics=PHYSICS[physics]))
     above_kg = np.array([sum(masses[k + 1 :]) for k in range(len(masses))])
     assert outcome.verdict is Verdict.STABLE
     np.testing.assert_allclose(outcome.boxes.rest_top_force_n, above_kg * G, rtol=LOAD_RELATIVE, atol=0.01)
@@ -70,7 +70,7 @@ def test_a_bridge_loads_both_supports_alike() -> None:
         ((200, 300, 200), (600, 0, 0), 5.0),
         ((800, 300, 100), (0, 0, 200), 6.0),
     )
-    outcome = simulate(plan, SimConfig())
+    outcome = simulate(plan, Simulation())
     assert outcome.verdict is Verdict.STABLE
     np.testing.assert_allclose(outcome.boxes.rest_top_force_n, [3.0 * G, 3.0 * G, 0.0], rtol=LOAD_RELATIVE, atol=0.01)
 
@@ -83,7 +83,7 @@ TOWER = make_plan(((100, 200, 200), (500, 300, 0), 5.0), ((100, 200, 200), (500,
 
 def accelerated(plan: Plan, carrier_acceleration: FloatArray) -> Outcome:
     """The plan, standing, on a held carrier with these accelerations, a row a step."""
-    sim = SimConfig(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4)
+    sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4)
     return simulate(plan, sim, Drive(Excitation("test", "acceleration", carrier_acceleration), rest_s=0.4))
 
 
@@ -127,7 +127,7 @@ def test_a_box_slides_when_the_carrier_is_tilted_beyond_the_friction_angle(fract
 def test_a_push_on_a_free_carrier_moves_it_and_what_stands_on_it() -> None:
     # Lifted by 0.9 of its weight, the pallet has a tenth of its grip on the floor (friction 1.0).
     samples = np.tile([0.4, 0.0, 0.9], (100, 1))
-    sim = SimConfig(schedule=Schedule.FIXED, settle_s=0.4)
+    sim = Simulation(schedule=Schedule.FIXED, settle_s=0.4)
     outcome = simulate(CUBE, sim, Drive(Excitation("push", "force", samples), rest_s=0.6))
     # Net (0.4 − 0.1 friction) g for 0.2 s gives 0.59 m/s; then friction 1.0 g stops it within 18 mm more.
     assert 0.02 < outcome.boxes.max_sway_m[0] < 0.16

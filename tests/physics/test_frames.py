@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from petmjx.config import Check, Schedule, SimConfig
+from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
@@ -31,7 +31,7 @@ carrier while the carrier slides on the floor."""
 SHIFT_M = 0.001
 """Required agreement (issue 4)."""
 
-SIM = SimConfig(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.6, early_stop=False)
+SIM = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.6, early_stop=False)
 REST_S = 0.6
 
 

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.engine import MjxEngine
 from petmjx.engines.batch.template import CARRIER_BODY, FIRST_BOX_BODY
@@ -117,7 +117,7 @@ class FakeEngine(MjxEngine):
 
     name = "fake"
 
-    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         return FakeStepper(capacity, lanes, held=held)
 
 
@@ -147,7 +147,7 @@ def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
     return listed
 
 
-def run_all(engine: MjxEngine, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> list[Outcome]:
+def run_all(engine: MjxEngine, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> list[Outcome]:
     """Every job's outcome, in order."""
     outcomes = in_order(engine.run(jobs, sim, progress))
     assert len(outcomes) == len(jobs)

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from petmjx.config import PHYSICS, SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.batch.engine import MjxEngine
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -81,10 +81,13 @@ def make_plan(plan_id: str, boxes: Sequence[Box]) -> Plan:
 
 @functools.cache
 def scenes(physics: str = "pallet") -> dict[str, Scene]:
-    return {name: build_scene(make_plan(name, boxes), PHYSICS[physics]) for name, boxes in boxes_by_plan().items()}
+    return {
+        name: build_scene(make_plan(name, boxes), Simulation(physics=physics))
+        for name, boxes in boxes_by_plan().items()
+    }
 
 
-def simulate(engine: MjxEngine | MujocoEngine, some: dict[str, Scene], sim: SimConfig) -> dict[str, Outcome]:
+def simulate(engine: MjxEngine | MujocoEngine, some: dict[str, Scene], sim: Simulation) -> dict[str, Outcome]:
     """Outcomes by name."""
     names = list(some)
     with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
@@ -100,9 +103,9 @@ def jax_engine() -> MjxJaxEngine:
 @functools.cache
 def jax_outcomes() -> dict[str, Outcome]:
     """More worlds than lanes, through two stages."""
-    return simulate(jax_engine(), scenes(), SimConfig())
+    return simulate(jax_engine(), scenes(), Simulation())
 
 
 @functools.cache
 def exact_outcomes() -> dict[str, Outcome]:
-    return simulate(MujocoEngine(2), scenes(), SimConfig())
+    return simulate(MujocoEngine(2), scenes(), Simulation())

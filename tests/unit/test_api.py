@@ -13,7 +13,7 @@ import pytest
 
 import petmjx
 from petmjx.api import configure, gather_plans
-from petmjx.config import PHYSICS, Physics, SimConfig, Thresholds
+from petmjx.config import PHYSICS, Physics, Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.choose import Choice
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -78,7 +78,7 @@ def test_the_temporary_folder_goes_with_the_results() -> None:
 
 
 class _Failing(MujocoEngine):
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         raise RuntimeError("no luck")
         yield
 

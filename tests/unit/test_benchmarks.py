@@ -16,7 +16,7 @@ from benchmarks.agreement import agreement, main
 from benchmarks.cases import CASES, GROUPS, STACK_BOXES, STACK_PLAN, WorkloadCase, chosen_cases, oracle_case
 from benchmarks.measure import Bench, Settings, spread_over_sizes
 from benchmarks.record import COMMIT_VARIABLE, rounded
-from petmjx.config import Schedule, SimConfig, Thresholds
+from petmjx.config import Schedule, Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
@@ -163,7 +163,7 @@ class Compiling:
     name = "mjx-jax"
     runs = 0
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         progress = progress or Progress()
         progress.compile_s = 100.0 if self.runs == 0 else 0.0
         progress.extra["place capacity 8 lanes"] = len(jobs)

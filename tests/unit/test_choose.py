@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from petmjx.config import Check, Schedule, SimConfig
+from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.choose import ENGINES, H100, choose_engine, make_engine, resolve_engine
 from petmjx.errors import EngineUnavailable, InputError
 
-SIM = SimConfig()
+SIM = Simulation()
 THREADS = 16
 
 
@@ -41,7 +41,7 @@ def test_auto_says_why_it_does_without_a_gpu(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_expected_times_follow_the_work() -> None:
-    def cpu_s(sim: SimConfig, boxes: int = 40, threads: int = 1) -> float:
+    def cpu_s(sim: Simulation, boxes: int = 40, threads: int = 1) -> float:
         return H100.seconds([boxes] * 10, sim, threads)[0]
 
     assert cpu_s(SIM, threads=4) == pytest.approx(cpu_s(SIM) / 4)

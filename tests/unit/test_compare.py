@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 
-from petmjx.config import SimConfig, Thresholds
+from petmjx.config import Simulation, Thresholds
 from petmjx.errors import InputError
 from petmjx.results.compare import FORCE_FLOOR_N, Comparison, compare_runs, thresholds_of
 from petmjx.results.reader import load_run
@@ -27,7 +27,7 @@ from petmjx.verdict import Outcome, Reason, Verdict
 FLOAT32 = 1e-6
 """Relative rounding of what `boxes` holds as float32, with a margin of ten."""
 
-CONFIG = {"sim": SimConfig().model_dump(mode="json")}
+CONFIG = {"sim": Simulation().model_dump(mode="json")}
 
 
 def write(folder: Path, outcomes: dict[str, Outcome], config: dict[str, Any] = CONFIG, **options: Any) -> Path:
@@ -147,7 +147,7 @@ def test_groups_keep_collapses_apart(tmp_path: Path) -> None:
 
 
 def test_thresholds_come_from_the_run(tmp_path: Path) -> None:
-    sim = SimConfig(thresholds=Thresholds(shift_m=0.05))
+    sim = Simulation(thresholds=Thresholds(shift_m=0.05))
     info = load_run(write(tmp_path, {}, {"anywhere": [], "sim": sim.model_dump(mode="json")})).info
     assert thresholds_of(info).shift_m == 0.05
     assert thresholds_of({"config": {}}) == Thresholds()

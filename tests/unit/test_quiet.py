@@ -13,7 +13,7 @@ import pytest
 from support.outcomes import make_plan
 
 from benchmarks.cases import SEED
-from petmjx.config import PHYSICS, Schedule, SimConfig
+from petmjx.config import PHYSICS, Schedule, Simulation
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import NEVER, Status, fresh_state, upload_worlds
 from petmjx.engines.batch.timetable import build_timetable
@@ -25,14 +25,14 @@ from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
-Finder = Callable[[np.ndarray, SimConfig, bool], list[bool]]
+Finder = Callable[[np.ndarray, Simulation, bool], list[bool]]
 
 BOXES = 3
-QUIET = SimConfig().quiet
+QUIET = Simulation().quiet
 
 
 def job() -> Job:
-    return Job(build_scene(make_plan(n=BOXES), PHYSICS["pallet"]))
+    return Job(build_scene(make_plan(n=BOXES), Simulation()))
 
 
 def velocities(pace: np.ndarray) -> np.ndarray:
@@ -43,7 +43,7 @@ def velocities(pace: np.ndarray) -> np.ndarray:
     return rows
 
 
-def quiet_on_c(paces: np.ndarray, sim: SimConfig, sign: bool) -> list[bool]:
+def quiet_on_c(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     """Whether the C engine calls the pallet quiet at each poll. ``paces``: (poll, box)."""
     world = WorldRun(0, job(), sim, lambda: False)
     world._metrics = SimpleNamespace(culprit=0 if sign else -1)  # type: ignore[assignment]  # a stand-in
@@ -55,7 +55,7 @@ def quiet_on_c(paces: np.ndarray, sim: SimConfig, sign: bool) -> list[bool]:
     return found
 
 
-def quiet_on_mjx(paces: np.ndarray, sim: SimConfig, sign: bool) -> list[bool]:
+def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     """The same of the rules that the MJX engines share."""
     worlds = upload_worlds([job()], 1, BOXES, {}, sim.physics.timestep_s)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
@@ -77,7 +77,7 @@ def quiet_on_mjx(paces: np.ndarray, sim: SimConfig, sign: bool) -> list[bool]:
 @pytest.mark.parametrize("schedule", [Schedule.ADAPTIVE, Schedule.BRISK])
 @pytest.mark.parametrize("sign", [False, True])
 def test_the_engines_agree_on_what_is_quiet(schedule: Schedule, sign: bool) -> None:
-    sim = SimConfig(schedule=schedule)
+    sim = Simulation(schedule=schedule)
     rng = np.random.default_rng(5)
     seen = set()
     for _ in range(12):
@@ -117,13 +117,13 @@ ONE_CREEPS = np.where(np.arange(BOXES) == 1, 0.3, FADING)
 def test_what_creeps_is_waited_for_until_a_box_crosses_a_threshold(
     find: Finder, paces: np.ndarray, schedule: Schedule, sign: bool, first_quiet: int | None
 ) -> None:
-    found = find(paces, SimConfig(schedule=schedule), sign)
+    found = find(paces, Simulation(schedule=schedule), sign)
     assert (found.index(True) if True in found else None) == first_quiet
 
 
 @pytest.mark.parametrize("find", [quiet_on_c, quiet_on_mjx])
 def test_pyramidal_cones_creep_by_themselves(find: Finder) -> None:
-    found = find(STEADY, SimConfig(physics=PHYSICS["reference"]), False)
+    found = find(STEADY, Simulation(physics=PHYSICS["reference"]), False)
     assert found.index(True) == 4
 
 
@@ -131,10 +131,10 @@ def test_a_plan_that_creeps_until_it_fails_stands_only_on_the_brisk_schedule(tmp
     """Box 20 of this generated plan moves at 4 mm/s whenever the next box comes: below the limit of quiet."""
     path = tmp_path / "plans.json"
     write_plans(path, [generate_one(432, SEED)])
-    scene = build_scene(load_plans(path).plans[0], PHYSICS["pallet"])
+    scene = build_scene(load_plans(path).plans[0], Simulation())
     verdicts = {}
     for schedule in Schedule:
-        outcome = next(iter(MujocoEngine(1).run([Job(scene)], SimConfig(schedule=schedule))))
+        outcome = next(iter(MujocoEngine(1).run([Job(scene)], Simulation(schedule=schedule))))
         verdicts[schedule] = outcome.verdict, outcome.n_steps
     assert verdicts[Schedule.FIXED][0] is Verdict.UNSTABLE
     assert verdicts[Schedule.ADAPTIVE][0] is Verdict.UNSTABLE

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from petmjx.config import SimConfig, Solver
+from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE, World, nominal_worlds, score_worlds
@@ -65,11 +65,11 @@ class FailingEngine:
     """Answers in reverse order; the world whose box weighs k kg is invalid in its first k − 1 attempts."""
 
     name: str = "failing"
-    calls: list[tuple[SimConfig, list[Job]]] = field(default_factory=list)
+    calls: list[tuple[Simulation, list[Job]]] = field(default_factory=list)
     drop_last: bool = False
     repeat_last: bool = False
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         self.calls.append((sim, list(jobs)))
         for index in reversed(range(len(jobs))):
             if index == 0 and self.drop_last:
@@ -84,12 +84,12 @@ class FailingEngine:
 def worlds_failing(*failures: int) -> list[World]:
     """One world for each number: how many of its attempts are invalid."""
     plans = [replace(one_box_plan(f"p{i}"), mass_kg=np.array([k + 1.0])) for i, k in enumerate(failures)]
-    return list(nominal_worlds(plans, SimConfig().physics))
+    return list(nominal_worlds(plans, Simulation().physics))
 
 
 def test_valid_worlds_run_once() -> None:
     engine = FailingEngine()
-    results = list(score_worlds(worlds_failing(0, 0, 0), SimConfig(), engine))
+    results = list(score_worlds(worlds_failing(0, 0, 0), Simulation(), engine))
     assert {r.world.plan.plan_id for r in results} == {"p0", "p1", "p2"}
     assert [len(r.attempts) for r in results] == [1, 1, 1]
     assert len(engine.calls) == 1
@@ -97,7 +97,7 @@ def test_valid_worlds_run_once() -> None:
 
 def test_invalid_worlds_run_again_as_one_batch_until_they_are_valid() -> None:
     engine = FailingEngine()
-    results = {r.world.plan.plan_id: r for r in score_worlds(worlds_failing(0, 1, 3, 9, 1), SimConfig(), engine)}
+    results = {r.world.plan.plan_id: r for r in score_worlds(worlds_failing(0, 1, 3, 9, 1), Simulation(), engine)}
     assert [len(jobs) for _, jobs in engine.calls] == [5, 4, 2, 2, 1]
     assert {name: len(r.attempts) for name, r in results.items()} == {"p0": 1, "p1": 2, "p2": 4, "p3": 5, "p4": 2}
     assert {name: r.outcome.attempt for name, r in results.items()} == {
@@ -113,7 +113,7 @@ def test_invalid_worlds_run_again_as_one_batch_until_they_are_valid() -> None:
 
 def test_no_attempt_repeats_another() -> None:
     engine = FailingEngine()
-    list(score_worlds(worlds_failing(9), SimConfig(), engine))
+    list(score_worlds(worlds_failing(9), Simulation(), engine))
     sims = [sim for sim, _ in engine.calls]
     assert len(sims) == len(ATTEMPTS) == 5
     assert all(sims[i] != sims[j] for i in range(5) for j in range(i))
@@ -123,7 +123,7 @@ def test_no_attempt_repeats_another() -> None:
 
 
 def test_half_the_timestep_keeps_durations() -> None:
-    sim = SimConfig()
+    sim = Simulation()
     half = ATTEMPTS[-1].apply_to_sim(sim)
     assert half.physics.timestep_s == sim.physics.timestep_s / 2
     for name in ("steps", "min_steps", "poll_steps"):
@@ -135,7 +135,7 @@ def test_half_the_timestep_resamples_force_profiles_and_keeps_them_shared() -> N
     engine = FailingEngine()
     pulse = Excitation("pulse", "force", np.arange(6.0).reshape(2, 3))
     worlds = [replace(world, job=replace(world.job, drive=Drive(pulse, scale=2.0))) for world in worlds_failing(9, 9)]
-    list(score_worlds(worlds, SimConfig(), engine))
+    list(score_worlds(worlds, Simulation(), engine))
     drives = [job.drive for job in engine.calls[-1][1]]
     assert drives[0] is not None
     assert drives[1] is not None
@@ -155,7 +155,7 @@ def test_worlds_are_drawn_a_chunk_at_a_time() -> None:
             drawn += 1
             yield world
 
-    results = score_worlds(source(), SimConfig(), engine, chunk_worlds=4)
+    results = score_worlds(source(), Simulation(), engine, chunk_worlds=4)
     next(results)
     assert drawn == 4
     assert len(list(results)) == 9
@@ -164,22 +164,22 @@ def test_worlds_are_drawn_a_chunk_at_a_time() -> None:
 
 def test_invalid_worlds_of_several_chunks_gather() -> None:
     engine = FailingEngine()
-    results = list(score_worlds(worlds_failing(1, 0, 1, 0, 0, 1), SimConfig(), engine, chunk_worlds=2))
+    results = list(score_worlds(worlds_failing(1, 0, 1, 0, 0, 1), Simulation(), engine, chunk_worlds=2))
     assert [len(jobs) for _, jobs in engine.calls] == [2, 2, 2, 2, 1]
     assert sorted(r.world.plan.plan_id for r in results) == ["p0", "p1", "p2", "p3", "p4", "p5"]
 
 
 def test_no_worlds() -> None:
     engine = FailingEngine()
-    assert list(score_worlds([], SimConfig(), engine)) == []
+    assert list(score_worlds([], Simulation(), engine)) == []
     assert engine.calls == []
 
 
 def test_an_engine_that_loses_or_repeats_a_world_is_found_out() -> None:
     with pytest.raises(RuntimeError, match="did not answer 1 of 2 jobs"):
-        list(score_worlds(worlds_failing(0, 0), SimConfig(), FailingEngine(drop_last=True)))
+        list(score_worlds(worlds_failing(0, 0), Simulation(), FailingEngine(drop_last=True)))
     with pytest.raises(RuntimeError, match="answered job 0 twice"):
-        list(score_worlds(worlds_failing(0, 0), SimConfig(), FailingEngine(repeat_last=True)))
+        list(score_worlds(worlds_failing(0, 0), Simulation(), FailingEngine(repeat_last=True)))
 
 
 def test_second_attempts_change_what_the_c_engine_computes() -> None:
@@ -192,7 +192,7 @@ def test_second_attempts_change_what_the_c_engine_computes() -> None:
         articles=("article",) * 3,
         sequence=np.arange(3),
     )
-    sim = SimConfig()
+    sim = Simulation()
     jobs = [world.job for world in nominal_worlds([plan], sim.physics)]
     positions = []
     for recipe in ATTEMPTS:

@@ -372,7 +372,7 @@ def test_a_search_numbers_its_worlds_by_what_they_test(tmp_path: Path) -> None:
 def test_radial_force_ends_where_the_reference_ends() -> None:
     sweep = load_sweep(SWEEPS / "radial-force.toml")
     plan = SweepPlan(sweep, [make_plan("long", 40), make_plan("short", 26)])
-    sim = sweep.simulation.sim_config()
+    sim = sweep.simulation
     assert (sim.check, sim.schedule, sim.early_stop) == (Check.ONE_BY_ONE, Schedule.FIXED, False)
     (variant,) = plan.variants()
     dt = sim.physics.timestep_s

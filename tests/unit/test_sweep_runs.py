@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import petmjx
-from petmjx.config import SimConfig, Thresholds
+from petmjx.config import Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
@@ -60,9 +60,9 @@ class Recorder(MujocoEngine):
 
     def __init__(self, threads: int | None = None) -> None:
         super().__init__(threads)
-        self.batches: list[tuple[list[Job], SimConfig]] = []
+        self.batches: list[tuple[list[Job], Simulation]] = []
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         self.batches.append((list(jobs), sim))
         return super().run(jobs, sim, progress)
 
@@ -254,7 +254,7 @@ profile = "tilt"
 class _NeverBelieved(Recorder):
     """Every outcome is invalid."""
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         for outcome in super().run(jobs, sim, progress):
             yield replace(outcome, verdict=Verdict.INVALID, reason=Reason.NONFINITE)
 
@@ -270,7 +270,7 @@ def test_states_are_never_shared_between_timesteps(tmp_path: Path) -> None:
 
 
 def test_a_hard_landing_is_no_sign_of_the_drive() -> None:
-    scene = build_scene(stack("a", 2), SimConfig().physics)
+    scene = build_scene(stack("a", 2), Simulation().physics)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     metrics = OracleMetrics(scene, Thresholds())
     metrics.add_pose(0.2, scene.target - np.array([0.0, 0.0, 0.03]), upright)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from petmjx.config import Check, SimConfig
+from petmjx.config import Check, Simulation
 from petmjx.engines.batch.timetable import build_timetable
 
 DT = 0.002
@@ -16,7 +16,7 @@ BOXES = 6
 
 @pytest.mark.parametrize("interval_s", [0.002, 0.1, 0.2, 0.3, 0.5, 0.7, 1.1])
 def test_due_is_the_first_step_at_which_the_interval_has_passed(interval_s: float) -> None:
-    table = build_timetable(SimConfig(interval_s=interval_s), BOXES)
+    table = build_timetable(Simulation(interval_s=interval_s), BOXES)
     clock = [0.0, *itertools.accumulate([DT] * (len(table.clock) - 1))]
     assert table.clock.tolist() == clock
     known = len(clock) - 1 - int(interval_s / DT) - 2
@@ -27,12 +27,12 @@ def test_due_is_the_first_step_at_which_the_interval_has_passed(interval_s: floa
 
 @pytest.mark.parametrize("interval_s", [0.2, 0.5, 0.7])
 def test_ends_are_truncated_as_the_reference_does(interval_s: float) -> None:
-    table = build_timetable(SimConfig(interval_s=interval_s), BOXES)
+    table = build_timetable(Simulation(interval_s=interval_s), BOXES)
     assert table.one_by_one_end.tolist() == [int((n + 1) * interval_s / DT) for n in range(BOXES + 1)]
 
 
 def test_the_table_reaches_to_the_last_placement_of_the_largest_plan() -> None:
-    sim = SimConfig(interval_s=0.7, settle_s=2.0)
+    sim = Simulation(interval_s=0.7, settle_s=2.0)
     table = build_timetable(sim, BOXES)
     step = 0
     for _ in range(BOXES + 1):
@@ -43,14 +43,14 @@ def test_the_table_reaches_to_the_last_placement_of_the_largest_plan() -> None:
 
 
 def test_steps_between_samples_and_of_the_rest_window() -> None:
-    table = build_timetable(SimConfig(sample_interval_s=0.032, rest_window_s=0.2), 1)
+    table = build_timetable(Simulation(sample_interval_s=0.032, rest_window_s=0.2), 1)
     assert (table.sample_every, table.rest_steps) == (16, 100)
-    tiny = build_timetable(SimConfig(sample_interval_s=0.001), 1)
+    tiny = build_timetable(Simulation(sample_interval_s=0.001), 1)
     assert tiny.sample_every == 1
 
 
 def test_a_static_check_ends_after_its_duration() -> None:
-    table = build_timetable(SimConfig(check=Check.STATIC, duration_s=3.0), BOXES)
+    table = build_timetable(Simulation(check=Check.STATIC, duration_s=3.0), BOXES)
     assert table.static_end == int(3.0 / DT)
     assert len(table.clock) > table.static_end
     np.testing.assert_array_equal(table.settled_nominally, int(2.0 / DT))

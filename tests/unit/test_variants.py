@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from petmjx.config import PHYSICS
 from petmjx.plans.plan import Plan
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import NOMINAL, Distribution, DriveSpec, PlacementChange, Shape, Variant, apply
@@ -35,7 +34,7 @@ def make_plan(corner_mm: list[list[float]], size_mm: list[list[float]], plan_id:
 def stack(n_columns: int = 3, n_layers: int = 4) -> Scene:
     """Columns of boxes side by side along x, each layer bridged by nothing."""
     corners = [[400.0 * c, 0.0, 200.0 * layer] for layer in range(n_layers) for c in range(n_columns)]
-    return build_scene(make_plan(corners, [[400, 300, 200]] * len(corners)), PHYSICS["pallet"])
+    return build_scene(make_plan(corners, [[400, 300, 200]] * len(corners)), Simulation())
 
 
 def vary(scene: Scene, replicate: int = 0, plan_id: str = "plan", seed: int = 0, **change: object) -> Scene:
@@ -136,7 +135,7 @@ def test_relative_tolerance_scales_each_dimension() -> None:
 
 def test_a_bridge_rests_on_the_higher_of_its_supports() -> None:
     corners = [[0, 0, 0], [400, 0, 0], [200, 0, 200]]
-    scene = build_scene(make_plan(corners, [[400, 300, 200]] * 3), PHYSICS["pallet"])
+    scene = build_scene(make_plan(corners, [[400, 300, 200]] * 3), Simulation())
     varied = vary(scene, size_mm=NORMAL_5, replicate=4)
     top = (varied.start_pos + varied.half_size)[:, 2]
     bottom = (varied.start_pos - varied.half_size)[:, 2]
@@ -147,7 +146,7 @@ def test_a_bridge_rests_on_the_higher_of_its_supports() -> None:
 def test_a_box_pushed_over_a_slightly_higher_neighbour_is_set_on_it_and_a_wall_is_not_climbed() -> None:
     corners = [[0, 0, 0], [400, 0, 0], [0, 0, 200], [0, 320, 0], [0, 320, 300]]
     sizes = [[400, 300, 200], [400, 300, 204], [400, 300, 200], [400, 300, 300], [400, 300, 100]]
-    scene = build_scene(make_plan(corners, sizes), PHYSICS["pallet"])
+    scene = build_scene(make_plan(corners, sizes), Simulation())
     varied = vary(scene, x_mm=Distribution(Shape.FIXED, 10.0), y_mm=Distribution(Shape.FIXED, 0.0))
     # All move alike, so box 2 comes over nothing new; moved alone it would stand on box 1, 4 mm higher.
     np.testing.assert_allclose(varied.start_pos[:, 2], scene.start_pos[:, 2], atol=TOUCH_M)

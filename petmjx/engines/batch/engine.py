@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Check, Cone, Schedule, SimConfig
+from petmjx.config import Check, Cone, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.capacities import class_capacities, growing_capacities
 from petmjx.engines.batch.outcomes import handed_on, judge, outcomes, started_states
@@ -39,7 +39,7 @@ OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHE
 class StageKey:
     """What a compiled stage depends on. ``drive`` is "", "force" or "acceleration"."""
 
-    sim: SimConfig
+    sim: Simulation
     capacity: int
     lanes: int
     drive: str
@@ -53,7 +53,7 @@ class _Group:
 
     jobs: Sequence[Job]
     first_job: int
-    sim: SimConfig
+    sim: Simulation
     timetable: Timetable
     worlds: Worlds
     table: State
@@ -122,10 +122,10 @@ class MjxEngine(ABC):
         self._lane_limit = MAX_LANES
 
     @abstractmethod
-    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Stepper:
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
         """The implementation's stepper for a shape; ``growth`` multiplies its contact and constraint buffers."""
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once. Outcomes come stage by stage, as worlds reach their end."""
         progress = progress or Progress()
         sizes = [job.scene.n_boxes for job in jobs]
@@ -138,7 +138,7 @@ class MjxEngine(ABC):
         for first in range(0, len(jobs), size):
             yield from self._run_group(jobs[first : first + size], first, sim, timetable, plan, progress)
 
-    def _choose_capacities(self, jobs: Sequence[Job], sim: SimConfig) -> dict[str, list[int]]:
+    def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
         """Capacities of the placement stages ("") and of the stages of each kind of drive."""
         if self.capacities is not None:
             chosen = list(self.capacities)
@@ -158,7 +158,7 @@ class MjxEngine(ABC):
         self,
         jobs: Sequence[Job],
         first_job: int,
-        sim: SimConfig,
+        sim: Simulation,
         timetable: Timetable,
         capacities: dict[str, list[int]],
         progress: Progress,
@@ -186,7 +186,7 @@ class MjxEngine(ABC):
         self,
         jobs: Sequence[Job],
         first_job: int,
-        sim: SimConfig,
+        sim: Simulation,
         timetable: Timetable,
         width: int,
         progress: Progress,

@@ -10,7 +10,7 @@ import mujoco
 from jaxtyping import Array, Float, Int
 from mujoco import mjx
 
-from petmjx.config import Cone, Physics, SimConfig
+from petmjx.config import Cone, Physics, Simulation
 from petmjx.engines.batch.engine import MjxEngine
 from petmjx.engines.batch.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
@@ -83,7 +83,7 @@ class MjxJaxEngine(MjxEngine):
 
     name = "mjx-jax"
 
-    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> JaxStepper:
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> JaxStepper:
         template = padded_template(
             capacity,
             sim.physics,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.batch.state import State, Status, Worlds
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.metrics import motion_jax as motion
@@ -43,7 +43,7 @@ class Results(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="sim")
-def judge(state: State, worlds: Worlds, sim: SimConfig) -> Results:
+def judge(state: State, worlds: Worlds, sim: Simulation) -> Results:
     """Verdicts (as reasons) and the metrics that need the whole run, for every world of a table."""
     limits, m = sim.thresholds, state.metrics
     box = jnp.arange(worlds.mass.shape[1])
@@ -86,7 +86,7 @@ def outcomes(
     state: State,
     results: Results,
     timetable: Timetable,
-    sim: SimConfig,
+    sim: Simulation,
 ) -> Iterator[Outcome]:
     """Outcomes of some rows of a table. The whole table is fetched: picking rows on the device would compile a
     program for every number of them."""

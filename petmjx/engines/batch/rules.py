@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.config import Schedule, SimConfig
+from petmjx.config import Schedule, Simulation
 from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
 from petmjx.engines.batch.template import parked_positions
 from petmjx.engines.batch.timetable import Timetable
@@ -27,7 +27,7 @@ UNBELIEVABLE = 1e10
 class Rules:
     """The rules with their numbers. ``driven``: this stage shakes settled worlds instead of placing boxes."""
 
-    sim: SimConfig
+    sim: Simulation
     timetable: Timetable
     capacity: int
     driven: bool

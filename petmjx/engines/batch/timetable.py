@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Check, SimConfig
+from petmjx.config import Check, Simulation
 from petmjx.units import seconds_to_steps
 
 
@@ -41,7 +41,7 @@ class Timetable:
     static_end: int
 
 
-def build_timetable(sim: SimConfig, max_boxes: int) -> Timetable:
+def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
     """Tables long enough for a plan of ``max_boxes`` boxes, settling included."""
     dt = sim.physics.timestep_s
     placement = (max_boxes + 2) * sim.interval_s if sim.check is Check.ONE_BY_ONE else sim.duration_s

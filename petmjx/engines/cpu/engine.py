@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import mujoco
 
-from petmjx.config import SimConfig
+from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.world import WorldRun
 from petmjx.verdict import Outcome
@@ -34,7 +34,7 @@ class MujocoEngine:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.threads = threads if threads is not None else os.cpu_count() or 1
 
-    def run(self, jobs: Sequence[Job], sim: SimConfig, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
         Closing the generator, or an exception such as KeyboardInterrupt inside it, stops the threads
@@ -59,7 +59,7 @@ class MujocoEngine:
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _simulate(index: int, job: Job, sim: SimConfig, stop: threading.Event) -> Outcome:
+def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event) -> Outcome:
     return WorldRun(index, job, sim, stop.is_set).run()
 
 

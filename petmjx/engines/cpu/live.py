@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, SimConfig, Solver
+from petmjx.config import Cone, Simulation, Solver
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.model import HeldCarrier, add_boxes, build_spec
@@ -58,7 +58,7 @@ class LiveWorld:
         velocity, qacc: (capacity, 6) views of the boxes' velocities, and accelerations of the last step.
     """
 
-    def __init__(self, scene: Scene, sim: SimConfig, n_boxes: int = 0) -> None:
+    def __init__(self, scene: Scene, sim: Simulation, n_boxes: int = 0) -> None:
         self.scene = scene
         self._sim = sim
         self._held: HeldCarrier | None = None
@@ -188,7 +188,7 @@ class LiveWorld:
         )
 
     @classmethod
-    def resume(cls, scene: Scene, sim: SimConfig, state: BodyState, time_s: float) -> LiveWorld:
+    def resume(cls, scene: Scene, sim: Simulation, state: BodyState, time_s: float) -> LiveWorld:
         """A world with all boxes, in a state that another world had reached."""
         live = cls(scene, sim, n_boxes=len(state.pose) - 1)
         live._restore(state, time_s)

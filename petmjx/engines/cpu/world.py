@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, SimConfig
+from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.running import OracleMetrics, Sample
 from petmjx.metrics.force_np import top_forces
@@ -61,7 +61,7 @@ class SettledState:
 class WorldRun:
     """Simulates one job. Everything happens in :meth:`run`; the object is used once."""
 
-    def __init__(self, index: int, job: Job, sim: SimConfig, cancelled: Callable[[], bool]) -> None:
+    def __init__(self, index: int, job: Job, sim: Simulation, cancelled: Callable[[], bool]) -> None:
         self._index = index
         self._job = job
         self._sim = sim

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import warp
 
-from petmjx.config import SimConfig, Solver
+from petmjx.config import Simulation, Solver
 from petmjx.engines.batch.engine import MIN_LANES, MjxEngine
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
@@ -69,7 +69,7 @@ class MjxWarpEngine(MjxEngine):
         fit = int(free * 2 / 3 / lane_bytes(capacity + 1, LANE_CONTACTS_PER_BOX * (capacity + 2)))
         return max(MIN_LANES, 1 << (min(PREFERRED_LANES, fit).bit_length() - 1))
 
-    def make_stepper(self, capacity: int, lanes: int, sim: SimConfig, *, held: bool, growth: int) -> Stepper:
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
         newton = sim.solver is Solver.NEWTON
         template = padded_template(
             capacity,

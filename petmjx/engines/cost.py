@@ -1,0 +1,123 @@
+"""What a run is expected to cost: the one model behind ``auto`` and behind estimates of time.
+
+A step costs about with the square of the boxes that stand, on CPU threads and on a device alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.units import FloatArray, seconds_to_steps
+
+STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.25, Schedule.BRISK: 0.2}
+"""Steps of a schedule as a share of the fixed one's: measured on 2,000 generated plans, physics ``pallet``
+(benchmarks/README.md). Physics ``reference`` takes twice as many."""
+
+COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4, Schedule.BRISK: 0.34}
+"""The same for what they cost: the steps that are left are those in which boxes move, and plans collapse."""
+
+GROWING_SHARE = 1 / 3
+"""Cost of a step while boxes come one by one, as a share of that of the full pallet: the mean of k² over k = 1…n."""
+
+SHAKEN_FACTOR = 2.0
+"""Cost of a drive's steps in those of a pallet at rest. One that slides takes up to five times as long a step, one that
+falls ends sooner; measured on two plans of 16 and 20 boxes on the CPU."""
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What a run has to simulate: placements, and drives from their settled states.
+
+    Attributes:
+        sim: its check and schedule decide how many steps a placement has.
+        boxes: of each plan.
+        placements, drives: of each plan.
+        drive_steps: of one drive, coming to rest included; the mean over profiles.
+    """
+
+    sim: Simulation
+    boxes: Sequence[int]
+    placements: int = 1
+    drives: int = 0
+    drive_steps: float = 0.0
+
+    @property
+    def fixed_steps(self) -> FloatArray:
+        """(n,) steps of one placement of each plan on the fixed schedule, settling before a drive included."""
+        sim, boxes = self.sim, np.asarray(self.boxes)
+        one_by_one = sim.check is Check.ONE_BY_ONE
+        if self.drives:
+            seconds = (boxes * sim.interval_s if one_by_one else 0.0 * boxes) + sim.settle_s
+        else:
+            seconds = (boxes + 1) * sim.interval_s if one_by_one else 0.0 * boxes + sim.duration_s
+        return np.array([seconds_to_steps(float(each), sim.physics.timestep_s) for each in seconds], dtype=float)
+
+    @property
+    def steps(self) -> FloatArray:
+        """(n,) steps that each plan is expected to take, soft starts included."""
+        placing = 2 * SOFT_START_STEPS + STEP_SHARE[self.sim.schedule] * self.fixed_steps
+        return self.placements * placing + self.drives * self.drive_steps
+
+    @property
+    def _placing(self) -> FloatArray:
+        """(n,) box² × steps of one placement."""
+        share = GROWING_SHARE if self.sim.check is Check.ONE_BY_ONE else 1.0
+        return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** 2 * self.fixed_steps
+
+    @property
+    def _driving(self) -> FloatArray:
+        """(n,) box² × steps of one drive."""
+        return SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** 2 * self.drive_steps
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What the engines cost, as far as choosing between them and estimating times needs it.
+
+    Attributes:
+        cpu_step_s: seconds one CPU thread takes for a step of one world, per box²; ``cpu_overhead_s`` besides that.
+        jax_step_s: the same for ``mjx-jax`` on a CPU: 57 steps/s with 40 boxes on two cores.
+        gpu_step_s: seconds a device takes for a step of ``full_lanes`` worlds, per box².
+        full_lanes: worlds that fill the device.
+        tail_lanes: what the end of a run costs, in worlds: its last ones run on a device that is all but idle.
+        gpu_start_s: start-up of the device engine, programs compiled anew.
+    """
+
+    cpu_step_s: float = 2.4e-7
+    cpu_overhead_s: float = 3e-5
+    jax_step_s: float = 1.1e-5
+    gpu_step_s: float = 2.4e-6
+    full_lanes: int = 2048
+    tail_lanes: int = 3300
+    gpu_start_s: float = 25.0
+
+    def seconds(self, work: Work, threads: int) -> dict[str, float]:
+        """Expected seconds by engine; for ``mjx-jax`` those of a CPU."""
+        n_plans = len(work.boxes)
+        if not n_plans:
+            return {"mujoco": 0.0, "mjx-jax": 0.0, "mjx-warp": self.gpu_start_s}
+        worlds = n_plans * (work.placements + work.drives)
+        box2_steps = float((work.placements * work._placing + work.drives * work._driving).sum())
+        thread_s = self.cpu_step_s * box2_steps + self.cpu_overhead_s * float(work.steps.sum())
+        return {
+            "mujoco": thread_s / min(threads, worlds),
+            "mjx-jax": self.jax_step_s * box2_steps,
+            "mjx-warp": self.gpu_start_s
+            + self._phase_s(n_plans * work.placements, float(work._placing.mean()))
+            + self._phase_s(n_plans * work.drives, float(work._driving.mean())),
+        }
+
+    def _phase_s(self, worlds: int, box2_steps: float) -> float:
+        """A phase of many worlds on the device: their steps, and the end of it, when few still run."""
+        return self.gpu_step_s * box2_steps * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
+
+
+H100 = Costs()
+"""Fitted to generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads (benchmarks/README.md).
+Measured there: mjx-warp compiles for 22 s (7 s with programs kept from an earlier run) and runs 18 s for 500 plans,
+24 s for 2,000, 41 s for 4,000 and 63 s for 8,000; mujoco scores 13.8 plans/s. So a GPU pays from about 650 such plans
+on. Other sizes and other devices have not been fitted."""

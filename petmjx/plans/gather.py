@@ -1,0 +1,107 @@
+"""Plans from whatever a caller has: files, folders, a plan, several; and without those that cannot be simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from os import PathLike
+
+import numpy as np
+
+from petmjx.config import CARRIER_EXTENT_M, RunOptions, Simulation
+from petmjx.errors import InputError
+from petmjx.plans.plan import Plan, PlanSet, Skipped
+from petmjx.plans.read import load_plans
+from petmjx.plans.samples import bundled_path
+from petmjx.text import counted, shown
+from petmjx.units import MM_PER_M
+
+PathArgument = str | PathLike[str]
+PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet
+"""A file, a folder, several of them; a plan, a list of plans, or a ``PlanSet``."""
+
+
+def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
+    """The plans that can be simulated; None: the bundled samples.
+
+    Raises:
+        InputError: there is none; or with ``options.strict`` anything would be skipped.
+    """
+    found = without_vanishing_boxes(gather_plans(plans, sim, options), sim.size_reduction_mm, options.strict)
+    if not found.plans:
+        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
+        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
+    return found
+
+
+def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
+    """Files are read and checked; plans are taken as they are, each id once."""
+    if plans is None:
+        plans = bundled_path()
+    if isinstance(plans, PlanSet):
+        return PlanSet(plans.plans[: options.limit], plans.skipped, plans.warnings)
+    given = [plans] if isinstance(plans, str | PathLike | Plan) else list(plans)
+    ready = [plan for plan in given if isinstance(plan, Plan)]
+    if ready:
+        if len(ready) != len(given):
+            raise InputError("give either paths or plans, not both")
+        return _each_id_once(ready, options)
+    extent_m = CARRIER_EXTENT_M[sim.carrier]
+    return load_plans(
+        [path for path in given if not isinstance(path, Plan)],
+        limit=options.limit,
+        strict=options.strict,
+        carrier_extent_mm=None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M),
+    )
+
+
+def _each_id_once(plans: Iterable[Plan], options: RunOptions) -> PlanSet:
+    """As files do: of plans with one id the first is kept."""
+    kept: dict[str, Plan] = {}
+    skipped: list[Skipped] = []
+    for plan in plans:
+        if plan.plan_id in kept:
+            message = f"{plan.source}: plan {shown(plan.plan_id)}: repeated plan id"
+            if options.strict:
+                raise InputError(message)
+            skipped.append(Skipped(plan.source, plan.plan_id, message))
+        elif options.limit is None or len(kept) < options.limit:
+            kept[plan.plan_id] = plan
+    return PlanSet(list(kept.values()), skipped)
+
+
+def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
+    """Skip plans with a box that the size reduction (mm) would leave without extent.
+
+    Raises:
+        InputError: with ``strict``, a plan that would be skipped.
+    """
+    kept, skipped = [], list(found.skipped)
+    for plan in found.plans:
+        thin = np.flatnonzero((plan.size_mm <= size_reduction_mm).any(axis=1))
+        if not len(thin):
+            kept.append(plan)
+            continue
+        box = int(thin[0])
+        message = (
+            f"{plan.source}: plan {shown(plan.plan_id)}, placement {box}: a side of {plan.size_mm[box].min():g} mm "
+            f"vanishes under the size reduction of {size_reduction_mm:g} mm"
+        )
+        if strict:
+            raise InputError(message)
+        skipped.append(Skipped(plan.source, plan.plan_id, message))
+    return PlanSet(kept, skipped, found.warnings)
+
+
+def find_plan(found: PlanSet, plan_id: str) -> Plan:
+    """The plan of that id.
+
+    Raises:
+        InputError: there is none; the line says why it was skipped, if it was.
+    """
+    for plan in found.plans:
+        if plan.plan_id == plan_id:
+            return plan
+    reasons = [skipped.message for skipped in found.skipped if skipped.plan_id == plan_id]
+    raise InputError(
+        reasons[0] if reasons else f"plan {plan_id} is not among the {counted(len(found.plans), 'plan')} read"
+    )
