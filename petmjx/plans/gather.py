@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 
 import numpy as np
@@ -38,13 +38,13 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
-        return PlanSet(plans.plans[: options.limit], plans.skipped, plans.warnings)
+        return _each_id_once(plans, options)
     given = [plans] if isinstance(plans, str | PathLike | Plan) else list(plans)
     ready = [plan for plan in given if isinstance(plan, Plan)]
     if ready:
         if len(ready) != len(given):
             raise InputError("give either paths or plans, not both")
-        return _each_id_once(ready, options)
+        return _each_id_once(PlanSet(ready), options)
     extent_m = CARRIER_EXTENT_M[sim.carrier]
     return load_plans(
         [path for path in given if not isinstance(path, Plan)],
@@ -54,19 +54,21 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     )
 
 
-def _each_id_once(plans: Iterable[Plan], options: RunOptions) -> PlanSet:
-    """As files do: of plans with one id the first is kept."""
+def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:
+    """As files are read: of plans with one id the first is kept, and ``options.limit`` plans are enough."""
     kept: dict[str, Plan] = {}
-    skipped: list[Skipped] = []
-    for plan in plans:
-        if plan.plan_id in kept:
-            message = f"{plan.source}: plan {shown(plan.plan_id)}: repeated plan id"
-            if options.strict:
-                raise InputError(message)
-            skipped.append(Skipped(plan.source, plan.plan_id, message))
-        elif options.limit is None or len(kept) < options.limit:
+    skipped = list(found.skipped)
+    for plan in found.plans:
+        if options.limit is not None and len(kept) == options.limit:
+            break
+        if plan.plan_id not in kept:
             kept[plan.plan_id] = plan
-    return PlanSet(list(kept.values()), skipped)
+            continue
+        message = f"{plan.source}: plan {shown(plan.plan_id)}: repeated plan id"
+        if options.strict:
+            raise InputError(message)
+        skipped.append(Skipped(plan.source, plan.plan_id, message))
+    return PlanSet(list(kept.values()), skipped, found.warnings)
 
 
 def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:

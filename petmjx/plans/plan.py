@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.plans.warnings import PlanWarnings
+from petmjx.text import counted, shown
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Plan:
     """One packing plan. Rows are placements in packing order, counted from 0; lengths are millimetres.
 
@@ -38,6 +39,9 @@ class Plan:
     def n_boxes(self) -> int:
         return len(self.mass_kg)
 
+    def __repr__(self) -> str:
+        return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
+
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
@@ -54,7 +58,7 @@ class Skipped:
         return self.message
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PlanSet:
     """What `load_plans` found: plans in the order of the files, what was skipped, what is odd.
 
@@ -70,3 +74,7 @@ class PlanSet:
 
     def __iter__(self) -> Iterator[Plan]:
         return iter(self.plans)
+
+    def __repr__(self) -> str:
+        plans = counted(len(self.plans), "plan")
+        return f"PlanSet({plans}, {len(self.skipped):,} skipped, {len(self.warnings):,} odd)"

@@ -51,7 +51,7 @@ def parse_plan(plan_id: str, source: str, value: object, max_boxes: int, names: 
     plan = _parse_columns(plan_id, source, value, names)
     if plan is None:
         for index, placement in enumerate(value):
-            fault = _find_fault(placement)
+            fault = find_fault(placement)
             if fault is not None:
                 raise PlanError(f"{where}, placement {index}: {fault}")
         raise PlanError(f"{where}: is unusable")
@@ -62,7 +62,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
     """Read all placements column by column; None if anything at all is wrong.
 
     10,003 plans hold 3 million numbers, so the checks of a good plan run in C over whole columns. What
-    exactly is wrong with a bad one is for `_find_fault`, which says the same thing one value at a time.
+    exactly is wrong with a bad one is for `find_fault`, which says the same thing one value at a time.
     """
     try:
         items = [placement["item"] for placement in value]
@@ -118,7 +118,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
     )
 
 
-def _find_fault(placement: object) -> str | None:
+def find_fault(placement: object) -> str | None:
     """What is wrong with one placement, in the order of the fields; None if nothing is."""
     if not isinstance(placement, dict):
         return f"must be an object, got {_kind(placement)}"

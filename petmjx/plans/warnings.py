@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.text import counted
+
 DEFAULT_TOLERANCE_MM = 0.5
 """Gaps and overlaps up to this are taken as touching. Plans are written in whole millimetres, and neighbours
 touch on paper: half the last digit separates rounding from intent."""
@@ -40,11 +42,11 @@ class PlanWarnings:
 
     def __str__(self) -> str:
         counts = (
-            (self.n_overlapping_pairs, "overlapping pairs"),
-            (self.n_outside, "boxes outside the carrier"),
-            (self.n_floating, "floating boxes"),
+            (self.n_overlapping_pairs, "overlapping pair", "overlapping pairs"),
+            (self.n_outside, "box outside the carrier", "boxes outside the carrier"),
+            (self.n_floating, "floating box", "floating boxes"),
         )
-        found = ", ".join(f"{count} {what}" for count, what in counts if count)
+        found = ", ".join(counted(count, one, many) for count, one, many in counts if count)
         return f"{self.source}: plan {self.plan_id}: {found or 'nothing odd'}"
 
 

@@ -1,4 +1,4 @@
-"""The rules of a run, one step of all lanes at a time: sampling, placing, resting, ending (spec, sections 4 and 5).
+"""The rules of a run, one step of all lanes at a time: sampling, placing, resting, ending (docs/rules.md).
 
 Pure functions of states; nothing here knows how a step is taken. The C engine follows the same rules in its own
 words.
@@ -7,6 +7,7 @@ words.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -21,6 +22,14 @@ from petmjx.world.scene import IDENTITY_QUAT
 
 UNBELIEVABLE = 1e10
 """MuJoCo calls positions and velocities beyond this bad (mjMAXVAL)."""
+
+
+class _Seen(NamedTuple):
+    """What samples look at: all of one step, at its begin. Shapes and units as in ``Rules.after_step``."""
+
+    pose: Float[Array, "lane box 7"]
+    acceleration: Float[Array, "lane box 6"]
+    top_force: Float[Array, "lane box"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +123,7 @@ class Rules:
         moving = (state.pose, state.vel, state.carrier_pose, state.carrier_vel)
         values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
-        state = self._sample(state, worlds, seen_pose, acceleration, top_force, nonfinite)
+        state = self._sample(state, worlds, _Seen(seen_pose, acceleration, top_force), nonfinite)
         overflowed = before & (overflow != 0)
         state = state._replace(
             steps_done=state.steps_done + (before & (state.step > 0)),
@@ -124,15 +133,7 @@ class Rules:
         state = state._replace(status=jnp.where(overflowed, Status.OVERFLOWED, state.status))
         return state if self.driven else self._proceed(state, worlds)
 
-    def _sample(
-        self,
-        state: State,
-        worlds: Worlds,
-        seen_pose: Float[Array, "lane box 7"],
-        acceleration: Float[Array, "lane box 6"],
-        top_force: Float[Array, "lane box"],
-        nonfinite: Bool[Array, " lane"],
-    ) -> State:
+    def _sample(self, state: State, worlds: Worlds, seen: _Seen, nonfinite: Bool[Array, " lane"]) -> State:
         limits, m = self.sim.thresholds, state.metrics
         counted = state.running & (state.step > 0) & ~nonfinite
         sample = counted & (state.step % self.timetable.sample_every == 0)
@@ -142,7 +143,7 @@ class Rules:
         sampled = standing & sample[:, None]
         looked = standing & (sample | last)[:, None]
 
-        pose = jnp.where(sample[:, None, None], seen_pose, state.pose)
+        pose = jnp.where(sample[:, None, None], seen.pose, state.pose)
         pos, quat = pose[..., :3], pose[..., 3:]
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
@@ -150,8 +151,8 @@ class Rules:
         excess = jnp.where(looked, excess, 0.0)
         signs = (m.culprit < 0) & (excess.max(-1) > 1)
         culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
-        lin = jnp.sqrt((acceleration[..., :3] ** 2).sum(-1))
-        ang = jnp.sqrt((acceleration[..., 3:] ** 2).sum(-1))
+        lin = jnp.sqrt((seen.acceleration[..., :3] ** 2).sum(-1))
+        ang = jnp.sqrt((seen.acceleration[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
         # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
         # placement do not count, and a violent one is an explosion only if those that follow say the same.
@@ -172,8 +173,8 @@ class Rules:
             max_tilt=keep_max(m.max_tilt, tilt, sampled),
             max_lin_acc=keep_max(m.max_lin_acc, lin, sampled),
             max_ang_acc=keep_max(m.max_ang_acc, ang, sampled),
-            max_top_force=keep_max(m.max_top_force, top_force, sampled),
-            rest_force_sum=m.rest_force_sum + jnp.where(standing & resting[:, None], top_force, 0.0),
+            max_top_force=keep_max(m.max_top_force, seen.top_force, sampled),
+            rest_force_sum=m.rest_force_sum + jnp.where(standing & resting[:, None], seen.top_force, 0.0),
             rest_samples=m.rest_samples + resting,
             drop_step=jnp.where(dropped & (m.drop_step < 0), state.step[:, None], m.drop_step),
             max_sway=max_sway,
@@ -190,8 +191,11 @@ class Rules:
             status=jnp.where(last | stopped | exploded, Status.FINISHED, state.status),
         )
 
-    def _count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> State:
-        """Count the steps for which all boxes have been slow; anew where one creeps."""
+    def count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> State:
+        """Where ``poll`` says so, count the steps for which all boxes have been slow; anew where one creeps.
+
+        A pallet is quiet from ``quiet.steps`` on, counted in ``state.quiet_steps``.
+        """
         quiet = self.sim.quiet
         pace = jnp.where(self.standing(state), motion.pace_squared(state.vel, quiet), 0.0)
         count = jnp.where((pace < 1).all(-1), state.quiet_steps + quiet.poll_steps, 0)
@@ -214,7 +218,7 @@ class Rules:
         counted = state.running & (state.step > 0)
         poll = counted & (state.step % quiet.poll_steps == 0)
         if self.sim.schedule is not Schedule.FIXED:
-            state = self._count_quiet(state, poll)
+            state = self.count_quiet(state, poll)
         more = state.placed < worlds.n_boxes
         due = state.step >= jnp.asarray(table.due)[state.last_placed_at]
         if self.sim.schedule is Schedule.FIXED:

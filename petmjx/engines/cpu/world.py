@@ -9,6 +9,7 @@ import numpy as np
 
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
+from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.running import OracleMetrics, Sample
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray, seconds_to_steps
@@ -78,8 +79,7 @@ class WorldRun:
         self._step = 0
         self._first_step = 0
         self._last_placement = 0
-        self._quiet_steps = 0
-        self._quiet_pace: FloatArray = np.zeros(0)
+        self._quiet = QuietRule(sim)
         self._fast_since = _FAR
         self._placing = True
         self._deadline = _FAR
@@ -235,7 +235,7 @@ class WorldRun:
         if live.n_placed < self._scene.n_boxes:
             live.place_next()
             self._last_placement = self._step
-            self._quiet_steps = 0
+            self._quiet.restart()
             self._set_deadline()
         elif self._goes_on:
             self._begin_drive()
@@ -271,27 +271,10 @@ class WorldRun:
         return seconds_to_steps((self._scene.n_boxes + 1) * sim.interval_s, self._dt)
 
     def _poll_quiet(self) -> bool:
-        rule = self._sim.quiet
-        if self._step % rule.poll_steps or self._step == self._last_placement:
+        if self._step % self._sim.quiet.poll_steps or self._step == self._last_placement:
             return False
         velocity = self._live.velocity[: self._live.n_placed]
-        linear = np.linalg.norm(velocity[:, :3], axis=1) / rule.lin_vel_m_s
-        angular = np.linalg.norm(velocity[:, 3:], axis=1) / rule.ang_vel_rad_s
-        pace = np.maximum(linear, angular)
-        if not (pace < 1).all():
-            self._quiet_steps = 0
-            return False
-        if self._quiet_steps == 0:
-            self._quiet_pace = pace
-        self._quiet_steps += rule.poll_steps
-        if self._quiet_steps < rule.steps:
-            return False
-        if not self._sim.waits_for_creep or self._metrics.culprit >= 0:
-            return True
-        creeps = not (pace < np.maximum(rule.rest_share, rule.slowing * self._quiet_pace)).all()
-        if creeps:
-            self._quiet_steps, self._quiet_pace = rule.poll_steps, pace
-        return not creeps
+        return self._quiet.is_quiet(velocity, sign_seen=self._metrics.culprit >= 0)
 
     # ------------------------------------------------------------------ drive
 

@@ -1,0 +1,51 @@
+"""The rule that says when a pallet is quiet, for one world of the C engine (docs/rules.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petmjx.config import Simulation
+from petmjx.units import FloatArray
+
+
+class QuietRule:
+    """Looks at a pallet every ``sim.quiet.poll_steps`` and says whether it is quiet: see ``petmjx.config.Quiet``.
+
+    That no pallet is quiet before ``min_steps`` after a placement is left to the caller, who knows when that was.
+    """
+
+    def __init__(self, sim: Simulation) -> None:
+        self._rule = sim.quiet
+        self._waits_for_creep = sim.waits_for_creep
+        self._steps = 0
+        self._first_pace: FloatArray = np.zeros(0)
+
+    def restart(self) -> None:
+        """A box was placed: the count begins anew."""
+        self._steps = 0
+
+    def is_quiet(self, velocity: FloatArray, sign_seen: bool) -> bool:
+        """One look.
+
+        Args:
+            velocity: (k, 6) of the placed boxes, linear in m/s and angular in rad/s.
+            sign_seen: whether a box has crossed a threshold; then creep holds up nothing any more.
+        """
+        rule = self._rule
+        linear = np.linalg.norm(velocity[:, :3], axis=1) / rule.lin_vel_m_s
+        angular = np.linalg.norm(velocity[:, 3:], axis=1) / rule.ang_vel_rad_s
+        pace = np.maximum(linear, angular)
+        if not (pace < 1).all():
+            self._steps = 0
+            return False
+        if self._steps == 0:
+            self._first_pace = pace
+        self._steps += rule.poll_steps
+        if self._steps < rule.steps:
+            return False
+        if not self._waits_for_creep or sign_seen:
+            return True
+        creeps = not (pace < np.maximum(rule.rest_share, rule.slowing * self._first_pace)).all()
+        if creeps:
+            self._steps, self._first_pace = rule.poll_steps, pace
+        return not creeps
