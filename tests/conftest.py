@@ -54,3 +54,12 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def repository() -> Path:
     """The repository's root folder."""
     return Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def real_data(repository: Path) -> Path:
+    """A folder of real plans and orders, which are not part of the repository."""
+    folder = repository.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("the real plans and orders do not lie beside this checkout")
+    return folder

@@ -87,7 +87,7 @@ MASSES = [
 
 @pytest.mark.parametrize("schedule", list(Schedule))
 def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule: Schedule) -> None:
-    sim = SHORT.model_copy(update={"schedule": schedule})
+    sim = SHORT.changed(schedule=schedule)
     for masses, outcome in zip(MASSES, run_all(engine, [Job(fake_scene(*m)) for m in MASSES], sim), strict=True):
         expected = plainly(masses, sim)
         assert outcome.n_steps == expected.end
@@ -108,7 +108,7 @@ def test_fixed_intervals_are_whole_steps_of_the_running_clock() -> None:
 
 @pytest.mark.parametrize("schedule", list(Schedule))
 def test_a_static_world_stands_from_the_soft_start_on(schedule: Schedule) -> None:
-    sim = SHORT.model_copy(update={"check": Check.STATIC, "schedule": schedule})
+    sim = SHORT.changed(check=Check.STATIC, schedule=schedule)
     worlds = [(1.0, 1.0), (300.0, 1.0), (900.0, 1.0, 1.0), (1.0,)]
     outcomes = run_all(FakeEngine(16, capacities=(4,)), [Job(fake_scene(*masses)) for masses in worlds], sim)
     for masses, outcome in zip(worlds, outcomes, strict=True):
@@ -153,7 +153,7 @@ def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine
     assert fallen.boxes.drop_s[1] == pytest.approx(fallen.n_steps * DT)
     assert np.isnan(fallen.boxes.rest_top_force_n).all()
     assert standing.verdict is Verdict.STABLE
-    on = SHORT.model_copy(update={"early_stop": False})
+    on = SHORT.changed(early_stop=False)
     (whole,) = run_all(engine, jobs[:1], on)
     assert whole.n_placed == 3
     assert (whole.reason, whole.culprit) == (Reason.DROP, 1)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from support.plans import Box, make_scene, stack
 
 from petmjx.config import PHYSICS, Carrier, Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.plans.plan import Plan
 from petmjx.units import FloatArray
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.scene import build_scene
 
 G = 9.81
 MU = 0.5
@@ -21,34 +22,18 @@ MARGIN = 0.03
 LOAD_RELATIVE = 0.01
 """Resting loads: contacts are soft, but at rest the forces balance; 1 % leaves room for a box that still sinks."""
 
-Box = tuple[tuple[float, float, float], tuple[float, float, float], float]
-"""Size in mm, front-left-bottom corner in mm, mass in kg."""
 
-
-def make_plan(*boxes: Box) -> Plan:
-    n = len(boxes)
-    return Plan(
-        plan_id="closed form",
-        source="test",
-        size_mm=np.array([size for size, _, _ in boxes], dtype=float),
-        corner_mm=np.array([corner for _, corner, _ in boxes], dtype=float),
-        mass_kg=np.array([mass for _, _, mass in boxes], dtype=float),
-        item_ids=("item",) * n,
-        articles=("article",) * n,
-        sequence=np.arange(1, n + 1),
-    )
-
-
-def simulate(plan: Plan, sim: Simulation, drive: Drive | None = None) -> Outcome:
-    scene = build_scene(plan, sim.physics, Carrier.EURO_PALLET)
-    return next(iter(MujocoEngine(1).run([Job(scene, drive)], sim)))
+def simulate(boxes: Sequence[Box], sim: Simulation, drive: Drive | None = None) -> Outcome:
+    sim = sim.changed(carrier=Carrier.EURO_PALLET)
+    (outcome,) = MujocoEngine(1).run([Job(make_scene(boxes, sim), drive)], sim)
+    return outcome
 
 
 @pytest.mark.parametrize("check", list(Check))
 @pytest.mark.parametrize(("overhang_mm", "stands"), [(180, True), (220, False)])
 def test_a_box_tips_when_more_than_half_of_it_hangs_over(overhang_mm: float, stands: bool, check: Check) -> None:
-    plan = make_plan(((400, 300, 200), (0, 100, 0), 8.0), ((400, 300, 200), (overhang_mm, 100, 200), 5.0))
-    outcome = simulate(plan, Simulation(check=check))
+    boxes = stack(2, overhang_mm, kg=(8.0, 5.0), at_mm=(0, 100))
+    outcome = simulate(boxes, Simulation(check=check))
     assert (outcome.verdict is Verdict.STABLE) == stands
     if not stands:
         assert outcome.culprit == 1
@@ -57,34 +42,30 @@ def test_a_box_tips_when_more_than_half_of_it_hangs_over(overhang_mm: float, sta
 @pytest.mark.parametrize("physics", list(PHYSICS))
 def test_every_box_of_a_tower_bears_what_stands_on_it(physics: str) -> None:
     masses = [9.0, 7.0, 5.0, 3.0, 2.0, 1.0]
-    plan = make_plan(*(((300, 300, 150), (200, 200, 150.0 * k), mass) for k, mass in enumerate(masses)))
-    outcome = simulate(plan, Simulation(physics=PHYSICS[physics]))
+    boxes = stack(len(masses), size_mm=(300, 300, 150), kg=masses, at_mm=(200, 200))
+    outcome = simulate(boxes, Simulation(physics=physics))
     above_kg = np.array([sum(masses[k + 1 :]) for k in range(len(masses))])
     assert outcome.verdict is Verdict.STABLE
     np.testing.assert_allclose(outcome.boxes.rest_top_force_n, above_kg * G, rtol=LOAD_RELATIVE, atol=0.01)
 
 
 def test_a_bridge_loads_both_supports_alike() -> None:
-    plan = make_plan(
-        ((200, 300, 200), (0, 0, 0), 5.0),
-        ((200, 300, 200), (600, 0, 0), 5.0),
-        ((800, 300, 100), (0, 0, 200), 6.0),
-    )
-    outcome = simulate(plan, Simulation())
+    supports = [((200, 300, 200), (x, 0, 0), 5.0) for x in (0, 600)]
+    outcome = simulate([*supports, ((800, 300, 100), (0, 0, 200), 6.0)], Simulation())
     assert outcome.verdict is Verdict.STABLE
     np.testing.assert_allclose(outcome.boxes.rest_top_force_n, [3.0 * G, 3.0 * G, 0.0], rtol=LOAD_RELATIVE, atol=0.01)
 
 
-CUBE = make_plan(((200, 200, 200), (500, 300, 0), 5.0))
-TALL = make_plan(((100, 200, 400), (500, 300, 0), 5.0))
-FLAT_PAIR = make_plan(((200, 200, 100), (500, 300, 0), 5.0), ((200, 200, 100), (500, 300, 100), 5.0))
-TOWER = make_plan(((100, 200, 200), (500, 300, 0), 5.0), ((100, 200, 200), (500, 300, 200), 5.0))
+CUBE = stack(1, size_mm=(200, 200, 200), at_mm=(500, 300))
+TALL = stack(1, size_mm=(100, 200, 400), at_mm=(500, 300))
+FLAT_PAIR = stack(2, size_mm=(200, 200, 100), at_mm=(500, 300))
+TOWER = stack(2, size_mm=(100, 200, 200), at_mm=(500, 300))
 
 
-def accelerated(plan: Plan, carrier_acceleration: FloatArray) -> Outcome:
-    """The plan, standing, on a held carrier with these accelerations, a row a step."""
+def accelerated(boxes: Sequence[Box], carrier_acceleration: FloatArray) -> Outcome:
+    """These boxes, standing, on a held carrier with these accelerations, a row a step."""
     sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4)
-    return simulate(plan, sim, Drive(Excitation("test", "acceleration", carrier_acceleration), rest_s=0.4))
+    return simulate(boxes, sim, Drive(Excitation("test", "acceleration", carrier_acceleration), rest_s=0.4))
 
 
 def constant_along_x(level_m_s2: float) -> FloatArray:
@@ -94,7 +75,7 @@ def constant_along_x(level_m_s2: float) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    ("plan", "threshold_m_s2", "reason"),
+    ("boxes", "threshold_m_s2", "reason"),
     [
         pytest.param(CUBE, MU * G, "shift", id="box slides at mu g"),
         pytest.param(FLAT_PAIR, MU * G, "shift", id="upper of two boxes slides at mu g"),
@@ -102,9 +83,9 @@ def constant_along_x(level_m_s2: float) -> FloatArray:
         pytest.param(TOWER, G * 100 / 400, "tilt", id="tower of two topples at g b/h"),
     ],
 )
-def test_sliding_and_toppling_begin_where_they_should(plan: Plan, threshold_m_s2: float, reason: str) -> None:
-    below = accelerated(plan, constant_along_x((1.0 - MARGIN) * threshold_m_s2))
-    above = accelerated(plan, constant_along_x((1.0 + MARGIN) * threshold_m_s2))
+def test_sliding_and_toppling_begin_where_they_should(boxes: Sequence[Box], threshold_m_s2: float, reason: str) -> None:
+    below = accelerated(boxes, constant_along_x((1.0 - MARGIN) * threshold_m_s2))
+    above = accelerated(boxes, constant_along_x((1.0 + MARGIN) * threshold_m_s2))
     assert below.verdict is Verdict.STABLE
     # Within the time of a sway of 1 mm nothing has begun: a box that slides or topples goes 100 mm and more.
     assert below.boxes.max_sway_m.max() < 0.002

@@ -19,20 +19,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.config import PHYSICS, Carrier, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.engine import MjxEngine
 from petmjx.engines.batch.template import CARRIER_BODY, FIRST_BOX_BODY
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
+from support.plans import make_scene
 
 FALLS_KG = 1000.0
 FALL_M = 0.01
 TREMBLE_M_S = 0.1
 CREEP_M = 1e-6
 
-CARRIER_KG = 25.0
+CARRIER_KG = PHYSICS["pallet"].carrier_mass_kg
 
 
 class FakeModel(NamedTuple):
@@ -123,21 +124,8 @@ class FakeEngine(MjxEngine):
 
 def fake_scene(*masses: float) -> Scene:
     """Boxes side by side, at rest where they are put, with these masses in kg."""
-    n = len(masses)
-    target = np.column_stack((0.3 * np.arange(n), np.zeros(n), np.full(n, 0.1)))
-    return Scene(
-        half_size=np.full((n, 3), 0.1),
-        mass=np.array(masses, float),
-        target=target,
-        start_pos=target.copy(),
-        start_quat=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
-        box_friction=(0.5, 0.005, 0.0001),
-        carrier_friction=(0.5, 0.005, 0.0001),
-        floor_friction=(1.0, 0.005, 0.0001),
-        carrier_half_size=np.array([0.6, 0.4, 0.072]),
-        carrier_mass=CARRIER_KG,
-        floor_z=-0.144,
-    )
+    boxes = [((200.0, 200.0, 200.0), (300.0 * k, 0.0, 0.0), mass) for k, mass in enumerate(masses)]
+    return make_scene(boxes, Simulation(size_reduction_mm=0, carrier=Carrier.EURO_PALLET))
 
 
 def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:

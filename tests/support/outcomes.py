@@ -1,4 +1,4 @@
-"""Plans and outcomes made by hand, for tests of what is done with results."""
+"""Outcomes made by hand, for tests of what is done with results."""
 
 from __future__ import annotations
 
@@ -8,25 +8,16 @@ import numpy as np
 
 from petmjx.plans.plan import Plan
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from support import plans
 
 
 def make_plan(plan_id: str = "00000001", n: int = 3) -> Plan:
-    return Plan(
-        plan_id=plan_id,
-        source="plans.json",
-        size_mm=np.full((n, 3), 200.0),
-        corner_mm=np.zeros((n, 3)),
-        mass_kg=np.ones(n),
-        item_ids=tuple(f"item-{k}" for k in range(n)),
-        articles=tuple(f"article-{k}" for k in range(n)),
-        sequence=np.arange(1, n + 1),
-    )
+    """A plan of n boxes."""
+    return plans.make_plan(plan_id, n)
 
 
-def make_outcome(
-    n: int = 3, verdict: Verdict = Verdict.STABLE, reason: Reason = Reason.NONE, **changes: Any
-) -> Outcome:
-    """A world whose box k has metrics k + 1 (shift in mm), at rest, upright."""
+def make_boxes(n: int = 3, **changes: Any) -> BoxMetrics:
+    """Metrics of box k are k + 1 (shift in mm), at rest, upright; ``changes`` replaces some of them."""
     k = np.arange(1.0, n + 1)
     metrics = {
         "shift_m": np.stack([k, -2 * k, np.zeros(n)], axis=1) / 1000,
@@ -41,7 +32,14 @@ def make_outcome(
         "pos": np.stack([k, k, k], axis=1),
         "quat": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
     }
-    metrics.update({name: changes.pop(name) for name in tuple(changes) if name in metrics})
+    return BoxMetrics(**metrics | changes)
+
+
+def make_outcome(
+    n: int = 3, verdict: Verdict = Verdict.STABLE, reason: Reason = Reason.NONE, **changes: Any
+) -> Outcome:
+    """A world; ``changes`` may name fields of its boxes' metrics as well (``make_boxes``)."""
+    of_boxes = {name: changes.pop(name) for name in tuple(changes) if name in BoxMetrics.__dataclass_fields__}
     values: dict[str, Any] = {
         "job": 0,
         "verdict": verdict,
@@ -53,7 +51,7 @@ def make_outcome(
         "sim_time_s": 1.5,
         "n_steps": 750,
         "flags": Flag.NONE,
-        "boxes": BoxMetrics(**metrics),
+        "boxes": make_boxes(n, **of_boxes),
     }
     return Outcome(**values | changes)
 

@@ -1,4 +1,4 @@
-"""Placements as plan files hold them, for tests of reading."""
+"""Placements as plan files hold them, and orders as order files do."""
 
 from __future__ import annotations
 
@@ -10,22 +10,30 @@ def placement(
     size: tuple[float, float, float] = (600, 400, 220),
     orientation: int = 0,
     sequence: int = 1,
+    **item: Any,
 ) -> dict[str, Any]:
-    return {
-        "item": {
-            "article": "donut-00101843",
-            "id": "00101843",
-            "product_group": "confectionery",
-            "length/mm": size[0],
-            "width/mm": size[1],
-            "height/mm": size[2],
-            "weight/kg": 6.296,
-            "sequence": sequence,
-        },
-        "orientation": orientation,
-        "flb_coordinates": list(corner),
+    """One box; ``item`` replaces fields of its item."""
+    length, width, height = size
+    fields = {
+        "article": "donut-00101843",
+        "id": "00101843",
+        "product_group": "confectionery",
+        "length/mm": length,
+        "width/mm": width,
+        "height/mm": height,
+        "weight/kg": 6.296,
+        "sequence": sequence,
     }
+    return {"item": fields | item, "orientation": orientation, "flb_coordinates": list(corner)}
 
 
 def tower(n: int) -> list[dict[str, Any]]:
+    """Boxes on top of each other."""
     return [placement(corner=(0, 0, 220 * level), sequence=level + 1) for level in range(n)]
+
+
+def order(n: int = 3, **second: Any) -> dict[str, Any]:
+    """An order of n equal items; ``second`` replaces fields of item 2."""
+    items = {str(k): placement(size=(400, 300, 200.5), sequence=k)["item"] for k in range(1, n + 1)}
+    items["2"].update(second)
+    return {"item_sequence": items, "properties": {"target": "euro-pallet"}}

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from pathlib import Path
 
 import jax
-import numpy as np
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.engine import MjxEngine
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.plans.plan import Plan
 from petmjx.plans.samples.handmade import HANDMADE
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
-from petmjx.world.scene import Scene, build_scene
-
-Box = tuple[tuple[float, float, float], tuple[float, float, float], float]
-"""Size in mm, front-left-bottom corner in mm, mass in kg."""
+from petmjx.world.scene import Scene
+from support.plans import Box, make_scene, stack
+from support.plans import make_plan as make_plan
 
 LANES = 8
 CAPACITIES = (2, 4)
@@ -39,7 +34,7 @@ MORE: dict[str, tuple[Box, ...]] = {
         ((300, 200, 150), (150, 0, 150), 5.0),
         ((300, 200, 150), (150, 0, 300), 5.0),
     ),
-    "stack of 4": tuple(((400, 300, 200), (0, 0, 200 * k), 6.0) for k in range(4)),
+    "stack of 4": stack(4, kg=6.0),
     "corner overhang of 30 %": (((400, 400, 200), (0, 0, 0), 8.0), ((400, 400, 200), (120, 120, 200), 5.0)),
     "falls 60 mm flat": (((400, 300, 200), (0, 0, 0), 6.0), ((300, 200, 150), (50, 50, 260), 3.0)),
     "two wings on a post": (
@@ -65,26 +60,10 @@ def boxes_by_plan() -> dict[str, tuple[Box, ...]]:
     return small | MORE
 
 
-def make_plan(plan_id: str, boxes: Sequence[Box]) -> Plan:
-    n = len(boxes)
-    return Plan(
-        plan_id=plan_id,
-        source=str(Path(__file__).name),
-        size_mm=np.array([size for size, _, _ in boxes], float),
-        corner_mm=np.array([corner for _, corner, _ in boxes], float),
-        mass_kg=np.array([mass for _, _, mass in boxes], float),
-        item_ids=("item",) * n,
-        articles=("article",) * n,
-        sequence=np.arange(1, n + 1),
-    )
-
-
 @functools.cache
 def scenes(physics: str = "pallet") -> dict[str, Scene]:
-    return {
-        name: build_scene(make_plan(name, boxes), Simulation(physics=physics))
-        for name, boxes in boxes_by_plan().items()
-    }
+    sim = Simulation(physics=physics)
+    return {name: make_scene(boxes, sim) for name, boxes in boxes_by_plan().items()}
 
 
 def simulate(engine: MjxEngine | MujocoEngine, some: dict[str, Scene], sim: Simulation) -> dict[str, Outcome]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "machine", "config"}),
+    frozenset({"errors", "text", "units", "machine", "checked", "config"}),
     frozenset({"plans"}),
     frozenset({"world"}),
     frozenset({"metrics"}),
@@ -35,7 +35,7 @@ def layer_of(part: str) -> int:
     for number, names in enumerate(LAYERS):
         if part in names:
             return number
-    raise AssertionError(f"petmjx.{part} has no layer in tests/test_imports.py")
+    raise AssertionError(f"petmjx.{part} has no layer in tests/unit/test_imports.py")
 
 
 def imported_modules(path: Path) -> set[str]:

@@ -88,14 +88,18 @@ def test_extra_fields_are_ignored_also_nested_lists_of_objects() -> None:
     assert [plan.plan_id for plan in load_plans(write(Path("p.json"), plans))] == ["A", "B"]
 
 
-def test_real_plans_are_read_without_complaint() -> None:
-    data = Path(__file__).resolve().parents[3] / "shared" / "data"
-    if not data.is_dir():
-        pytest.skip("the real plans are not part of the repository")
-    found = load_plans([data / "packing_plan_a.json", data / "packing_plan_5-bed-bpp.json"])
+def test_plans_show_themselves_briefly() -> None:
+    plans = {"s0-000003": tower(41), "odd": [placement(corner=(0, 0, 500))], "bad": []}
+    found = load_plans(write(Path("p.json"), plans))
+    assert repr(found) == "PlanSet(2 plans, 1 skipped, 1 odd)"
+    assert [repr(plan) for plan in found] == ["Plan('s0-000003', 41 boxes)", "Plan('odd', 1 box)"]
+
+
+def test_real_plans_are_read_without_complaint(real_data: Path) -> None:
+    found = load_plans([real_data / "packing_plan_a.json", real_data / "packing_plan_5-bed-bpp.json"])
     assert len(found) == 6
     assert found.skipped == []
-    orders = load_plans(data / "5_bed-bpp.json")
+    orders = load_plans(real_data / "5_bed-bpp.json")
     assert len(orders) == 0
     assert "are orders" in orders.skipped[0].message
 
@@ -121,20 +125,23 @@ print(json.dumps([len(found), n_boxes, len(found.skipped), wall_s, cpu_s, peak_b
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads its peak from Linux's /proc")
-def test_all_of_bed_bpp_is_read_quickly_in_little_memory() -> None:
+def test_all_of_bed_bpp_is_read_quickly_in_little_memory(repository: Path) -> None:
     """10,003 plans with 430,129 placements in about 100 MB, in a process of its own for an honest peak."""
     with open("big.json", "w", encoding="utf-8") as file:
         for index in range(N_PLANS):
             boxes = [
-                placement((i % 2 * 600, i // 2 % 2 * 400, i // 4 * 220), (600, 399 - i, 220), 0, i + 1)
+                placement(
+                    (i % 2 * 600, i // 2 % 2 * 400, i // 4 * 220),
+                    (600, 399 - i, 220),
+                    sequence=i + 1,
+                    id=f"{(index * 31 + i * 7) % 20_000:08d}",
+                )
                 for i in range(BOXES_PER_PLAN)
             ]
-            for i, box in enumerate(boxes):
-                box["item"]["id"] = f"{(index * 31 + i * 7) % 20_000:08d}"
             file.write(f'{"{" if index == 0 else ","} "{index:08d}": {json.dumps(boxes)}')
         file.write("}")
     assert Path("big.json").stat().st_size > 95e6
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    environment = os.environ | {"PYTHONPATH": str(repository)}
     done = subprocess.run(
         [sys.executable, "-c", MEASURE, "big.json"], capture_output=True, text=True, env=environment, check=True
     )

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from support.plan_files import placement
 
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet
@@ -26,20 +27,15 @@ def sample_plans(seed: int) -> dict[str, list[dict[str, Any]]]:
     plans = {}
     for index in range(N_PLANS):
         plans[f"{100_400 + index:08d}"] = [
-            {
-                "item": {
-                    "article": rng.choice(["donut", "Knäckebröd", 'so-called "box"', "a, b: [c] {d}"]),
-                    "id": f"{rng.randrange(10**6):08d}",
-                    "product_group": "confectionery",
-                    "length/mm": rng.randrange(100, 600),
-                    "width/mm": rng.randrange(100, 400),
-                    "height/mm": rng.randrange(80, 300),
-                    "weight/kg": round(rng.uniform(0.2, 20), 3),
-                    "sequence": box + 1,
-                },
-                "orientation": rng.randrange(2),
-                "flb_coordinates": [rng.randrange(600), rng.randrange(400), rng.randrange(900)],
-            }
+            placement(
+                corner=(rng.randrange(600), rng.randrange(400), rng.randrange(900)),
+                size=(rng.randrange(100, 600), rng.randrange(100, 400), rng.randrange(80, 300)),
+                orientation=rng.randrange(2),
+                sequence=box + 1,
+                article=rng.choice(["donut", "Knäckebröd", 'so-called "box"', "a, b: [c] {d}"]),
+                id=f"{rng.randrange(10**6):08d}",
+                **{"weight/kg": round(rng.uniform(0.2, 20), 3)},
+            )
             for box in range(rng.randrange(1, 6))
         ]
     return plans
@@ -215,7 +211,7 @@ def test_two_broken_plans_are_two_lines(samples: list[Sample]) -> None:
     ids = list(sample.plans)
     damaged = sample.data
     for plan_id in (ids[3], ids[9]):
-        at = damaged.index(b"}", damaged.index(f'"{plan_id}"'.encode()))
+        at = damaged.index(b'}, "orientation"', damaged.index(f'"{plan_id}"'.encode()))
         damaged = damaged[:at] + damaged[at + 1 :]
     found = sample.load(damaged)
     assert [s.plan_id for s in found.skipped] == [ids[3], ids[9]]

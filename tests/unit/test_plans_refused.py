@@ -16,7 +16,7 @@ from support.plan_files import placement, tower
 
 from petmjx.errors import InputError
 from petmjx.plans.read import DEFAULT_MAX_BOXES, load_plans
-from petmjx.plans.validate import PlanError, _find_fault, parse_plan
+from petmjx.plans.validate import PlanError, find_fault, parse_plan
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -242,7 +242,7 @@ def test_the_fast_and_the_exact_check_agree(path: list[Any], value: Any) -> None
         holder = holder[key]
     root = holder if not path else [box]
     holder[[0, *path][-1]] = copy.deepcopy(value)
-    fault = _find_fault(root[0])
+    fault = find_fault(root[0])
     if fault is None:
         assert parse_plan("P", "f", root, 4, {}).n_boxes == 1
     else:

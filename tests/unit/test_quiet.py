@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support.outcomes import make_plan
+from support.plans import make_scene
 
 from benchmarks.cases import SEED
-from petmjx.config import PHYSICS, Schedule, Simulation
+from petmjx.config import Schedule, Simulation
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import NEVER, Status, fresh_state, upload_worlds
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.world import WorldRun
+from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans
 from petmjx.verdict import Verdict
@@ -31,10 +30,6 @@ BOXES = 3
 QUIET = Simulation().quiet
 
 
-def job() -> Job:
-    return Job(build_scene(make_plan(n=BOXES), Simulation()))
-
-
 def velocities(pace: np.ndarray) -> np.ndarray:
     """(box, 6): every second box slides, the others turn, at a pace given in units of the limits."""
     rows = np.zeros((len(pace), 6))
@@ -45,19 +40,13 @@ def velocities(pace: np.ndarray) -> np.ndarray:
 
 def quiet_on_c(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     """Whether the C engine calls the pallet quiet at each poll. ``paces``: (poll, box)."""
-    world = WorldRun(0, job(), sim, lambda: False)
-    world._metrics = SimpleNamespace(culprit=0 if sign else -1)  # type: ignore[assignment]  # a stand-in
-    found = []
-    for poll, pace in enumerate(paces):
-        world._step = (poll + 1) * QUIET.poll_steps
-        world._live = SimpleNamespace(n_placed=BOXES, velocity=velocities(pace))  # type: ignore[assignment]  # a stand-in
-        found.append(world._poll_quiet())
-    return found
+    rule = QuietRule(sim)
+    return [rule.is_quiet(velocities(pace), sign) for pace in paces]
 
 
 def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     """The same of the rules that the MJX engines share."""
-    worlds = upload_worlds([job()], 1, BOXES, {}, sim.physics.timestep_s)
+    worlds = upload_worlds([Job(make_scene(BOXES))], 1, BOXES, {}, sim.physics.timestep_s)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
     culprit = jnp.array([0 if sign else -1], jnp.int32)
     state = state._replace(
@@ -66,7 +55,7 @@ def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     rules = Rules(sim, build_timetable(sim, BOXES), BOXES, driven=False)
     found = []
     with jax.numpy_rank_promotion("allow"):
-        count = jax.jit(rules._count_quiet)
+        count = jax.jit(rules.count_quiet)
         for pace in paces:
             state = state._replace(vel=jnp.asarray(velocities(pace), jnp.float32)[None])
             state = count(state, jnp.array([True]))
@@ -123,8 +112,16 @@ def test_what_creeps_is_waited_for_until_a_box_crosses_a_threshold(
 
 @pytest.mark.parametrize("find", [quiet_on_c, quiet_on_mjx])
 def test_pyramidal_cones_creep_by_themselves(find: Finder) -> None:
-    found = find(STEADY, Simulation(physics=PHYSICS["reference"]), False)
+    found = find(STEADY, Simulation(physics="reference"), False)
     assert found.index(True) == 4
+
+
+def test_a_placement_begins_the_count_anew() -> None:
+    rule = QuietRule(Simulation())
+    still = np.zeros((BOXES, 6))
+    assert [rule.is_quiet(still, False) for _ in range(4)] == [False] * 4
+    rule.restart()
+    assert [rule.is_quiet(still, False) for _ in range(5)] == [False] * 4 + [True]
 
 
 def test_a_plan_that_creeps_until_it_fails_stands_only_on_the_brisk_schedule(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.command_line import write
+from support.plan_files import order
 
 from petmjx.errors import InputError
 from petmjx.plans.read import load_plans
@@ -26,7 +28,6 @@ from petmjx.plans.samples.handmade import CARTON, HANDMADE
 from petmjx.plans.samples.orders import MAX_BOXES, MIN_BOXES, TARGET_EXTENT_MM, catalogue, draw_order
 from petmjx.plans.samples.packer import MAX_HEIGHT_MM, PackRules, in_hull_of_rectangles
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 N = 100
 SEED = 7
 
@@ -218,29 +219,8 @@ def test_a_path_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def order_record(**changes: Any) -> dict[str, Any]:
-    item = {
-        "article": "bread-1",
-        "id": "1",
-        "product_group": "bread",
-        "length/mm": 400,
-        "width/mm": 300,
-        "height/mm": 200.5,
-        "weight/kg": 6.0,
-        "sequence": 1,
-    }
-    sequence = {str(k): {**item, "sequence": k} for k in (1, 2, 3)}
-    sequence["2"].update(changes)
-    return {"item_sequence": sequence, "properties": {"target": "euro-pallet"}}
-
-
-def write_json(path: Path, value: object) -> Path:
-    path.write_text(json.dumps(value), encoding="utf-8")
-    return path
-
-
 def test_orders_become_plans_and_half_millimetres_survive(tmp_path: Path) -> None:
-    packed = dict(pack_orders(write_json(tmp_path / "orders.json", {"o1": order_record()})))
+    packed = dict(pack_orders(write(tmp_path / "orders.json", {"o1": order()})))
     (plan,) = packed.values()
     assert [placement["flb_coordinates"][2] for placement in plan] == [0, 0, 0]
     assert {placement["item"]["height/mm"] for placement in plan} == {200.5}
@@ -261,7 +241,7 @@ def test_orders_become_plans_and_half_millimetres_survive(tmp_path: Path) -> Non
 def test_a_bad_item_is_named_and_the_other_orders_are_packed(
     tmp_path: Path, changes: dict[str, Any], text: str
 ) -> None:
-    path = write_json(tmp_path / "orders.json", {"bad": order_record(**changes), "good": order_record()})
+    path = write(tmp_path / "orders.json", {"bad": order(**changes), "good": order()})
     with pytest.raises(InputError) as caught:
         list(pack_orders(path))
     assert str(caught.value) == f"{path}: order bad, {text}"
@@ -274,16 +254,16 @@ def test_a_bad_item_is_named_and_the_other_orders_are_packed(
     ("record", "text"),
     [
         ([], "must be a JSON object, got list"),
-        ({**order_record(), "properties": {"target": "ship"}}, "properties.target must be one of"),
-        ({**order_record(), "properties": None}, "properties.target must be one of"),
-        ({**order_record(), "item_sequence": {}}, "item_sequence must be"),
-        ({**order_record(), "item_sequence": {"x": {}}}, "keys of item_sequence must be whole numbers, got 'x'"),
-        ({**order_record(), "item_sequence": {"1": 5}}, "item 1: must be a JSON object, got int"),
+        ({**order(), "properties": {"target": "ship"}}, "properties.target must be one of"),
+        ({**order(), "properties": None}, "properties.target must be one of"),
+        ({**order(), "item_sequence": {}}, "item_sequence must be"),
+        ({**order(), "item_sequence": {"x": {}}}, "keys of item_sequence must be whole numbers, got 'x'"),
+        ({**order(), "item_sequence": {"1": 5}}, "item 1: must be a JSON object, got int"),
     ],
 )
 def test_a_bad_order_is_one_line(tmp_path: Path, record: object, text: str) -> None:
     with pytest.raises(InputError, match="order o1") as caught:
-        list(pack_orders(write_json(tmp_path / "orders.json", {"o1": record})))
+        list(pack_orders(write(tmp_path / "orders.json", {"o1": record})))
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -314,10 +294,8 @@ def test_a_missing_orders_file_is_one_line(tmp_path: Path) -> None:
         list(pack_orders(tmp_path / "none.json"))
 
 
-def test_real_orders_are_packed() -> None:
-    path = SHARED / "5_bed-bpp.json"
-    if not path.exists():
-        pytest.skip("the real orders are not beside this checkout (../shared/data)")
+def test_real_orders_are_packed(real_data: Path) -> None:
+    path = real_data / "5_bed-bpp.json"
     ordered = {order_id: len(record["item_sequence"]) for order_id, record in json.loads(path.read_text()).items()}
     packed = dict(pack_orders(path))
     assert list(packed) == list(ordered)

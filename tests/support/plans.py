@@ -1,0 +1,60 @@
+"""Plans in memory, and the scenes and worlds made of them. A box is written as ``Box``, the same way in every test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from petmjx.config import Simulation
+from petmjx.engines.retry import World
+from petmjx.plans.plan import Plan
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene, build_scene
+
+Triple = tuple[float, float, float]
+Box = tuple[Triple, Triple, float]
+"""Size in mm, front-left-bottom corner in mm, mass in kg."""
+
+CARTON_MM = (400.0, 300.0, 200.0)
+
+
+def stack(
+    n: int = 2,
+    overhang_mm: float = 0.0,
+    *,
+    size_mm: Triple = CARTON_MM,
+    kg: float | Sequence[float] = 5.0,
+    at_mm: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Box, ...]:
+    """Boxes on top of each other, every second moved along x; from an overhang of half their length on they fall."""
+    x, y = at_mm
+    masses = [kg] * n if isinstance(kg, int | float) else kg
+    return tuple((size_mm, (x + overhang_mm * (k % 2), y, size_mm[2] * k), masses[k]) for k in range(n))
+
+
+def make_plan(plan_id: str = "00000001", boxes: int | Sequence[Box] = 3) -> Plan:
+    """A plan of these boxes; of a number: of that many cartons on top of each other."""
+    if isinstance(boxes, int):
+        boxes = stack(boxes)
+    n = len(boxes)
+    return Plan(
+        plan_id=plan_id,
+        source="plans.json",
+        size_mm=np.array([size for size, _, _ in boxes], float),
+        corner_mm=np.array([corner for _, corner, _ in boxes], float),
+        mass_kg=np.array([mass for _, _, mass in boxes], float),
+        item_ids=tuple(f"item-{k}" for k in range(n)),
+        articles=tuple(f"article-{k}" for k in range(n)),
+        sequence=np.arange(1, n + 1),
+    )
+
+
+def make_scene(boxes: int | Sequence[Box], sim: Simulation | None = None) -> Scene:
+    """The unchanged scene of these boxes."""
+    return build_scene(make_plan(boxes=boxes), sim or Simulation())
+
+
+def make_world(plan: Plan, sim: Simulation | None = None) -> World:
+    """The unchanged world of a plan, without a drive."""
+    return World(plan, 0, Job(build_scene(plan, sim or Simulation())))

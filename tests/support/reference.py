@@ -1,0 +1,75 @@
+"""Real plans and what the reference implementation printed for them: facts, kept in tests/oracle."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petmjx.config import Check
+from petmjx.plans.plan import Plan
+from petmjx.units import FloatArray
+from petmjx.verdict import Outcome, Verdict
+from support.plans import make_plan
+
+TILT_DEG = 0.1
+"""The reference rounds to 0.1°, so 0.05° are its own."""
+FORCE_RELATIVE = 0.01
+FORCE_N = 0.01
+"""The reference rounds to 0.01 N."""
+SHIFT_FLOOR_M = 0.001
+"""Both sides call smaller components 0, so a component near 1 mm may be 0 on one side only."""
+
+
+@dataclass(frozen=True)
+class ReferenceRun:
+    """What the reference printed for one plan: (n, 3) final shifts in m, (n,) largest tilts and forces on top."""
+
+    steps: int
+    stable: bool
+    shift_m: FloatArray
+    max_tilt_deg: FloatArray
+    max_top_force_n: FloatArray
+
+
+@cache
+def _figures() -> dict[str, Any]:
+    figures: dict[str, Any] = json.loads((Path(__file__).parents[1] / "oracle/reference_figures.json").read_text())
+    return figures
+
+
+@cache
+def real_plans() -> dict[str, Plan]:
+    """By id: the pallet of the paper, built by a robot, and five packed from orders of BED-BPP."""
+    return {
+        plan_id: make_plan(plan_id, [(tuple(row[:3]), tuple(row[3:6]), row[6]) for row in rows])
+        for plan_id, rows in _figures()["plans"].items()
+    }
+
+
+def reference_run(plan_id: str, check: Check, forces: bool = False) -> ReferenceRun:
+    """One run; with forces, seven radial profiles shake the carrier after placement."""
+    (run,) = (r for r in _figures()["runs"] if (r["plan"], r["check"], r["forces"]) == (plan_id, check.value, forces))
+    boxes = np.array(run["boxes"], float)
+    return ReferenceRun(run["steps"], run["stable"], boxes[:, :3], boxes[:, 3], boxes[:, 4])
+
+
+def shift_difference(ours: FloatArray, theirs: FloatArray) -> float:
+    """Largest difference of a component; one that is 0 on one side counts from the 1 mm it may have there."""
+    one_zero = (ours == 0.0) != (theirs == 0.0)
+    difference = np.abs(ours - theirs)
+    return float(np.where(one_zero, np.maximum(difference - SHIFT_FLOOR_M, 0.0), difference).max())
+
+
+def assert_matches(outcome: Outcome, run: ReferenceRun, shift_m: float, force_n: float = FORCE_N) -> None:
+    """Verdict, steps, and every box's shift, tilt and force."""
+    assert outcome.verdict is not Verdict.INVALID
+    assert (outcome.verdict is Verdict.STABLE) == run.stable
+    assert outcome.n_steps == run.steps
+    assert shift_difference(outcome.boxes.shift_m, run.shift_m) < shift_m
+    assert np.abs(outcome.boxes.max_tilt_deg - run.max_tilt_deg).max() < TILT_DEG
+    np.testing.assert_allclose(outcome.boxes.max_top_force_n, run.max_top_force_n, rtol=FORCE_RELATIVE, atol=force_n)
