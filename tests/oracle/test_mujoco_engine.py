@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from support.plans import make_scene, stack
 
 from petmjx.config import PHYSICS, Cone, Schedule, Simulation, Thresholds
 from petmjx.engines.base import Progress
@@ -22,39 +23,24 @@ from petmjx.engines.cpu.running import OracleMetrics, Sample
 from petmjx.engines.cpu.world import Clock
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
-from petmjx.plans.plan import Plan
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.model import build_spec, to_mjcf
-from petmjx.world.scene import Scene, build_scene
+from petmjx.world.scene import Scene
 
 SAME_M = 1e-9
 """Worlds that differ only in how the model is laid out differ by rounding."""
 
 
-def stack(n: int = 5, size_mm: tuple[float, float, float] = (300, 200, 150), shift_mm: float = 20.0) -> Plan:
-    """A leaning tower that stands: each box sits ``shift_mm`` further along x on every other level."""
-    return Plan(
-        plan_id="stack",
-        source="test",
-        size_mm=np.tile(np.array(size_mm, dtype=float), (n, 1)),
-        corner_mm=np.array([[100 + shift_mm * (k % 2), 100, size_mm[2] * k] for k in range(n)], dtype=float),
-        mass_kg=np.linspace(8.0, 3.0, n),
-        item_ids=("item",) * n,
-        articles=("article",) * n,
-        sequence=np.arange(1, n + 1),
-    )
+def leaning(n: int = 5, overhang_mm: float = 20.0, physics: str = "pallet") -> Scene:
+    """A tower that stands: each box sits ``overhang_mm`` further along x on every other level."""
+    boxes = stack(n, overhang_mm, size_mm=(300, 200, 150), kg=np.linspace(8.0, 3.0, n).tolist(), at_mm=(100, 100))
+    return make_scene(boxes, Simulation(physics=physics))
 
 
-def falling() -> Plan:
+def falling() -> Scene:
     """The second box reaches over the carrier's edge at x = 0 by more than half and falls to the floor."""
-    plan = stack(3, shift_mm=-200.0)
-    plan.corner_mm[:, 0] -= 100.0
-    return plan
-
-
-def scene_of(plan: Plan, physics: str = "pallet") -> Scene:
-    return build_scene(plan, Simulation(physics=physics))
+    return make_scene(stack(3, -200.0, size_mm=(300, 200, 150)))
 
 
 def run_one(job: Job, sim: Simulation) -> Outcome:
@@ -70,7 +56,7 @@ def push(n_steps: int = 50, level: float = 0.3, kind: str = "force") -> Drive:
 
 
 def test_the_model_has_the_bodies_masses_and_frictions_of_the_scene() -> None:
-    scene = scene_of(stack(3), "reference")
+    scene = leaning(3, physics="reference")
     model = build_spec(scene, PHYSICS["reference"]).compile()
     assert [model.body(k).name for k in range(model.nbody)] == ["world", "carrier", "box_0", "box_1", "box_2"]
     np.testing.assert_allclose(model.body_mass[1:], [25.0, *scene.mass])
@@ -82,7 +68,7 @@ def test_the_model_has_the_bodies_masses_and_frictions_of_the_scene() -> None:
 
 
 def test_exported_mjcf_loads_and_stands_as_planned() -> None:
-    scene = scene_of(stack(3))
+    scene = leaning(3)
     model = mujoco.MjModel.from_xml_string(to_mjcf(scene, PHYSICS["pallet"]))
     np.testing.assert_allclose(model.qpos0.reshape(-1, 7)[1:, :3], scene.target)
     np.testing.assert_allclose(model.body_mass[2:], scene.mass)
@@ -91,7 +77,7 @@ def test_exported_mjcf_loads_and_stands_as_planned() -> None:
 
 def test_a_model_of_more_boxes_than_the_scene_has_is_refused() -> None:
     with pytest.raises(ValueError, match="n_boxes must be"):
-        build_spec(scene_of(stack(3)), PHYSICS["pallet"], n_boxes=4)
+        build_spec(leaning(3), PHYSICS["pallet"], n_boxes=4)
 
 
 # ---------------------------------------------------------------------- metrics
@@ -99,7 +85,7 @@ def test_a_model_of_more_boxes_than_the_scene_has_is_refused() -> None:
 
 @pytest.mark.parametrize("physics", list(PHYSICS))
 def test_contact_forces_are_those_mujoco_reports(physics: str) -> None:
-    model = build_spec(scene_of(stack(5, shift_mm=90), physics), PHYSICS[physics]).compile()
+    model = build_spec(leaning(5, overhang_mm=90, physics=physics), PHYSICS[physics]).compile()
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=60)
     index, force = contact_normal_and_tangents(data, PHYSICS[physics].cone is Cone.PYRAMIDAL)
@@ -128,7 +114,7 @@ def sample_of(scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s:
 
 
 def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
-    scene = scene_of(stack(2))
+    scene = leaning(2)
     metrics = OracleMetrics(scene, Thresholds())
     assert not metrics.add_sample(sample_of(scene))
     assert metrics.add_sample(sample_of(scene, ang_acc=100.0))
@@ -138,7 +124,7 @@ def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
 
 
 def test_verdicts_come_in_their_order() -> None:
-    scene = scene_of(stack(2))
+    scene = leaning(2)
     metrics = OracleMetrics(scene, Thresholds())
     metrics.add_sample(sample_of(scene))
     boxes = metrics.finish(scene.target + np.array([0.03, 0, 0]), scene.start_quat, came_to_end=True)
@@ -181,20 +167,20 @@ def test_the_clock_is_mujocos_running_sum() -> None:
 
 
 def test_fixed_and_adaptive_agree_and_adaptive_is_shorter() -> None:
-    scene = scene_of(stack())
+    scene = leaning()
     fixed = run_one(Job(scene), Simulation(schedule=Schedule.FIXED))
     adaptive = run_one(Job(scene), Simulation(schedule=Schedule.ADAPTIVE))
     assert fixed.verdict is adaptive.verdict is Verdict.STABLE
     assert fixed.n_steps == int(6 * 0.7 / 0.002)
     assert adaptive.n_steps < fixed.n_steps / 2
-    # The spec measured 0.1 mm on a real pallet.
+    # 0.1 mm is what the two differ by on a real pallet
     np.testing.assert_allclose(adaptive.boxes.pos, fixed.boxes.pos, atol=1e-4)
 
 
 @pytest.mark.parametrize("physics", list(PHYSICS))
 def test_how_the_world_grows_does_not_matter(physics: str, monkeypatch: pytest.MonkeyPatch) -> None:
     sim = Simulation(physics=PHYSICS[physics])
-    scene = scene_of(stack(7), physics)
+    scene = leaning(7, physics=physics)
     outcomes = []
     for block in (1, 3, 7):
         monkeypatch.setattr(mujoco_live, "GROWTH_BLOCK", block)
@@ -206,7 +192,7 @@ def test_how_the_world_grows_does_not_matter(physics: str, monkeypatch: pytest.M
 
 
 def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
-    scene = scene_of(falling())
+    scene = falling()
     early = run_one(Job(scene), Simulation())
     whole = run_one(Job(scene), Simulation(early_stop=False))
     assert early.verdict is whole.verdict is Verdict.UNSTABLE
@@ -225,7 +211,7 @@ def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
 @pytest.mark.parametrize("schedule", list(Schedule))
 def test_a_fork_equals_the_world_it_was_forked_from(schedule: Schedule, kind: str) -> None:
     sim = Simulation(schedule=schedule, settle_s=0.5, interval_s=0.3)
-    scene = scene_of(stack(4))
+    scene = leaning(4)
     drive = push(level=0.3 if kind == "force" else 3.0, kind=kind)
     whole = run_one(Job(scene, drive), sim)
     kept = run_one(Job(scene, keep_state=True), sim)
@@ -240,7 +226,7 @@ def test_a_fork_equals_the_world_it_was_forked_from(schedule: Schedule, kind: st
 
 def test_64_forks_cost_one_placement() -> None:
     sim = Simulation(settle_s=0.5)
-    scene = scene_of(stack(3))
+    scene = leaning(3)
     progress = Progress()
     kept = run_one(Job(scene, keep_state=True), sim)
     jobs = [Job(scene, push(20 + k), start=kept.state) for k in range(64)]
@@ -255,7 +241,7 @@ def test_64_forks_cost_one_placement() -> None:
 
 
 def test_forks_of_a_collapse_have_its_outcome() -> None:
-    scene = scene_of(falling())
+    scene = falling()
     kept = run_one(Job(scene, keep_state=True), Simulation())
     fork = run_one(Job(scene, push(), start=kept.state), Simulation())
     assert (fork.verdict, fork.reason, fork.culprit) == (kept.verdict, kept.reason, kept.culprit)
@@ -266,7 +252,7 @@ def test_forks_of_a_collapse_have_its_outcome() -> None:
 
 
 def test_outcomes_do_not_depend_on_the_number_of_threads() -> None:
-    jobs = [Job(scene_of(stack(n, shift_mm=shift))) for n in (2, 4, 6) for shift in (10, 90, 280)]
+    jobs = [Job(leaning(n, overhang_mm=shift)) for n in (2, 4, 6) for shift in (10, 90, 280)]
     alone = {outcome.job: outcome for outcome in MujocoEngine(1).run(jobs, Simulation())}
     together = {outcome.job: outcome for outcome in MujocoEngine(4).run(jobs, Simulation())}
     assert alone.keys() == together.keys() == set(range(len(jobs)))
@@ -294,7 +280,7 @@ class CountedJobs(Sequence[Job]):
 
 def test_closing_the_run_stops_it_and_jobs_are_taken_as_needed() -> None:
     before = threading.active_count()
-    jobs = CountedJobs(Job(scene_of(stack(2))), 10_000)
+    jobs = CountedJobs(Job(leaning(2)), 10_000)
     outcomes = MujocoEngine(2).run(jobs, Simulation())
     assert isinstance(outcomes, Generator)
     next(outcomes)
@@ -303,28 +289,30 @@ def test_closing_the_run_stops_it_and_jobs_are_taken_as_needed() -> None:
     assert threading.active_count() == before
 
 
-def test_ctrl_c_ends_long_worlds_at_once() -> None:
-    program = """
+INTERRUPTED = """
 import sys
-sys.path[:0] = ["tests", "tests/oracle"]
-from petmjx.config import PHYSICS, Check, Schedule, Simulation
+from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.world.job import Job
-from test_mujoco_engine import scene_of, stack
-sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=1e5)
-print("started", flush=True)
+from support.plans import make_scene, stack
+sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=1e4)
+short, long = Job(make_scene(stack(3, -200.0))), Job(make_scene(3))
 try:
-    list(MujocoEngine(2).run([Job(scene_of(stack(3)))] * 4, sim))
+    for outcome in MujocoEngine(2).run([short, long, long, long], sim):
+        # the other thread steps a long world meanwhile
+        print(f"job {outcome.job} is done", flush=True)
 except KeyboardInterrupt:
     sys.exit(130)
 """
-    repository = Path(__file__).parents[2]
+
+
+def test_ctrl_c_ends_long_worlds_at_once(repository: Path) -> None:
+    environment = os.environ | {"PYTHONPATH": f"{repository}{os.pathsep}{repository / 'tests'}"}
     with subprocess.Popen(
-        [sys.executable, "-c", program], cwd=repository, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", INTERRUPTED], env=environment, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        assert process.stdout.readline() == "started\n"
-        time.sleep(0.5)
+        assert process.stdout.readline() == "job 0 is done\n"
         process.send_signal(signal.SIGINT)
         # A world looks for the interruption at every event, here every 100 steps: milliseconds.
         assert process.wait(timeout=10.0) == 130
@@ -334,7 +322,7 @@ def test_broken_numbers_are_invalid_and_leave_no_log(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     samples = np.full((5, 3), np.nan)
     drive = Drive(Excitation("broken", "force", samples), rest_s=0.1)
-    outcome = run_one(Job(scene_of(stack(2)), drive), Simulation(settle_s=0.1))
+    outcome = run_one(Job(leaning(2), drive), Simulation(settle_s=0.1))
     assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.NONFINITE)
     assert list(tmp_path.iterdir()) == []
 

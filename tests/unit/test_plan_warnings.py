@@ -56,16 +56,15 @@ def test_overlaps_agree_with_a_plain_loop() -> None:
 
 
 def test_odd_plans_are_kept_and_reported_with_counts() -> None:
-    overlapping = [placement(corner=(x, 0, 0)) for x in (-200, 0, 300, 701)]
     plans = {
         "fine": tower(2),
         "odd": [placement(corner=(700, 0, 0)), placement(corner=(0, 0, 50))],
-        "more": overlapping,
+        "more": [placement(corner=(x, 0, 0)) for x in (-200, 0, 300, 701)],
     }
     found = load_plans(write(Path("p.json"), plans), carrier_extent_mm=(1200, 800))
     assert len(found) == 3
     assert found.skipped == []
     assert [str(w) for w in found.warnings] == [
         "p.json: plan odd: 1 box outside the carrier, 1 floating box",
-        "p.json: plan more: 3 overlapping pairs, 2 boxes outside the carrier",
+        "p.json: plan more: 4 overlapping pairs, 2 boxes outside the carrier",
     ]

@@ -7,57 +7,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from support.outcomes import make_outcome
+from support.plans import make_plan, make_world, stack
 
 from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE, World, nominal_worlds, score_worlds
-from petmjx.plans.plan import Plan
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.engines.retry import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE, World, score_worlds
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 
 
-def one_box_plan(plan_id: str) -> Plan:
-    return Plan(
-        plan_id=plan_id,
-        source="test",
-        size_mm=np.full((1, 3), 200.0),
-        corner_mm=np.zeros((1, 3)),
-        mass_kg=np.ones(1),
-        item_ids=("item",),
-        articles=("article",),
-        sequence=np.ones(1, dtype=np.int64),
-    )
-
-
 def outcome_of(job: int, verdict: Verdict) -> Outcome:
-    invalid = verdict is Verdict.INVALID
-    boxes = BoxMetrics(
-        shift_m=np.zeros((1, 3)),
-        max_tilt_deg=np.zeros(1),
-        max_lin_acc=np.zeros(1),
-        max_ang_acc=np.zeros(1),
-        max_top_force_n=np.zeros(1),
-        rest_top_force_n=np.zeros(1),
-        dropped=np.zeros(1, dtype=bool),
-        drop_s=np.full(1, np.nan),
-        max_sway_m=np.full(1, np.nan),
-        pos=np.zeros((1, 3)),
-        quat=np.zeros((1, 4)),
-    )
-    return Outcome(
-        job=job,
-        verdict=verdict,
-        reason=Reason.EXPLOSION if invalid else Reason.NONE,
-        culprit=-1,
-        first_sign_s=float("nan"),
-        n_boxes=1,
-        n_placed=1,
-        sim_time_s=1.0,
-        n_steps=500,
-        flags=Flag.EXPLOSION if invalid else Flag.NONE,
-        boxes=boxes,
-    )
+    if verdict is Verdict.INVALID:
+        return make_outcome(1, verdict, Reason.EXPLOSION, job=job, flags=Flag.EXPLOSION)
+    return make_outcome(1, verdict, job=job)
 
 
 @dataclass
@@ -83,8 +47,7 @@ class FailingEngine:
 
 def worlds_failing(*failures: int) -> list[World]:
     """One world for each number: how many of its attempts are invalid."""
-    plans = [replace(one_box_plan(f"p{i}"), mass_kg=np.array([k + 1.0])) for i, k in enumerate(failures)]
-    return list(nominal_worlds(plans, Simulation().physics))
+    return [make_world(make_plan(f"p{i}", stack(1, kg=k + 1.0))) for i, k in enumerate(failures)]
 
 
 def test_valid_worlds_run_once() -> None:
@@ -183,17 +146,10 @@ def test_an_engine_that_loses_or_repeats_a_world_is_found_out() -> None:
 
 
 def test_second_attempts_change_what_the_c_engine_computes() -> None:
-    plan = replace(
-        one_box_plan("tower"),
-        size_mm=np.full((3, 3), 200.0),
-        corner_mm=np.array([[0.0, 0, 0], [0, 0, 200], [30, 0, 400]]),
-        mass_kg=np.array([1.0, 4.0, 9.0]),
-        item_ids=("item",) * 3,
-        articles=("article",) * 3,
-        sequence=np.arange(3),
-    )
     sim = Simulation()
-    jobs = [world.job for world in nominal_worlds([plan], sim.physics)]
+    cube = (200.0, 200.0, 200.0)
+    boxes = [(cube, (0, 0, 0), 1.0), (cube, (0, 0, 200), 4.0), (cube, (30, 0, 400), 9.0)]
+    jobs = [make_world(make_plan("tower", boxes)).job]
     positions = []
     for recipe in ATTEMPTS:
         [outcome] = MujocoEngine(1).run(recipe.apply_to_jobs(jobs), recipe.apply_to_sim(sim))

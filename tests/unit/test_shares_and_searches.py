@@ -7,34 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from support.outcomes import make_boxes, make_outcome
 
 from petmjx.sweeps.eumos import eumos_assessment
 from petmjx.sweeps.search import Bisection, failure_mode
 from petmjx.sweeps.shares import ALL_PLANS, share_standing, wilson_interval
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.verdict import BoxMetrics, Outcome, Reason, Verdict
 
 
-def metrics(pos: list[list[float]], max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:
+def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:
+    """Boxes that came to rest in these places."""
     n = len(pos)
-    nothing = np.zeros(n)
-    return BoxMetrics(
-        shift_m=np.zeros((n, 3)),
-        max_tilt_deg=nothing,
-        max_lin_acc=nothing,
-        max_ang_acc=nothing,
-        max_top_force_n=nothing,
-        rest_top_force_n=nothing,
-        dropped=np.array([dropped] * n),
-        drop_s=np.full(n, np.nan),
-        max_sway_m=np.array(max_sway_m),
-        pos=np.array(pos),
-        quat=np.tile([1.0, 0, 0, 0], (n, 1)),
-    )
+    return make_boxes(n, pos=pos, max_sway_m=np.array(max_sway_m), dropped=np.array([dropped] * n))
 
 
 def outcome(verdict: Verdict, reason: Reason = Reason.NONE, culprit: int = -1) -> Outcome:
-    boxes = metrics([[0, 0, 0]], [0.0])
-    return Outcome(0, verdict, reason, culprit, float("nan"), 1, 1, 1.0, 500, Flag.NONE, boxes)
+    return make_outcome(1, verdict, reason, culprit=culprit)
 
 
 @pytest.mark.parametrize(
@@ -188,10 +176,8 @@ def test_bisection_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> N
 
 def test_the_mode_is_that_of_the_box_that_went_first() -> None:
     def mode(box: int, tilt_limit_deg: float = 20.0) -> str:
-        world = outcome(Verdict.UNSTABLE, Reason.DROP, culprit=box)
-        boxes = metrics([[0, 0, 0]] * 3, [0.0] * 3)
-        boxes = replace(boxes, dropped=np.array([False, False, True]), max_tilt_deg=np.array([3.0, 25.0, 90.0]))
-        return failure_mode(replace(world, boxes=boxes), tilt_limit_deg)
+        boxes = {"dropped": np.array([False, False, True]), "max_tilt_deg": np.array([3.0, 25.0, 90.0])}
+        return failure_mode(make_outcome(3, Verdict.UNSTABLE, Reason.DROP, culprit=box, **boxes), tilt_limit_deg)
 
     assert [mode(0), mode(1), mode(2)] == ["slide", "tilt", "drop"]
     assert mode(1, tilt_limit_deg=30.0) == "slide"
@@ -215,29 +201,25 @@ SETTLED = np.array([[0.2, 0.15, 0.25], [0.2, 0.15, 0.75]])
 
 
 def test_eumos_limits_are_shares_of_the_load_s_height() -> None:
-    still = eumos_assessment(metrics(SETTLED.tolist(), [0.0, 0.09]), SETTLED, HALF)
+    still = eumos_assessment(moved(SETTLED, [0.0, 0.09]), SETTLED, HALF)
     assert still.load_height_m == 1.0
     assert (still.elastic_share, still.permanent_share, still.foot_permanent_m) == (0.09, 0.0, 0.0)
     assert still.passed
-    assert not eumos_assessment(metrics(SETTLED.tolist(), [0.0, 0.101]), SETTLED, HALF).elastic_ok
-    moved = SETTLED + np.array([[0.0, 0.0, 0.0], [0.03, 0.04, 0.5]])
-    at_limit = eumos_assessment(metrics(moved.tolist(), [0.0, 0.05]), SETTLED, HALF)
+    assert not eumos_assessment(moved(SETTLED, [0.0, 0.101]), SETTLED, HALF).elastic_ok
+    far = SETTLED + np.array([[0.0, 0.0, 0.0], [0.03, 0.04, 0.5]])
+    at_limit = eumos_assessment(moved(far, [0.0, 0.05]), SETTLED, HALF)
     assert at_limit.permanent_share == pytest.approx(0.05)
-    beyond = eumos_assessment(
-        metrics((SETTLED + np.array([[0, 0, 0], [0.051, 0, 0]])).tolist(), [0.0, 0.051]), SETTLED, HALF
-    )
+    beyond = eumos_assessment(moved(SETTLED + np.array([[0, 0, 0], [0.051, 0, 0]]), [0.0, 0.051]), SETTLED, HALF)
     assert not beyond.permanent_ok
-    foot = eumos_assessment(
-        metrics((SETTLED + np.array([[0.041, 0, 0], [0, 0, 0]])).tolist(), [0.041, 0.0]), SETTLED, HALF
-    )
+    foot = eumos_assessment(moved(SETTLED + np.array([[0.041, 0, 0], [0, 0, 0]]), [0.041, 0.0]), SETTLED, HALF)
     assert foot.permanent_share < 0.05
     assert foot.foot_permanent_m == pytest.approx(0.041)
     assert not foot.passed
 
 
 def test_eumos_never_passes_a_drop_or_a_test_that_did_not_run() -> None:
-    assert not eumos_assessment(metrics(SETTLED.tolist(), [0.0, 0.0], dropped=True), SETTLED, HALF).passed
-    missing = eumos_assessment(metrics(SETTLED.tolist(), [np.nan, np.nan]), SETTLED, HALF)
+    assert not eumos_assessment(moved(SETTLED, [0.0, 0.0], dropped=True), SETTLED, HALF).passed
+    missing = eumos_assessment(moved(SETTLED, [np.nan, np.nan]), SETTLED, HALF)
     assert not missing.passed
     assert missing.columns()["eumos_passed"] is False
     assert replace(missing, elastic_share=0.0).passed

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from support.command_line import write
+from support.plans import make_plan, make_scene, stack
 
 import petmjx
 from petmjx.config import Simulation, Thresholds
@@ -21,7 +23,6 @@ from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.run import SAME_STEP_ATTEMPTS, Batching, SweepRun
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
-from petmjx.world.scene import build_scene
 
 DRIVE_STEPS = 200 + 250
 """Of EUMOS's profile at 2 ms, 0.4 s, with 0.5 s to come to rest."""
@@ -34,25 +35,13 @@ early_stop = false
 """
 
 
-def stack(plan_id: str, n_boxes: int = 2, overhang_mm: float = 0.0) -> Plan:
-    """Boxes of 400 × 300 × 200 mm on top of each other, every second moved along x; the carrier ends at x = 0."""
-    corner = np.array([[overhang_mm * (k % 2), 0.0, 200.0 * k] for k in range(n_boxes)])
-    return Plan(
-        plan_id=plan_id,
-        source="test",
-        size_mm=np.tile([[400.0, 300.0, 200.0]], (n_boxes, 1)),
-        corner_mm=corner,
-        mass_kg=np.full(n_boxes, 5.0),
-        item_ids=tuple(f"item-{k}" for k in range(n_boxes)),
-        articles=tuple(f"carton-{k}" for k in range(n_boxes)),
-        sequence=np.arange(n_boxes),
-    )
+def leaning(plan_id: str, n: int = 2, overhang_mm: float = 0.0) -> Plan:
+    """Cartons on top of each other, every second moved along x; the carrier ends at x = 0."""
+    return make_plan(plan_id, stack(n, overhang_mm))
 
 
-def write(folder: Path, text: str) -> Path:
-    path = folder / "x.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+def write_sweep(folder: Path, text: str) -> Path:
+    return write(folder / "x.toml", text)
 
 
 class Recorder(MujocoEngine):
@@ -76,7 +65,7 @@ level = { from = 0.05, to = 0.8, step = 0.05 }
 
 
 def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Path) -> None:
-    plan = SweepPlan(load_sweep(write(tmp_path, QUICK + EUMOS_GRID), plans_given=True), [stack("a")])
+    plan = SweepPlan(load_sweep(write_sweep(tmp_path, QUICK + EUMOS_GRID), plans_given=True), [leaning("a")])
     engine, progress = Recorder(2), Progress()
     run = SweepRun(plan, engine, progress=progress)
     worlds = list(run.worlds())
@@ -131,8 +120,8 @@ upper = 1.0
 
 @pytest.mark.parametrize("text", [MIXED, SEARCH], ids=["grid", "search"])
 def test_threads_order_and_batches_change_nothing(text: str, tmp_path: Path) -> None:
-    file = write(tmp_path, text)
-    plans = [stack("a"), stack("b", 3, 90.0), stack("falls", 2, -380.0)]
+    file = write_sweep(tmp_path, text)
+    plans = [leaning("a"), leaning("b", 3, 90.0), leaning("falls", 2, -380.0)]
     one = petmjx.sweep(file, plans, engine="mujoco", threads=1)
     other = petmjx.sweep(
         file, plans[::-1], engine="mujoco", threads=3, batching=Batching(placements=2, worlds=5, drives=3)
@@ -145,7 +134,7 @@ def test_threads_order_and_batches_change_nothing(text: str, tmp_path: Path) -> 
 def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path: Path) -> None:
     text = MIXED.replace("early_stop = false", "")
     engine = Recorder(2)
-    results = petmjx.sweep(write(tmp_path, text), [stack("stands"), stack("falls", 2, -380.0)], engine=engine)
+    results = petmjx.sweep(write_sweep(tmp_path, text), [leaning("stands"), leaning("falls", 2, -380.0)], engine=engine)
     worlds = results.worlds.set_index(["plan_id", "variant"]).sort_index()
     # 4 drives of the exact placement, and of each of the 2 replicates with an error
     assert worlds.loc["stands"].index.tolist() == worlds.loc["falls"].index.tolist() == [*range(13)]
@@ -171,7 +160,7 @@ def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path
 
 
 def test_the_summary_has_shares_with_intervals_and_units(tmp_path: Path) -> None:
-    results = petmjx.sweep(write(tmp_path, MIXED), [stack("a"), stack("b", 3)], engine="mujoco")
+    results = petmjx.sweep(write_sweep(tmp_path, MIXED), [leaning("a"), leaning("b", 3)], engine="mujoco")
     assert results.summary is not None
     summary = results.summary.set_index(["plan_id", "axis", "value"])
     worlds = results.worlds
@@ -198,7 +187,7 @@ duration_s = 0.3
 friction_factor = { from = 0.2, to = 1.0 }
 mass_factor = [0.5, 1.5]
 """
-    results = petmjx.sweep(write(tmp_path, text), [stack("a")], engine="mujoco")
+    results = petmjx.sweep(write_sweep(tmp_path, text), [leaning("a")], engine="mujoco")
     assert results.summary is not None
     friction = results.summary.query("plan_id == 'a' and axis == 'friction_factor'")
     assert friction["n_worlds"].sum() == 30
@@ -209,8 +198,8 @@ mass_factor = [0.5, 1.5]
 
 def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    plans = [stack("stands"), stack("falls", 2, -380.0)]
-    results = petmjx.sweep(write(tmp_path, SEARCH), plans, engine="mujoco", out=folder)
+    plans = [leaning("stands"), leaning("falls", 2, -380.0)]
+    results = petmjx.sweep(write_sweep(tmp_path, SEARCH), plans, engine="mujoco", out=folder)
     assert results.summary is not None
     summary = results.summary.set_index(["plan_id", "friction_factor", "direction_deg"])
     answer = summary.loc[("stands", 1.0, 0.0)]
@@ -218,7 +207,7 @@ def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
     assert 0.5 <= answer["largest_level_g"] <= 0.56
     assert answer["first_failed_level_g"] == pytest.approx(answer["largest_level_g"] + 0.01)
     assert answer["mode"] == "slide"
-    assert answer["article"] == f"carton-{answer['box']}"
+    assert answer["article"] == f"article-{answer['box']}"
     assert 0.2 <= answer["sign_in_profile_s"] <= 0.9
     assert summary.loc[("stands", 0.6, 0.0), "largest_level_g"] < 0.4
     worlds = results.worlds
@@ -244,7 +233,7 @@ sample_interval_s = 0.04
 [axes]
 profile = "tilt"
 """
-    (world,) = petmjx.sweep(write(tmp_path, text), [stack("a", 1)], engine="mujoco").worlds.to_dict("records")
+    (world,) = petmjx.sweep(write_sweep(tmp_path, text), [leaning("a", 1)], engine="mujoco").worlds.to_dict("records")
     # atan 0.5 = 26.57°, and the time a box takes to slide 20 mm once it is past it
     assert 26.5 < world["fail_angle_deg"] < 30.0
     assert world["fail_angle_deg"] == pytest.approx(5.0 * world["sign_in_profile_s"])
@@ -261,7 +250,7 @@ class _NeverBelieved(Recorder):
 
 def test_states_are_never_shared_between_timesteps(tmp_path: Path) -> None:
     engine = _NeverBelieved(1)
-    results = petmjx.sweep(write(tmp_path, QUICK + EUMOS_GRID), [stack("a", 1)], engine=engine)
+    results = petmjx.sweep(write_sweep(tmp_path, QUICK + EUMOS_GRID), [leaning("a", 1)], engine=engine)
     assert len(engine.batches) == len(SAME_STEP_ATTEMPTS)
     assert {sim.physics.timestep_s for _, sim in engine.batches} == {0.002}
     assert set(results.worlds["reason"]) == {"nonfinite"}
@@ -270,7 +259,7 @@ def test_states_are_never_shared_between_timesteps(tmp_path: Path) -> None:
 
 
 def test_a_hard_landing_is_no_sign_of_the_drive() -> None:
-    scene = build_scene(stack("a", 2), Simulation().physics)
+    scene = make_scene(2)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     metrics = OracleMetrics(scene, Thresholds())
     metrics.add_pose(0.2, scene.target - np.array([0.0, 0.0, 0.03]), upright)
