@@ -11,6 +11,7 @@ from petmjx.engines.base import Engine
 from petmjx.engines.cost import H100, Costs, Work
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import cpu_threads, why_no_warp
+from petmjx.text import counted
 
 ENGINES: dict[str, tuple[str, str]] = {
     "mujoco": ("petmjx.engines.cpu.engine", "MujocoEngine"),
@@ -56,10 +57,13 @@ def choose(seconds: dict[str, float], threads: int) -> tuple[str, str]:
     """
     cpu_s, gpu_s = seconds["mujoco"], seconds["mjx-warp"]
     if cpu_s <= gpu_s:
-        return "mujoco", f"about {cpu_s:.0f} s on {threads} CPU threads, a GPU would need about {gpu_s:.0f} s"
+        return (
+            "mujoco",
+            f"about {cpu_s:.0f} s on {counted(threads, 'CPU thread')}, a GPU would need about {gpu_s:.0f} s",
+        )
     if problem := why_no_warp():
         return "mujoco", f"mjx-warp would be faster but cannot run: {problem}"
-    return "mjx-warp", f"about {gpu_s:.0f} s, {threads} CPU threads would need about {cpu_s:.0f} s"
+    return "mjx-warp", f"about {gpu_s:.0f} s, {counted(threads, 'CPU thread')} would need about {cpu_s:.0f} s"
 
 
 def make_engine(name: str, *, threads: int | None = None, lanes: int | None = None) -> Engine:

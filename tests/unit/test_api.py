@@ -3,57 +3,48 @@
 from __future__ import annotations
 
 import gc
-import math
+import inspect
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pandas as pd
 import pytest
+from support.command_line import write
+from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.api import configure, gather_plans
-from petmjx.config import PHYSICS, Physics, Simulation, Thresholds
+from petmjx.api import RunStart
+from petmjx.config import RunOptions, Simulation, Thresholds
 from petmjx.engines.base import Progress
-from petmjx.engines.choose import Choice
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import WorldResult
 from petmjx.errors import InputError
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.gather import find_plan, gather_plans, usable_plans
+from petmjx.plans.plan import PlanSet, Skipped
+from petmjx.sweeps.run import SweptWorld
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
-
-def stack(plan_id: str, overhang_mm: float, height_mm: float = 200.0) -> Plan:
-    """Two cartons, the upper one moved along x: it falls from an overhang of half its 400 mm on."""
-    return Plan(
-        plan_id=plan_id,
-        source="test",
-        size_mm=np.array([[400.0, 300.0, height_mm]] * 2),
-        corner_mm=np.array([[0.0, 0.0, 0.0], [overhang_mm, 0.0, height_mm]]),
-        mass_kg=np.array([5.0, 5.0]),
-        item_ids=("1", "2"),
-        articles=("lower", "upper"),
-        sequence=np.array([1, 2]),
-    )
-
-
-PLANS = [stack("stands", 100.0), stack("falls", 260.0)]
+STANDS = make_plan("stands", stack(2, 100.0))
+FALLS = make_plan("falls", stack(2, 260.0))
+"""The upper carton hangs over by more than half of its 400 mm."""
+PLANS = [STANDS, FALLS]
+STATIC = {"engine": "mujoco", "check": "static", "duration_s": 0.1}
+"""Options of a short run."""
 
 
 class Witness:
     """A watcher that remembers what it was told."""
 
     def __init__(self) -> None:
-        self.total = 0
-        self.engine = ""
+        self.starts: list[RunStart] = []
         self.done: list[str] = []
 
-    def begin(self, total: int, choice: Choice, progress: Progress) -> None:
-        self.total, self.engine = total, choice.name
+    def begin(self, start: RunStart) -> None:
+        self.starts.append(start)
 
-    def world_done(self, result: WorldResult) -> None:
-        self.done.append(result.world.plan.plan_id)
+    def world_done(self, world: SweptWorld) -> None:
+        self.done.append(world.plan.plan_id)
 
 
 def test_results_are_data_frames() -> None:
@@ -65,11 +56,37 @@ def test_results_are_data_frames() -> None:
     assert len(results.boxes) == 4
     assert results.attempts.empty
     assert results.info["counts"]["worlds"] == 2
-    assert (witness.total, witness.engine, sorted(witness.done)) == (2, "mujoco", ["falls", "stands"])
+    (start,) = witness.starts
+    assert (start.what, start.total, start.choice.name) == ("plan", 2, "mujoco")
+    assert start.size.startswith("2 plans, about ")
+    assert start.progress.worlds_done == 2
+    assert sorted(witness.done) == ["falls", "stands"]
+
+
+def test_a_score_is_a_sweep_with_one_variant(tmp_path: Path) -> None:
+    witness = Witness()
+    scored = petmjx.score(PLANS, engine="mujoco", interval_s=0.5)
+    file = write(tmp_path / "x.toml", "nominal = true\n[simulation]\ninterval_s = 0.5")
+    swept = petmjx.sweep(file, PLANS, engine="mujoco", watcher=witness)
+    assert witness.starts[0].what == "world"
+    for mine, theirs, keys in (
+        (scored.worlds, swept.worlds, ["plan_id"]),
+        (scored.boxes, swept.boxes, ["plan_id", "box"]),
+    ):
+        mine, theirs = (frame.sort_values(keys, ignore_index=True) for frame in (mine, theirs))
+        pd.testing.assert_frame_equal(mine, theirs[mine.columns], check_exact=True)
+
+
+def test_options_of_a_sweep_replace_those_of_its_file(tmp_path: Path) -> None:
+    file = write(tmp_path / "x.toml", "nominal = true\n[simulation]\nthresholds = { shift_m = 0.03, tilt_deg = 15 }")
+    results = petmjx.sweep(file, [STANDS], thresholds={"shift_m": 0.04}, **STATIC)
+    sim = results.info["config"]["simulation"]
+    assert (sim["thresholds"]["shift_m"], sim["thresholds"]["tilt_deg"]) == (0.04, 15)
+    assert sim["duration_s"] == 0.1
 
 
 def test_the_temporary_folder_goes_with_the_results() -> None:
-    results = petmjx.score(PLANS[:1], engine="mujoco")
+    results = petmjx.score(STANDS, engine="mujoco")
     folder = results.path
     assert (folder / "run.json").exists()
     del results
@@ -91,69 +108,102 @@ def test_the_temporary_folder_goes_when_the_run_fails(tmp_path: Path, monkeypatc
 
 
 def test_given_engines_and_physics_are_used(tmp_path: Path) -> None:
-    slick = PHYSICS["pallet"].model_copy(update={"name": "slick", "timestep_s": 0.001})
-    results = petmjx.score(PLANS[:1], engine=MujocoEngine(1), physics=slick, out=tmp_path / "out")
+    fine = {"name": "reference", "timestep_s": 0.001}
+    results = petmjx.score([STANDS], engine=MujocoEngine(1), physics=fine, out=tmp_path / "out")
     assert results.path == tmp_path / "out"
-    assert results.info["config"]["sim"]["physics"]["name"] == "slick"
+    physics = results.info["config"]["simulation"]["physics"]
+    assert (physics["name"], physics["cone"], physics["timestep_s"]) == ("custom", "pyramidal", 0.001)
     assert results.info["config"]["engine_reason"] == "given"
 
 
 def test_thresholds_decide() -> None:
-    tilted = petmjx.score(PLANS[1:], engine="mujoco").worlds
+    tilted = petmjx.score(FALLS, engine="mujoco").worlds
     assert tilted["reason"].tolist() == ["tilt"]
     tolerant = Thresholds(shift_m=5.0, tilt_deg=180.0)
-    shifted = petmjx.score(PLANS[1:], engine="mujoco", thresholds=tolerant).worlds
+    shifted = petmjx.score(FALLS, engine="mujoco", thresholds=tolerant).worlds
     assert shifted["verdict"].tolist() == ["stable"]
-    pedantic = Thresholds(shift_m=1e-9, shift_floor_m=0.0)
-    results = petmjx.score(PLANS[:1], engine="mujoco", thresholds=pedantic)
+    pedantic = {"shift_m": 1e-9, "shift_floor_m": 0.0}
+    results = petmjx.score(STANDS, engine="mujoco", thresholds=pedantic)
     assert results.worlds["reason"].tolist() == ["shift"]
-    assert results.info["config"]["sim"]["thresholds"]["shift_m"] == 1e-9
+    assert results.info["config"]["simulation"]["thresholds"]["shift_m"] == 1e-9
+
+
+def gathered(plans: Any, **options: Any) -> PlanSet:
+    return gather_plans(plans, Simulation(), RunOptions(**options))
 
 
 def test_sources_of_plans() -> None:
-    assert len(gather_plans(PLANS, limit=1)) == 1
-    assert len(gather_plans(PlanSet(PLANS), limit=1)) == 1
-    assert len(gather_plans(None)) >= 20
-    mixed: list[Any] = [PLANS[0], "plans.json"]
+    assert [plan.plan_id for plan in gathered(FALLS)] == ["falls"]
+    assert len(gathered(PLANS, limit=1)) == 1
+    assert len(gathered(PlanSet(PLANS), limit=1)) == 1
+    assert len(gathered(None)) >= 20
     with pytest.raises(InputError, match="either paths or plans"):
-        gather_plans(mixed)
+        gathered([STANDS, "plans.json"])
     with pytest.raises(InputError, match="no plan files"):
-        gather_plans([])
+        gathered([])
+
+
+@pytest.mark.parametrize("wrapped", [list, PlanSet])
+def test_of_plans_with_one_id_the_first_is_kept(wrapped: type) -> None:
+    plans = [make_plan("twice", 1), make_plan("once", 1), make_plan("twice", 2)]
+    found = gathered(wrapped(plans))
+    assert [(plan.plan_id, plan.n_boxes) for plan in found] == [("twice", 1), ("once", 1)]
+    assert [str(skipped) for skipped in found.skipped] == ["plans.json: plan twice: repeated plan id"]
+    assert gathered(wrapped(plans), limit=2).skipped == []
+    with pytest.raises(InputError, match="plan twice: repeated plan id"):
+        gathered(wrapped(plans), strict=True)
+
+
+def test_what_was_skipped_is_counted() -> None:
+    results = petmjx.score([STANDS, STANDS], **STATIC)
+    assert len(results.worlds) == 1
+    [skipped] = results.info["skipped"]
+    assert (skipped["plan_id"], skipped["error"]) == ("stands", "plans.json: plan stands: repeated plan id")
+
+
+def test_a_plan_is_found_by_its_id_or_why_not_is_said() -> None:
+    found = PlanSet(PLANS, [Skipped("p.json", "bad", "p.json: plan bad: has no placement")])
+    assert find_plan(found, "falls") is FALLS
+    with pytest.raises(InputError, match=r"^p\.json: plan bad: has no placement$"):
+        find_plan(found, "bad")
+    with pytest.raises(InputError, match=r"^plan none is not among the 2 plans read$"):
+        find_plan(found, "none")
 
 
 def test_a_box_that_the_size_reduction_eats_is_named() -> None:
-    thin = stack("thin", 0.0, height_mm=0.05)
-    results = petmjx.score([PLANS[0], thin], engine="mujoco")
+    thin = make_plan("thin", stack(2, size_mm=(400.0, 300.0, 0.05)))
+    results = petmjx.score([STANDS, thin], engine="mujoco")
     [skipped] = results.info["skipped"]
     assert skipped["error"] == (
-        "test: plan thin, placement 0: a side of 0.05 mm vanishes under the size reduction of 0.1 mm"
+        "plans.json: plan thin, placement 0: a side of 0.05 mm vanishes under the size reduction of 0.1 mm"
     )
     with pytest.raises(InputError, match="no usable plan"):
         petmjx.score([thin], engine="mujoco")
     with pytest.raises(InputError, match="plan thin, placement 0"):
-        petmjx.score([PLANS[0], thin], engine="mujoco", strict=True)
+        petmjx.score([STANDS, thin], engine="mujoco", strict=True)
+    assert len(usable_plans(thin, Simulation(size_reduction_mm=0), RunOptions())) == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({"physics": "moon"}, "unknown physics 'moon'; there are pallet, reference"),
-        ({"interval_s": -1.0}, "interval_s must be at least the timestep of 0.002 s, got -1"),
-        ({"duration_s": math.inf}, "duration_s must be at least"),
-        ({"check": "dynamic"}, "check: .*got 'dynamic'"),
-        ({"schedule": "slow"}, "schedule: .*got 'slow'"),
-    ],
-)
-def test_unusable_options_are_named(options: dict[str, Any], expected: str) -> None:
-    with pytest.raises(InputError, match=expected):
-        configure(**options)
+@pytest.mark.parametrize("function", [petmjx.score, petmjx.sweep])
+def test_help_lists_every_option(function: Any) -> None:
+    parameters = inspect.signature(function).parameters
+    for record in (Simulation, RunOptions):
+        for name, field in record.model_fields.items():
+            assert parameters[name].default == field.default
+            assert parameters[name].kind is inspect.Parameter.KEYWORD_ONLY
+            assert f"    {name}: {field.description}." in function.__doc__
 
 
-def test_unknown_carrier_is_named() -> None:
-    with pytest.raises(InputError, match="unknown carrier 'raft'"):
-        petmjx.score(PLANS, carrier="raft")
-
-
-def test_configure_takes_physics_of_ones_own() -> None:
-    physics = Physics(name="own", cone=PHYSICS["pallet"].cone, carrier_friction=(0.1, 0.005, 0.0001))
-    assert configure(physics=physics).physics is physics
+@pytest.mark.parametrize("function", [petmjx.score, petmjx.sweep])
+def test_bad_options_are_one_line(function: Any, tmp_path: Path) -> None:
+    first = write(tmp_path / "x.toml", "nominal = true") if function is petmjx.sweep else PLANS
+    for options, line in (
+        ({"intervall_s": 1.0}, "unknown option intervall_s; did you mean interval_s?"),
+        ({"physics": {"gravity_m_s2": -9.81}}, "gravity_m_s2 must be > 0, got -9.81"),
+        ({"carrier": "raft"}, "carrier must be 'footprint', 'euro-pallet' or 'rollcontainer', got 'raft'"),
+        ({"threads": 0}, "threads must be ≥ 1, got 0"),
+    ):
+        with pytest.raises(InputError) as caught:
+            function(first, **({"plans": PLANS} if function is petmjx.sweep else {}), **options)
+        assert str(caught.value).endswith(line)
+        assert "\n" not in str(caught.value)
