@@ -56,14 +56,12 @@ def choose(seconds: dict[str, float], threads: int) -> tuple[str, str]:
         threads: CPU threads that ``mujoco`` would use.
     """
     cpu_s, gpu_s = seconds["mujoco"], seconds["mjx-warp"]
+    cpu = counted(threads, "CPU thread")
     if cpu_s <= gpu_s:
-        return (
-            "mujoco",
-            f"about {cpu_s:.0f} s on {counted(threads, 'CPU thread')}, a GPU would need about {gpu_s:.0f} s",
-        )
+        return "mujoco", f"about {cpu_s:.0f} s on {cpu}, a GPU would need about {gpu_s:.0f} s"
     if problem := why_no_warp():
         return "mujoco", f"mjx-warp would be faster but cannot run: {problem}"
-    return "mjx-warp", f"about {gpu_s:.0f} s, {counted(threads, 'CPU thread')} would need about {cpu_s:.0f} s"
+    return "mjx-warp", f"about {gpu_s:.0f} s, {cpu} would need about {cpu_s:.0f} s"
 
 
 def make_engine(name: str, *, threads: int | None = None, lanes: int | None = None) -> Engine:

@@ -8,19 +8,9 @@ from typing import Any
 
 import pytest
 
+from petmjx import PHYSICS, Check, Cone, Physics, Quiet, RunOptions, Schedule, Simulation, Thresholds
 from petmjx.checked import Checked
-from petmjx.config import (
-    PHYSICS,
-    Check,
-    Cone,
-    Physics,
-    Quiet,
-    RunOptions,
-    Schedule,
-    Simulation,
-    Thresholds,
-    sorted_options,
-)
+from petmjx.config import sorted_options
 from petmjx.errors import InputError
 
 
