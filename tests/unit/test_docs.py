@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 from support.plan_files import placement
 
-import petmjx
 from petmjx.checked import Checked
 from petmjx.config import Simulation
 from petmjx.plans.read import load_plans
@@ -143,19 +142,22 @@ def module_path(parts: list[str]) -> Path | None:
 
 
 def resolves(name: str) -> bool:
-    """Whether a dotted name below petmjx is a module, or something in one. Nothing is imported for it but petmjx."""
+    """Whether a dotted name below petmjx is a module, or something in one. Nothing is imported for it.
+
+    Public names (``petmjx.score``) are imports of ``petmjx/__init__.py``, and are followed to where they are defined.
+    """
     parts = name.split(".")
-    if parts[1] in petmjx.__all__:
-        parts = [*petmjx._HOME.get(parts[1], "petmjx").split("."), *parts[1:]]
-    depth = max(depth for depth in range(1, len(parts) + 1) if module_path(parts[:depth]))
-    module = module_path(parts[:depth])
-    assert module is not None
+    depth = max((depth for depth in range(1, len(parts) + 1) if module_path(parts[:depth])), default=0)
+    module = module_path(parts[:depth]) if depth else None
+    if module is None:
+        return False
     body = tree_of(module).body
-    for part in parts[depth:]:
-        members = members_of(body)
-        if part not in members:
+    for number, part in enumerate(parts[depth:], start=depth + 1):
+        node = members_of(body).get(part)
+        if isinstance(node, ast.ImportFrom):
+            return resolves(".".join([node.module or "", part, *parts[number:]]))
+        if node is None:
             return False
-        node = members[part]
         body = node.body if isinstance(node, ast.ClassDef) else []
     return True
 
