@@ -35,7 +35,7 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices, asked of the driver itself: takes milliseconds, allocates nothing on them."""
+    """Names of the CUDA devices, from the driver itself: takes milliseconds, allocates nothing on them."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -65,7 +65,7 @@ def package_versions() -> dict[str, str]:
 
 
 def device_name(engine: str, threads: int | None = None) -> str:
-    """What an engine's worlds run on, in words.
+    """The device that an engine's worlds run on, as text.
 
     Args:
         threads: CPU threads of the engine ``mujoco``; None: all.

@@ -26,7 +26,7 @@ def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Round metres half-up to 1 µm, as the reference implementation writes its models.
 
     The product is first rounded to a thousandth of a micrometre, so that a value such as 0.1234565 m,
-    whose float64 lies a hair below the half, still rounds up as its decimal notation says.
+    whose float64 is slightly below the half, still rounds up as its decimal notation says.
     """
     micrometres: NDArray[Any] = np.round(value_m * MICROMETRES_PER_M, 3)
     return np.floor(micrometres + 0.5) / MICROMETRES_PER_M

@@ -13,7 +13,7 @@ from petmjx.world.job import Job
 
 @dataclass
 class Progress:
-    """Running totals an engine reports while it works; ``message`` tells of compilation and such."""
+    """Running totals that an engine reports while it works; ``message`` says what it is doing (compiling, …)."""
 
     worlds_done: int = 0
     world_steps: int = 0
@@ -28,5 +28,5 @@ class Engine(Protocol):
     name: str
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once with ``sim.solver``. No retries: those are the runner's."""
+        """Simulate each job once with ``sim.solver``. Retries are made by petmjx/engines/retry.py."""
         ...

@@ -23,7 +23,7 @@ ENGINES: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class Choice:
-    """An engine's name, in one line why it was taken, and how long it is expected to take (None: nobody knows)."""
+    """An engine's name, why it was taken (one line), and how long it is expected to take (None: not known)."""
 
     name: str
     reason: str

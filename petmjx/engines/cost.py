@@ -18,14 +18,14 @@ STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.25, Schedule.BRISK: 0.2}
 (benchmarks/README.md). Physics ``reference`` takes twice as many."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4, Schedule.BRISK: 0.34}
-"""The same for what they cost: the steps that are left are those in which boxes move, and plans collapse."""
+"""The same for their cost: the steps that are left are the expensive ones, in which boxes move and pallets collapse."""
 
 GROWING_SHARE = 1 / 3
 """Cost of a step while boxes come one by one, as a share of that of the full pallet: the mean of k² over k = 1…n."""
 
 SHAKEN_FACTOR = 2.0
-"""Cost of a drive's steps in those of a pallet at rest. One that slides takes up to five times as long a step, one that
-falls ends sooner; measured on two plans of 16 and 20 boxes on the CPU."""
+"""Cost of a step in a drive, in steps of a pallet at rest. A pallet that slides takes up to five times as long per
+step, one that falls ends sooner; measured on two plans of 16 and 20 boxes on the CPU."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Costs:
         gpu_step_s: seconds a device takes for a step of ``full_lanes`` worlds, per box².
         full_lanes: worlds that fill the device.
         tail_lanes: what the end of a run costs, in worlds: its last ones run on a device that is all but idle.
-        gpu_start_s: start-up of the device engine, programs compiled anew.
+        gpu_start_s: start-up of the device engine, compilation included.
     """
 
     cpu_step_s: float = 2.4e-7

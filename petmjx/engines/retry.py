@@ -1,7 +1,7 @@
 """Runs worlds through an engine, runs the invalid ones again, and hands on each world's last outcome.
 
-The procedure is the paper's (Newton, then CG, up to two attempts each), with half the timestep after it.
-The reference implementation repeats a deterministic run bit for bit on its second attempts; here they
+The procedure is that of the PET-Physics paper (Newton, then CG, up to two attempts each), with half the timestep
+after it. The reference implementation repeats a deterministic run bit for bit on its second attempts; here they
 differ: the solver gets up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, so that an attempt
 that failed because the solver stopped early has another chance.
 """
@@ -120,8 +120,7 @@ def score_worlds(
     """Simulate worlds and yield each one's result once, as it becomes final, in any order.
 
     Worlds are drawn and simulated ``chunk_worlds`` at a time; invalid ones gather and run again as one
-    batch, at the end or when a chunk of them has come together. Memory thus does not grow with the number
-    of worlds.
+    batch, at the end or when there is a chunk of them. So memory does not grow with the number of worlds.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.

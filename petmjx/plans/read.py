@@ -66,7 +66,7 @@ def load_plans(
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
-    """Files in reading order. Looks at all paths before any is read: a typing error should not cost minutes."""
+    """Files in reading order. All paths are checked before any is read: a typing error should not cost minutes."""
     if not paths:
         raise InputError("no plan files were given")
     files: list[Path] = []
@@ -185,7 +185,7 @@ def _read_text(path: Path) -> tuple[str, str | None]:
 
 
 def _gunzip(data: bytes) -> tuple[bytes, str | None]:
-    """Unpack as much of a gzip stream (of one or more members) as is sound, and say why if that is not all."""
+    """Unpack the sound part of a gzip stream (of one or more members), and say what is wrong if that is not all."""
     view = memoryview(data)
     parts: list[bytes] = []
     position = 0
@@ -208,7 +208,7 @@ def _gunzip(data: bytes) -> tuple[bytes, str | None]:
 
 
 def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview) -> Iterator[bytes]:
-    """What can be had of a chunk with an error in it: a failing call keeps all of its output to itself."""
+    """The sound beginning of a chunk with an error in it, byte by byte: a failing call returns none of its output."""
     for position in range(len(chunk)):
         try:
             yield inflate.decompress(chunk[position : position + 1])

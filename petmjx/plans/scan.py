@@ -1,4 +1,4 @@
-"""A file of plans, decoded one plan at a time, so that damage costs only the plans it hits.
+"""A file of plans, decoded one plan at a time, so that damage loses only the plans in which it is.
 
 The text is walked as ``{ "id": value, "id": value, … }``. Each value is decoded on its own: only one plan's
 JSON tree exists at a time, repeated ids are seen (a decoder of the whole file would silently keep the last),
@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from petmjx.text import shown
 
-# JSON's white space is narrower than \s. Possessive quantifiers keep every match linear in hostile text.
+# JSON's white space is less than \s. Possessive quantifiers keep every match linear, also in malicious text.
 _WS: Final = r"[ \t\n\r]*+"
 _STRING: Final = r'"([^"\\]*+(?:\\.[^"\\]*+)*+)"'
 _KEY: Final = re.compile(rf"{_WS}{_STRING}{_WS}:{_WS}", re.DOTALL)
@@ -141,7 +141,7 @@ class _Scan:
             self._done = True
             yield Entry(plan_id, value)
         elif after is None and not (isinstance(value, list) and _PLAN_START.search(text, value_at, end) is None):
-            # What was decoded as one value has swallowed other plans, or is the rest of a broken one.
+            # What was decoded as one value contains other plans, or is the rest of a broken one.
             yield self._damage(end, "expected , or }", value_at, plan_id=plan_id)
         else:
             yield Entry(plan_id, value)
@@ -238,7 +238,7 @@ def _decode_start(text: str) -> tuple[Any, int]:
     except json.JSONDecodeError:
         raise
     except ValueError:
-        # Python refuses integers of more than 4,300 digits; such a plan is to be named, not to end the run.
+        # Python refuses integers of more than 4,300 digits. Such a plan must be named and skipped, not end the run.
         return _PATIENT_DECODER.raw_decode(text)
 
 

@@ -17,7 +17,7 @@ SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 100_000.0
 SMALLEST_KG: Final = 1e-6
 LARGEST_KG: Final = 100_000.0
-"""Beyond these a number is a slip of unit or a damaged digit, and float32 contact physics means nothing."""
+"""Beyond these a number has the wrong unit or a damaged digit, and contact physics in float32 means nothing."""
 
 _SIZE_FIELDS: Final = ("length/mm", "width/mm", "height/mm")
 _NUMBERS: Final = {int, float}

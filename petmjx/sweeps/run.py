@@ -1,7 +1,7 @@
 """Runs a sweep: places every plan once per placement, forks the settled states into all drives, searches levels.
 
-Placements and drives are handed to the engine as batches over many plans, since a device likes batches. What is
-held at a time is bounded by ``Batching``, whatever the size of the sweep.
+Placements and drives are handed to the engine as batches over many plans, since a device is fast with large batches.
+``Batching`` bounds what is held at a time, for sweeps of any size.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1)
-"""The retry procedure of placements whose states are kept, and of their forks. A state counts time in steps, so that
-one reached with half the timestep cannot be gone on from; the attempt that halves it is left out."""
+"""The retry procedure of placements whose states are kept, and of their forks. A state counts time in steps, so
+no world can start from one that was reached with half the timestep; the attempt that halves it is left out."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Batching:
     """How much of a sweep is held and simulated at a time. None of it changes a result.
 
     Attributes:
-        undriven: worlds without a drive handed to the engine at a time, whose states nobody needs. Their scenes take
+        undriven: worlds without a drive handed to the engine at a time; their states are not kept. Their scenes take
             160 MB, of 43 boxes each; fewer would have the MJX engines choose (and compile) their shapes more often.
         placements: settled states kept at a time; one of 43 boxes takes 10 to 20 KB.
         worlds: variants that these states are forked into, at most (a single placement with more is one chunk).
@@ -61,7 +61,7 @@ class SweptWorld:
 
     Attributes:
         settled: the placement it was forked from; None for a world without a drive.
-        driven: whether its drive was simulated. A placement that collapsed or cannot be believed is not shaken:
+        driven: whether its drive was simulated. A placement that collapsed or is invalid is not shaken:
             its worlds have its outcome.
     """
 
@@ -82,7 +82,7 @@ class Answer:
         stands_at_rest: whether the placement stands without a drive; if not, nothing was tested.
         largest_survived, first_failed: level in g, or scale; None where there is none.
         at_largest, at_failure: the worlds that say so; None where no world was simulated for it.
-        box, mode: which box went first at ``first_failed`` (or at rest), −1 for none, and what became of it.
+        box, mode: which box went first at ``first_failed`` (or at rest), −1 for none, and how it failed.
         monotone: whether no tested level above ``first_failed`` was survived.
     """
 
@@ -103,7 +103,7 @@ class Answer:
 
 @dataclass
 class Tally:
-    """What a sweep has cost. Steps are world-steps after the soft start, of all attempts' last."""
+    """What a sweep has cost. Steps are world-steps after the soft start, of each world's last attempt."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -138,8 +138,8 @@ class SweepRun:
         plan: what to simulate.
         engine: states are its own: placements and drives run on the same instance.
         progress: kept up to date; its message says what is going on while no world finishes.
-        on_answer: is given each answer of a search. It should keep what it needs and let the rest go, since an answer
-            holds worlds with all their boxes.
+        on_answer: is called with each answer of a search. It should keep only what it needs: an answer holds worlds
+            with all their boxes.
     """
 
     plan: SweepPlan

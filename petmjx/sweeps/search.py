@@ -16,11 +16,11 @@ DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
 
 MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
-"""Reason of an unstable world → how it failed, in words of a search's answer."""
+"""Reason of an unstable world → how it failed, as the answers of a search say it."""
 
 
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
-    """What became of the box that went first: "slide", "tilt" or "drop".
+    """How the box that went first failed: "slide", "tilt" or "drop".
 
     It dropped; or it did not but tilted by more than ``tilt_deg``; or it moved too far. At the lowest level that
     fails, which is where a search reads it, that is as a rule also how it began; far above that level a box that
@@ -39,10 +39,10 @@ class Bisection:
 
     Levels lie on a common grid, so an answer is exact to the grid's step, and the same levels are tested
     whatever the order of answers. Each round tests up to ``sections`` levels an item, evenly spread between
-    the largest survived and the smallest failed: a device likes fewer, larger rounds.
+    the largest survived and the smallest failed: a device is faster with fewer, larger rounds.
 
-    It takes for granted that what survives a level survives all lower ones. A pallet need not: a stronger
-    push may throw a box against its neighbour and jam it. Where a tested level survived above one that
+    It assumes that what survives a level survives all lower ones. A pallet need not: a stronger push may throw
+    a box against its neighbour and jam it. Where a tested level survived above one that
     failed, the answer is the largest level below every failure, and ``monotone`` is False for that item.
 
     Args:
@@ -125,7 +125,7 @@ class Bisection:
         modes: Sequence[str] | None = None,
         boxes: ArrayLike | None = None,
     ) -> None:
-        """What came of a round's tests, given as outcomes or as plain arrays (survived, failure modes, boxes).
+        """Take the results of a round's tests, given as outcomes or as plain arrays (survived, failure modes, boxes).
 
         A world without a verdict that can be believed has not survived: its mode is why it is invalid.
         """

@@ -26,8 +26,8 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It stays inside [0, 1] and is honest at shares of
-    0 and 1, where the usual ± interval has no width.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It stays inside [0, 1] and has a width also at shares
+    of 0 and 1, where the usual ± interval has none.
 
     Raises:
         ValueError: successes outside 0 … n, or a confidence outside (0, 1).
@@ -59,7 +59,7 @@ def share_standing(
     Args:
         worlds: rows with ``plan_id``, ``verdict`` and a column for each axis.
         axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
-        per_plan: one row a plan too, beside the row over all plans (``plan_id`` "*").
+        per_plan: also one row per plan, beside the row over all plans (``plan_id`` "*").
 
     Returns:
         Columns plan_id, axis, value (text), n_worlds, n_standing, n_invalid, share, low, high; a row with

@@ -22,7 +22,7 @@ from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.registry import Tilt
 
 EUMOS_PROFILE = "eumos-40509"
-"""The profile whose worlds are also held against the standard's own limits."""
+"""The profile whose worlds are also judged by the standard's own limits."""
 
 RANGE_BINS = 8
 """Equal parts into which the summary divides an axis whose values were drawn from a range."""

@@ -39,7 +39,7 @@ def box_name(box: int) -> str:
 def build_spec(
     scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
 ) -> mujoco.MjSpec:
-    """The exact, unpadded model of a scene (spec section 3).
+    """The exact, unpadded model of a scene (docs/rules.md, section 1).
 
     Bodies in order: world (with the floor), carrier, box_0, box_1, …; a free carrier has the first free
     joint (qpos 0…6, qvel 0…5), box i the next but i. Initial positions are the release poses.

@@ -1,4 +1,4 @@
-"""One world's physical description in SI units: what stands where, how heavy, how rough.
+"""One world's physical description in SI units: places, sizes, masses, frictions.
 
 A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans.
 """
@@ -57,7 +57,7 @@ class Scene:
 
     @property
     def total_mass(self) -> float:
-        """Mass of boxes and carrier, kg: what reference magnitudes of force profiles are scaled by."""
+        """Mass of boxes and carrier, kg; force profiles are scaled by it."""
         return float(self.mass.sum() + self.carrier_mass)
 
 

@@ -245,8 +245,8 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     """(n,) heights of centres when each box is put onto the actual tops of those below it.
 
     Boxes are taken from the bottom up. Those below a box are the ones whose planned top is not above its
-    planned bottom (give or take `STEP_TOLERANCE_M`) and whose footprint overlaps its own, as planned or as
-    placed. The planned gap to the highest of them (the 0.1 mm of the size reduction; more for a box that
+    planned bottom (with a tolerance of `STEP_TOLERANCE_M`) and whose footprint overlaps its own, as planned or
+    as placed. The planned gap to the highest of them (the 0.1 mm of the size reduction; more for a box that
     floats in the plan) stays, but never a penetration.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]

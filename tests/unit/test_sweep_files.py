@@ -72,7 +72,7 @@ def test_ready_made_sweeps_load_and_make_the_worlds_they_promise(name: str) -> N
     scene = plan.scene(groups[0])
     assert scene.n_boxes == 4
     assert f"{worlds:,} variant" in plan.estimate(60.0)
-    readme = (SWEEPS / "README.md").read_text(encoding="utf-8")
+    readme = (SWEEPS.parent / "docs" / "sweeps.md").read_text(encoding="utf-8")
     line = next(line for line in readme.splitlines() if f"`{name}`" in line)
     assert str(worlds) in line
     assert sweep.resolved()["simulation"]["interval_s"] > 0

@@ -10,8 +10,8 @@ GRANULE = 4
 """Capacities are multiples of this, so that runs over different plan files share compiled programs."""
 
 FIXED_COST_BOXES = 6.0
-"""A step at capacity C costs about as (C + this)²: the square of spec section 8's table plus what a step costs
-with no box at all."""
+"""A step at capacity C costs about (C + this)²: it grows with the square of the boxes, and costs something with
+no box at all (docs/performance.md)."""
 
 
 def step_cost(capacity: int) -> float:
@@ -35,7 +35,7 @@ def growing_capacities(sizes: Sequence[int], max_stages: int) -> list[int]:
 
 
 def class_capacities(sizes: Sequence[int], max_classes: int) -> list[int]:
-    """Capacities for stages in which a world stays in its size class from begin to end (static, profiles).
+    """Capacities for stages in which a world stays from its start to its end (static check, profiles).
 
     The work below a capacity is the number of plans that fit into it.
     """

@@ -36,9 +36,9 @@ class JaxStepper:
         def one_lane(fields: dict[str, jax.Array], data: Any) -> Any:
             model = self.model.tree_replace(fields)
             done = mjx.forward(model, data)
-            # MJX's line search takes the root of a tangential force² that float32 can make a little negative where
-            # contacts are all but at rest (3.17: solver.py, _LSPoint). There the last step's accelerations and
-            # forces are as good: they are what the solver started from.
+            # MJX's line search takes the root of a squared tangential force, which float32 can make slightly negative
+            # where contacts are almost at rest (3.17: solver.py, _LSPoint). The accelerations and forces of the last
+            # step are then as good: the solver started from them.
             lost = ~jnp.isfinite(done.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, done.qacc)
             done = done.replace(qacc=qacc, qacc_warmstart=qacc)
@@ -94,6 +94,6 @@ class MjxJaxEngine(MjxEngine):
             native_ccd=True,
             line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
-        # Nothing is damped here. Left on, each step solves for its accelerations anew, from forces.
+        # Nothing is damped here. With damping left on, each step would compute its accelerations a second time.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         return JaxStepper(template, lanes, sim.physics)

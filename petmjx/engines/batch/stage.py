@@ -2,7 +2,7 @@
 
 A stage has lanes; worlds take lanes in turn, as an inference server batches requests. Stepping runs in chunks of
 a fixed number of steps without the host; between chunks finished lanes are written back to the table of
-worlds and refilled from the queue, all on the device. The host reads one small counter a chunk, a chunk late.
+worlds and refilled from the queue, all on the device. The host reads one small counter per chunk, one chunk late.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Stage:
         )
 
     def _refill(self, lanes: Lanes, table: State, worlds: Worlds, queue: Queue) -> tuple[Lanes, State, Queue, Array]:
-        """Write back lanes that are through and give them to the next worlds of the queue.
+        """Write back lanes whose world has ended and give them to the next worlds of the queue.
 
         Returns:
             Lanes, table, queue, and for the host: lanes running, worlds still queued, usage, iterations.
@@ -226,8 +226,8 @@ class Stage:
         gravity, force = self._excitation(lanes, profiles)
         bodies = CARRIER_BODY + 1 + capacity
         shown = self._park_idle(rules.park(state))
-        # Boxes in the air fall freely during the step. Told so from the start, the solver has nothing to find for
-        # them; from zero, each would add ½·m·g² to its cost, and float32 would lose the contacts beside it.
+        # Boxes in the air fall freely during the step. With that as its start, the solver has nothing to find for
+        # them. From zero, each would add ½·m·g² to the cost, and float32 would lose the contacts in that sum.
         waiting = ~rules.standing(state)[..., None]
         warm = shown.warm.at[..., :3].set(jnp.where(waiting, gravity[:, None], shown.warm[..., :3]))
         inputs = {
@@ -262,7 +262,7 @@ class Stage:
             carrier_warm=carrier_warm,
             step=state.step + state.running,
         )
-        # Read in every step, though few count: a condition would make the host wait for the device in each.
+        # Read in every step, though few count: a condition would make the host wait for the device in each step.
         top_force = self.stepper.top_force(overrides, scratch)
         overflow = self.stepper.overflow(scratch)
         state = rules.after_step(state, lanes.worlds, seen_pose, acceleration, top_force, overflow)

@@ -24,7 +24,7 @@ NEVER = np.iinfo(np.int32).max
 """A step that is never reached: an end that is not known yet."""
 
 SOFT_START_BEGIN = -200
-"""Step counter of a fresh world: the soft start's steps come before step 0 (spec, section 4)."""
+"""Step counter of a fresh world: the soft start's steps come before step 0."""
 
 
 class Status:
@@ -216,8 +216,8 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
     """States before the soft start.
 
     Args:
-        all_placed: static check; every box stands at its release pose from the begin.
-        ends: last step where it is known in advance (fixed schedule), NEVER elsewhere.
+        all_placed: static check; every box stands at its release pose from the start.
+        ends: the last step, where it is known in advance (fixed schedule); else NEVER.
     """
     n, width = worlds.mass.shape
     zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)

@@ -1,4 +1,4 @@
-"""The padded model of a capacity: one compiled MuJoCo model that every plan of up to that many boxes is poured into.
+"""The padded model of a capacity: one compiled MuJoCo model for every plan of up to that many boxes.
 
 What differs from world to world (sizes, masses, frictions, gravity) is not in the template but in per-world
 overrides of model fields, which ``override_fields`` alone computes.
@@ -19,7 +19,7 @@ FLOOR_GEOM, CARRIER_GEOM, FIRST_BOX_GEOM = 0, 1, 2
 WORLD_BODY, CARRIER_BODY, FIRST_BOX_BODY = 0, 1, 2
 
 FLOAT32_TOLERANCE = 1e-6
-"""Smallest relative solver tolerance: MuJoCo's 1e-8 is below what float32 resolves and would only cost iterations."""
+"""Smallest relative solver tolerance: float32 does not resolve MuJoCo's 1e-8, which would only cost iterations."""
 
 MAX_ITERATIONS = 100
 """MuJoCo's default limit of solver iterations."""

@@ -1,4 +1,4 @@
-"""Times of a run as whole steps, to the step the reference would take them at.
+"""Times of a run as whole steps, the same steps as in the reference implementation.
 
 MuJoCo's clock is a float64 running sum of the timestep, and events happen after the first step at which
 ``time − earlier time ≥ interval``. The batched engines count steps in integers; these tables carry the
@@ -47,8 +47,8 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
     placement = (max_boxes + 2) * sim.interval_s if sim.check is Check.ONE_BY_ONE else sim.duration_s
     n = seconds_to_steps(placement + sim.settle_s, dt) + 4
     clock = np.concatenate([[0.0], np.cumsum(np.full(n, dt))])
-    # searchsorted alone would compare time against earlier + interval, which rounds differently from the
-    # difference of times that the rule names; so the first guess is corrected by that very comparison.
+    # searchsorted compares a time with (earlier time + interval), which rounds differently from the difference of
+    # times in the rule. So its answer is corrected with the comparison of the rule.
     due = np.searchsorted(clock, clock + sim.interval_s - dt / 2).astype(np.int64)
     for _ in range(2):
         inside = np.minimum(due, n)

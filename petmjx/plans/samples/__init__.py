@@ -150,7 +150,7 @@ def as_placements(placed: Iterable[Placed]) -> list[Placement]:
 
 
 def bundled_path() -> Path:
-    """The bundled sample plans (``petmjx.samples.bundled`` says what is in them and makes them)."""
+    """The bundled sample plans; :mod:`petmjx.plans.samples.bundled` says which they are and makes the file."""
     return Path(str(files(__package__) / "bundled.json"))
 
 

@@ -1,6 +1,6 @@
 """The bundled sample set: the hand-made plans, then plans of the generator picked by their number.
 
-Make it anew with ``python -m petmjx.samples.bundled``.
+Make the file again with ``python -m petmjx.plans.samples.bundled``.
 """
 
 from __future__ import annotations

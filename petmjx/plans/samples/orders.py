@@ -43,7 +43,7 @@ WEIGHT_RANGE_KG = (0.2, 20.0)
 DENSITY_RANGE_KG_M3 = (60.0, 900.0)
 _LIGHT_SHARE = 0.08
 _LIGHT_FACTOR = 0.3
-"""Some articles are mostly air, whatever their size: crisps, paper cups."""
+"""Some articles are mostly air at any size: crisps, paper cups."""
 
 # Streams below one seed: the second part of the spawn key tells orders (and the packer's choices for them) apart.
 _CATALOGUE_STREAM = 0

@@ -1,0 +1,291 @@
+"""Documents and docstrings name what exists, point nowhere outside the repository, and their examples run."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.plan_files import placement
+
+from petmjx.checked import Checked
+from petmjx.config import Simulation
+from petmjx.plans.read import load_plans
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCUMENTS = (
+    REPOSITORY / "README.md",
+    REPOSITORY / "benchmarks" / "README.md",
+    REPOSITORY / "sweeps" / "README.md",
+    *sorted((REPOSITORY / "docs").glob("*.md")),
+)
+FOLDERS = ("petmjx", "tests", "benchmarks")
+SOURCES = tuple(path for folder in FOLDERS for path in sorted((REPOSITORY / folder).rglob("*.py")))
+
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+MENTIONED_PATH = re.compile(r"(?<![\w./-])(?:petmjx|docs|tests|benchmarks|sweeps)/[\w./*-]*[\w*/]")
+MENTIONED_NAME = re.compile(r"(?<![\w./-])petmjx(?:\.[A-Za-z_]\w*)+(?![\w/])")
+ROLE = re.compile(r":(?:func|class|meth|mod|data|attr):`~?([\w.]+)`")
+CODE_BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+HEADING = re.compile(r"^#+ (.+)$", flags=re.MULTILINE)
+
+OUTSIDE = re.compile(r"\b[Tt]he spec\b|\bspec,? section|(?<!\]\()\.\./|\b[Tt]he issue\b|\bissue \d")
+"""What readers of the repository do not have. Links that go up are for `test_links_lead_somewhere`."""
+
+ENDS = ("", ".py")
+"""A module may be named without its ending."""
+
+MADE_BY_THE_BUILD = {"petmjx/ready_sweeps"}
+"""Paths of the wheel alone (pyproject.toml)."""
+
+
+def relative(path: Path) -> str:
+    return str(path.relative_to(REPOSITORY))
+
+
+def lines_of(text: str) -> Iterator[tuple[int, str]]:
+    yield from enumerate(text.splitlines(), start=1)
+
+
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def docstrings_and_comments(path: Path) -> Iterator[tuple[int, str]]:
+    """(line, text) of every comment, and of every string that stands as a statement (docstrings of fields too)."""
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield from ((node.lineno + number - 1, line) for number, line in lines_of(node.value.value))
+    source = path.read_text(encoding="utf-8")
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+
+
+def all_texts() -> Iterator[tuple[str, str]]:
+    """(where, line) of documents, docstrings and comments."""
+    for document in DOCUMENTS:
+        for number, line in lines_of(document.read_text(encoding="utf-8")):
+            yield f"{relative(document)}:{number}", line
+    for source in SOURCES:
+        for number, line in docstrings_and_comments(source):
+            yield f"{relative(source)}:{number}", line
+
+
+def anchors_of(document: Path) -> set[str]:
+    """Anchors of a document's headings, as GitHub makes them."""
+    headings = HEADING.findall(document.read_text(encoding="utf-8"))
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("document", [*DOCUMENTS, REPOSITORY / "CHANGELOG.md"], ids=relative)
+def test_links_lead_somewhere(document: Path) -> None:
+    broken = []
+    for target in LINK.findall(document.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        path = document.parent / name if name else document
+        if not path.exists() or (anchor and anchor not in anchors_of(path)):
+            broken.append(target)
+    assert not broken
+
+
+def exists(path: str) -> bool:
+    """Whether a path, or a pattern of paths, is in the repository."""
+    return any(any(REPOSITORY.glob(path.rstrip("/") + end)) for end in ENDS)
+
+
+def test_paths_that_are_named_exist() -> None:
+    missing = []
+    for where, line in all_texts():
+        for path in MENTIONED_PATH.findall(line):
+            if path not in MADE_BY_THE_BUILD and not exists(path):
+                missing.append(f"{where}: {path}")
+    assert not missing, "\n".join(missing)
+
+
+def members_of(body: list[ast.stmt]) -> dict[str, ast.stmt]:
+    """Names that a module or class defines or imports, and by which statement."""
+    found: dict[str, ast.stmt] = {}
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            found[node.name] = node
+        elif isinstance(node, ast.Assign):
+            found |= {
+                name.id: node for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)
+            }
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            found[node.target.id] = node
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {alias.asname or alias.name: node for alias in node.names}
+        elif isinstance(node, ast.If | ast.Try):
+            found |= members_of(node.body)
+    return found
+
+
+def module_path(parts: list[str]) -> Path | None:
+    base = REPOSITORY.joinpath(*parts)
+    candidates = (base.with_suffix(".py"), base / "__init__.py")
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name below petmjx is a module, or something in one. Nothing is imported for it.
+
+    Public names (``petmjx.score``) are imports of ``petmjx/__init__.py``, and are followed to where they are defined.
+    """
+    parts = name.split(".")
+    depth = max((depth for depth in range(1, len(parts) + 1) if module_path(parts[:depth])), default=0)
+    module = module_path(parts[:depth]) if depth else None
+    if module is None:
+        return False
+    body = tree_of(module).body
+    for number, part in enumerate(parts[depth:], start=depth + 1):
+        node = members_of(body).get(part)
+        if isinstance(node, ast.ImportFrom):
+            return resolves(".".join([node.module or "", part, *parts[number:]]))
+        if node is None:
+            return False
+        body = node.body if isinstance(node, ast.ClassDef) else []
+    return True
+
+
+def test_names_of_petmjx_exist() -> None:
+    unknown = [
+        f"{where}: {name}" for where, line in all_texts() for name in MENTIONED_NAME.findall(line) if not resolves(name)
+    ]
+    assert not unknown, "\n".join(unknown)
+
+
+def test_roles_in_docstrings_resolve() -> None:
+    """A Sphinx role has a name of petmjx, or one that its own file defines or imports."""
+    unknown = []
+    for source in SOURCES:
+        known = set(members_of(tree_of(source).body))
+        for node in ast.walk(tree_of(source)):
+            if isinstance(node, ast.ClassDef):
+                known |= set(members_of(node.body))
+        for number, line in docstrings_and_comments(source):
+            for name in ROLE.findall(line):
+                if not (resolves(name) if name.startswith("petmjx.") else name.split(".")[0] in known):
+                    unknown.append(f"{relative(source)}:{number}: {name}")
+    assert not unknown, "\n".join(unknown)
+
+
+def test_no_text_points_outside_the_repository() -> None:
+    own = relative(Path(__file__))
+    outside = [f"{where}: {line.strip()}" for where, line in all_texts() if OUTSIDE.search(line) and own not in where]
+    assert not outside, "\n".join(outside)
+
+
+def blocks(document: str, language: str) -> list[str]:
+    text = (REPOSITORY / "docs" / document).read_text(encoding="utf-8")
+    return [body for name, body in CODE_BLOCK.findall(text) if name == language]
+
+
+def run_in(folder: Path, program: str) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def with_the_minimal_plan(tmp_path: Path) -> Path:
+    (tmp_path / "plans.json").write_text(blocks("plan-format.md", "json")[0], encoding="utf-8")
+    return tmp_path
+
+
+def test_examples_of_the_plan_format_run(with_the_minimal_plan: Path) -> None:
+    for program in blocks("plan-format.md", "python"):
+        printed = run_in(with_the_minimal_plan, program)
+        for expected in re.findall(r"print\(.*\)  # (.+)", program):
+            assert expected in printed
+
+
+def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
+    """All blocks as one program."""
+    printed = run_in(with_the_minimal_plan, "\n".join(blocks("extending.md", "python")))
+    assert "hand-bridge" in printed
+    assert "level_g" in printed
+
+
+def edited(field: str, value: Any) -> list[dict[str, Any]]:
+    """Eight placements, the last with another value of one field; None takes the field away."""
+    plan = [placement() for _ in range(8)]
+    holder = plan[7] if field in plan[7] else plan[7]["item"]
+    holder[field] = value
+    if value is None:
+        del holder[field]
+    return plan
+
+
+REFUSED = {
+    "missing": edited("weight/kg", None),
+    "negative": edited("weight/kg", -1),
+    "metres": edited("length/mm", 0.6),
+    "text": edited("height/mm", "220"),
+    "not a number": edited("height/mm", float("nan")),
+    "orientation": edited("orientation", 2),
+    "corner": edited("flb_coordinates", [0, 0]),
+    "empty": [],
+    "too many": [placement() for _ in range(300)],
+}
+
+
+@pytest.mark.parametrize("plan", REFUSED.values(), ids=REFUSED)
+@pytest.mark.usefixtures("in_tmp_path")
+def test_refusals_read_as_the_plan_format_says(plan: list[Any]) -> None:
+    Path("plans.json").write_text(json.dumps({"A": plan}), encoding="utf-8")
+    (skipped,) = load_plans("plans.json").skipped
+    assert f"| `{skipped.message}` |" in (REPOSITORY / "docs" / "plan-format.md").read_text(encoding="utf-8")
+
+
+def default_of(path: str) -> object:
+    value: Any = Simulation()
+    for name in path.split("."):
+        assert name in type(value).model_fields, f"Simulation has no {path}"
+        value = getattr(value, name)
+    return value
+
+
+def as_documented(value: object) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, tuple):
+        return ", ".join(str(entry) for entry in value)
+    return "none" if value is None else str(value)
+
+
+def test_the_rules_name_the_defaults() -> None:
+    text = (REPOSITORY / "docs" / "rules.md").read_text(encoding="utf-8")
+    tables = re.findall(r"^\| option \| default \| meaning \|\n\| --- .*\n((?:\|.*\n)+)", text, flags=re.MULTILINE)
+    rows = [re.match(r"\| `([\w.]+)` \| (.+?) \|", row) for table in tables for row in table.splitlines()]
+    named = {row[1]: row[2] for row in rows if row is not None}
+    assert len(named) == len(rows)
+    assert {path: as_documented(default_of(path)) for path in named} == named
+
+
+def test_the_rules_name_every_option_of_a_run() -> None:
+    text = (REPOSITORY / "docs" / "rules.md").read_text(encoding="utf-8")
+
+    def fields(record: Checked, prefix: str = "") -> Iterator[str]:
+        for name in type(record).model_fields:
+            value = getattr(record, name)
+            yield from fields(value, f"{name}.") if isinstance(value, Checked) else [f"{prefix}{name}"]
+
+    assert [path for path in fields(Simulation()) if f"`{path}`" not in text] == []
