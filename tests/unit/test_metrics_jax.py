@@ -51,7 +51,7 @@ def test_lowest_points_are_the_oracles() -> None:
     pos, half = RNG.normal(size=(LANES, BOXES, 3)), RNG.uniform(0.05, 0.3, (LANES, BOXES, 3))
     quat = quaternions((LANES, BOXES))
     expected = motion_np.lowest_z(pos.reshape(-1, 3), quat.reshape(-1, 4), half.reshape(-1, 3))
-    found = motion.hull_bottom_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
+    found = motion.lowest_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
     np.testing.assert_allclose(np.asarray(found).ravel(), expected, atol=METRES)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.metrics import motion_np
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -274,10 +275,7 @@ class WorldRun:
         rule = self._sim.quiet
         if self._step % rule.poll_steps or self._step == self._last_placement:
             return False
-        velocity = self._live.velocity[: self._live.n_placed]
-        linear = np.linalg.norm(velocity[:, :3], axis=1) / rule.lin_vel_m_s
-        angular = np.linalg.norm(velocity[:, 3:], axis=1) / rule.ang_vel_rad_s
-        pace = np.maximum(linear, angular)
+        pace = motion_np.pace(self._live.velocity[: self._live.n_placed], rule)
         if not (pace < 1).all():
             self._quiet_steps = 0
             return False
