@@ -15,6 +15,7 @@ from support.outcomes import dropped_outcome, make_outcome, make_plan
 
 from petmjx.config import Simulation, Thresholds
 from petmjx.errors import InputError
+from petmjx.plans.plan import Skipped
 from petmjx.results.compare import FORCE_FLOOR_N, Comparison, compare_runs, thresholds_of
 from petmjx.results.reader import load_run
 from petmjx.results.schema import Param
@@ -228,7 +229,7 @@ def test_summary_table(tmp_path: Path) -> None:
     with RunWriter(tmp_path, CONFIG, expected_worlds=4) as run:
         run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
         run.add(make_plan("b"), 0, "mujoco", "fixed", dropped_outcome())
-        run.skip("c", "plans.json", "bad")
+        run.skip(Skipped("plans.json", "c", "bad"))
     info = load_run(tmp_path).info
     info["timings"]["wall_s"] = 4.0
     lines = [" ".join(line.replace("│", " ").split()) for line in shown(summary_table(info, "out/x")).splitlines()]
