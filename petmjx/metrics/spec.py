@@ -128,113 +128,115 @@ class WorldMetric:
         yield Column(self.name, self.unit, self.dtype, self.meaning, self.compared)
 
 
+def _largest(
+    name: str, unit: str, when: When, definition: str, of_box: str, of_world: str, relative: bool = False
+) -> BoxMetric:
+    """A metric of one column, with the largest of a world's boxes under the same name; ``of_…``: the two meanings."""
+    reduced = OfWorld(name, Reduction.LARGEST, of_world)
+    return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
+
+
 METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.SAMPLES_AND_END),
     BoxMetric(
-        attribute="shift_m",
-        unit="m",
-        columns={
+        "shift_m",
+        "m",
+        {
             "shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
             "shift_y_m": "final centre - planned centre, y",
             "shift_z_m": "final centre - planned centre, z",
         },
-        when=When.END,
-        definition="c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0",
+        When.END,
+        "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0",
         of_world=OfWorld("max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"),
     ),
-    BoxMetric(
-        attribute="max_tilt_deg",
-        unit="deg",
-        columns={"max_tilt_deg": "largest angle of the box's z axis to the world's, over samples"},
-        when=When.SAMPLES,
-        definition="max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
-        of_world=OfWorld(
-            "max_tilt_deg", Reduction.LARGEST, "largest angle of any box's z axis to the world's, over samples"
-        ),
+    _largest(
+        "max_tilt_deg",
+        "deg",
+        When.SAMPLES,
+        "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
+        of_box="largest angle of the box's z axis to the world's, over samples",
+        of_world="largest angle of any box's z axis to the world's, over samples",
     ),
     BoxMetric(
-        attribute="dropped",
-        unit=TEXT,
-        columns={"dropped": "the box fell off the carrier"},
-        when=When.SAMPLES_AND_END,
-        definition="once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
+        "dropped",
+        TEXT,
+        {"dropped": "the box fell off the carrier"},
+        When.SAMPLES_AND_END,
+        "once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
         "R is the box's rotation matrix, h its half sizes",
         dtype=np.bool_,
         of_world=OfWorld("n_dropped", Reduction.COUNT, "boxes that dropped"),
     ),
     BoxMetric(
-        attribute="drop_s",
-        unit="s",
-        columns={"drop_s": "when it dropped; null where it did not"},
-        when=When.SAMPLES_AND_END,
-        definition="time of the first look at which it had dropped",
+        "drop_s",
+        "s",
+        {"drop_s": "when it dropped; null where it did not"},
+        When.SAMPLES_AND_END,
+        "time of the first look at which it had dropped",
         dtype=np.float64,
         of_world=OfWorld("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
     ),
-    BoxMetric(
-        attribute="max_lin_acc",
-        unit="m/s^2",
-        columns={"max_lin_acc": "largest sampled linear acceleration"},
-        when=When.SAMPLES,
-        definition="max ‖a‖, with a the linear part of MuJoCo's `qacc` of the box's free joint",
-        of_world=OfWorld("max_lin_acc", Reduction.LARGEST, "largest sampled linear acceleration of any box"),
+    _largest(
+        "max_lin_acc",
+        "m/s^2",
+        When.SAMPLES,
+        "max ‖a‖, with a the linear part of MuJoCo's `qacc` of the box's free joint",
+        of_box="largest sampled linear acceleration",
+        of_world="largest sampled linear acceleration of any box",
     ),
-    BoxMetric(
-        attribute="max_ang_acc",
-        unit="rad/s^2",
-        columns={"max_ang_acc": "largest sampled angular acceleration"},
-        when=When.SAMPLES,
-        definition="max ‖α‖, with α the angular part of the same `qacc`",
-        of_world=OfWorld("max_ang_acc", Reduction.LARGEST, "largest sampled angular acceleration of any box"),
+    _largest(
+        "max_ang_acc",
+        "rad/s^2",
+        When.SAMPLES,
+        "max ‖α‖, with α the angular part of the same `qacc`",
+        of_box="largest sampled angular acceleration",
+        of_world="largest sampled angular acceleration of any box",
     ),
-    BoxMetric(
-        attribute="max_top_force_n",
-        unit="N",
-        columns={"max_top_force_n": "largest sampled force on its top"},
-        when=When.SAMPLES,
-        definition="max F, with F the force on the box's top (below)",
-        of_world=OfWorld("max_top_force_n", Reduction.LARGEST, "largest sampled force on top of any box"),
+    _largest(
+        "max_top_force_n",
+        "N",
+        When.SAMPLES,
+        "max F, with F the force on the box's top (below)",
+        of_box="largest sampled force on its top",
+        of_world="largest sampled force on top of any box",
+        relative=True,
+    ),
+    _largest(
+        "rest_top_force_n",
+        "N",
+        When.REST,
+        "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
+        of_box="force on its top at rest; null where the world never came to rest",
+        of_world="largest force on top of any box at rest; null where the world never came to rest",
         relative=True,
     ),
     BoxMetric(
-        attribute="rest_top_force_n",
-        unit="N",
-        columns={"rest_top_force_n": "force on its top at rest; null where the world never came to rest"},
-        when=When.REST,
-        definition="mean of F over all steps of the last `rest_window_s` of a world that reached its end",
-        of_world=OfWorld(
-            "rest_top_force_n",
-            Reduction.LARGEST,
-            "largest force on top of any box at rest; null where the world never came to rest",
-        ),
-        relative=True,
-    ),
-    BoxMetric(
-        attribute="pos",
-        unit="m",
-        columns={
+        "pos",
+        "m",
+        {
             "pos_x_m": "final centre, x",
             "pos_y_m": "final centre, y",
             "pos_z_m": "final centre, z; 0 is the carrier's top",
         },
-        when=When.END,
-        definition="c; compared by the distance between two runs' centres",
+        When.END,
+        "c; compared by the distance between two runs' centres",
         compared=False,
     ),
     BoxMetric(
-        attribute="quat",
-        unit=DIMENSIONLESS,
-        columns={f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
-        when=When.END,
-        definition="unit quaternion; compared by the angle between two runs' orientations",
+        "quat",
+        DIMENSIONLESS,
+        {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
+        When.END,
+        "unit quaternion; compared by the angle between two runs' orientations",
         compared=False,
     ),
     BoxMetric(
-        attribute="max_sway_m",
-        unit="m",
-        columns={"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
-        when=When.SAMPLES_AND_END,
-        definition="max √(Δx² + Δy²) of c since the profile's beginning",
+        "max_sway_m",
+        "m",
+        {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
+        When.SAMPLES_AND_END,
+        "max √(Δx² + Δy²) of c since the profile's beginning",
         driven_only=True,
     ),
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", When.END),

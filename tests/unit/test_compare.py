@@ -63,6 +63,7 @@ def test_a_run_agrees_with_itself(tmp_path: Path) -> None:
     assert result.agreement == 1.0
     assert result.flips.empty
     assert result.notes == ()
+    assert repr(result) == f"Comparison({run} and {run}: 2 of 2 worlds agree)"
     assert (result.n_not_stable, result.same_reason, result.same_culprit) == (1, 1, 1)
     assert result.worlds.largest.dropna().max() == 0
     assert result.boxes.largest.dropna().max() == 0
