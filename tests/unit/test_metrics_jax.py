@@ -7,11 +7,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from support.outcomes import make_plan
 
-from petmjx.config import Quiet, Thresholds
+from petmjx.config import Quiet, Simulation, Thresholds
+from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics import force_jax as force
 from petmjx.metrics import force_np, motion_np
 from petmjx.metrics import motion_jax as motion
+from petmjx.world.scene import build_scene
 
 RNG = np.random.default_rng(3)
 LANES, BOXES = 8, 25
@@ -104,6 +107,20 @@ def test_an_excess_above_one_is_a_shift_above_its_limit(limit: float) -> None:
 def test_shifts_under_the_floor_are_none() -> None:
     pos = jnp.array([[[0.0009, -0.0011, 0.5]]])
     np.testing.assert_allclose(motion.shift(pos, jnp.zeros((1, 1, 3)), 0.001), [[[0.0, -0.0011, 0.5]]])
+
+
+def test_a_displacement_under_the_floor_is_no_sign_on_any_engine() -> None:
+    limits = Thresholds(shift_m=0.0005, shift_floor_m=0.001)
+    scene = build_scene(make_plan(n=2), Simulation(thresholds=limits))
+    metrics = OracleMetrics(scene, limits)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    for offset_m, culprit in ((0.0008, -1), (0.0011, 1)):
+        pos = scene.target + np.array([[0.0, 0.0, 0.0], [offset_m, 0.0, 0.0]])
+        metrics.add_pose(1.0, pos, upright)
+        assert metrics.culprit == culprit
+        shift = motion.shift(jnp.asarray(pos)[None], jnp.asarray(scene.target, jnp.float32)[None], limits.shift_floor_m)
+        excess = motion.excess(shift, jnp.zeros((1, 2)), jnp.zeros((1, 2), bool), limits)
+        assert (np.asarray(excess[0]) > 1).tolist() == [False, culprit == 1]
 
 
 def test_the_pace_is_the_larger_of_both_speeds_in_units_of_their_limits() -> None:

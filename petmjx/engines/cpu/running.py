@@ -147,5 +147,7 @@ class OracleMetrics:
         self, pos: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_]
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """(k,) how far each box is over its thresholds, and (k,) whether it has crossed one."""
-        over = excess(pos - self._scene.target[: len(pos)], tilt, dropped, self._thresholds)
+        limits = self._thresholds
+        shift_m = shift(pos, self._scene.target[: len(pos)], limits.shift_floor_m)
+        over = excess(shift_m, tilt, dropped, limits)
         return over, (over > 1) | dropped
