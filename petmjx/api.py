@@ -207,7 +207,7 @@ def _simulate(
 def _note_input(writer: RunWriter, found: PlanSet) -> None:
     """Write what was skipped and what is odd about the plans into the run's record."""
     for skipped in found.skipped:
-        writer.skip(skipped.plan_id or "", skipped.source, skipped.message)
+        writer.skip(skipped)
     for warning in found.warnings:
         writer.warn(str(warning))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,16 +50,9 @@ class Flag(IntFlag):
 
 @dataclass(eq=False)
 class BoxMetrics:
-    """Per-box results of one world, in packing order. Definitions: docs/metrics.md.
+    """Metrics of one world's n boxes, in packing order. What each one is, and its unit: petmjx.metrics.spec.
 
-    Attributes:
-        shift_m: (n, 3) final centre − planned centre; components under the floor are 0.
-        max_tilt_deg: (n,) over samples since the box was placed.
-        max_lin_acc: (n,) m/s², max_ang_acc: (n,) rad/s².
-        max_top_force_n: (n,) N; rest_top_force_n: (n,) N, NaN where the world never came to rest.
-        dropped: (n,) bool; drop_s: (n,) s, NaN where the box did not drop.
-        max_sway_m: (n,) largest horizontal displacement from the start of the force profile, m; NaN without one.
-        pos: (n, 3) final centres, m; quat: (n, 4) final orientations (w, x, y, z).
+    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN: there is no value.
     """
 
     shift_m: FloatArray
@@ -96,19 +89,30 @@ class Outcome:
     """The settled state, where the job asked for it: opaque to all but the engine that made it."""
 
 
+INVALID_FLAGS: Final = (
+    (Flag.NONFINITE, Reason.NONFINITE),
+    (Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW, Reason.OVERFLOW),
+    (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
+    (Flag.EXPLOSION, Reason.EXPLOSION),
+)
+"""Flags that make a world invalid, with their reason, in the order in which they are looked at."""
+
+
 def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> tuple[Verdict, Reason]:
-    """The verdict over the placed boxes, in the order of spec section 5."""
-    if flags & Flag.NONFINITE:
-        return Verdict.INVALID, Reason.NONFINITE
-    if flags & (Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW):
-        return Verdict.INVALID, Reason.OVERFLOW
-    if flags & Flag.EXPLOSION:
-        return Verdict.INVALID, Reason.EXPLOSION
-    if boxes.dropped[:n_placed].any():
+    """The verdict of a world, on any engine: is it valid, then did a placed box drop, tilt or shift, in this order.
+
+    Metrics may come from float32. Against the default thresholds the comparison in float64 is the same as in float32:
+    20 is a float32, and of 0.02 the nearest float32 lies below, so that no float32 lies between the two.
+    """
+    for bits, reason in INVALID_FLAGS:
+        if flags & bits:
+            return Verdict.INVALID, reason
+    placed = slice(n_placed)
+    if boxes.dropped[placed].any():
         return Verdict.UNSTABLE, Reason.DROP
-    if (boxes.max_tilt_deg[:n_placed] > thresholds.tilt_deg).any():
+    if (boxes.max_tilt_deg[placed] > thresholds.tilt_deg).any():
         return Verdict.UNSTABLE, Reason.TILT
-    if (np.abs(boxes.shift_m[:n_placed]) > thresholds.shift_m).any():
+    if (np.abs(boxes.shift_m[placed]) > thresholds.shift_m).any():
         return Verdict.UNSTABLE, Reason.SHIFT
     return Verdict.STABLE, Reason.NONE
 

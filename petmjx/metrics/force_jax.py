@@ -1,4 +1,4 @@
-"""The force that presses on top of each box, from contacts."""
+"""The force that presses on top of each box, from contacts (JAX). Twin of ``force_np``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 VERTICAL_COSINE = math.cos(math.radians(45.0))
-"""A contact is vertical if its normal is within 45° of z (spec, section 5)."""
+"""A contact is vertical if its normal is within 45° of z."""
 
 
 def contact_force_z(

@@ -1,6 +1,8 @@
-"""The force that presses on top of each box, from C MuJoCo's contacts (NumPy)."""
+"""The force that presses on top of each box, from C MuJoCo's contacts (NumPy). Twin of ``force_jax``."""
 
 from __future__ import annotations
+
+import math
 
 import mujoco
 import numpy as np
@@ -8,7 +10,8 @@ from numpy.typing import NDArray
 
 from petmjx.units import FloatArray
 
-_COS_45 = float(np.sqrt(0.5))
+VERTICAL_COSINE = math.cos(math.radians(45.0))
+"""A contact is vertical if its normal is within 45° of z."""
 
 FIRST_BOX_GEOM = 2
 """Geoms 0 and 1 are floor and carrier in every model of :mod:`petmjx.world.model`."""
@@ -37,6 +40,34 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
     return index, force
 
 
+def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
+    """(k,) world-z component of contact forces on their second geoms, N.
+
+    Args:
+        force: (k, 3) along normal and tangents, N.
+        frame_z: (k, 3) z components of normal and tangents.
+    """
+    return np.asarray(np.einsum("kr,kr->k", force, frame_z))
+
+
+def pressed_box(
+    geom: NDArray[np.integer], geom_z: FloatArray, normal_z: FloatArray
+) -> tuple[NDArray[np.integer], FloatArray, NDArray[np.bool_]]:
+    """Which box a contact presses on: the partner whose centre is lower.
+
+    Args:
+        geom: (k, 2) partners; geom_z: (k, 2) z of their centres, m; normal_z: (k,) z component of the unit normal.
+
+    Returns:
+        (k,) box index (negative for carrier and floor), (k,) sign that turns the force on the second geom into a
+        force pressing down on the lower one, and (k,) whether the contact is vertical and its lower partner a box.
+    """
+    first_is_lower = geom_z[:, 0] < geom_z[:, 1]
+    box = np.where(first_is_lower, geom[:, 0], geom[:, 1]) - FIRST_BOX_GEOM
+    sign = np.where(first_is_lower, 1.0, -1.0)
+    return box, sign, (np.abs(normal_z) >= VERTICAL_COSINE) & (box >= 0)
+
+
 def top_forces(data: mujoco.MjData, n_boxes: int, pyramidal: bool) -> FloatArray:
     """(n_boxes,) sum of what presses on each box from above, N.
 
@@ -47,14 +78,11 @@ def top_forces(data: mujoco.MjData, n_boxes: int, pyramidal: bool) -> FloatArray
     if data.ncon == 0:
         return total
     index, force = contact_normal_and_tangents(data, pyramidal)
-    geoms = np.asarray(data.contact.geom)[index]
+    geom = np.asarray(data.contact.geom)[index]
     frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
-    z_on_second = np.einsum("kr,kr->k", force, frame[:, :, 2])
     centre_z = data.geom_xpos[:, 2].copy()
     centre_z[0] = -np.inf
-    first_is_lower = centre_z[geoms[:, 0]] < centre_z[geoms[:, 1]]
-    lower = np.where(first_is_lower, geoms[:, 0], geoms[:, 1]) - FIRST_BOX_GEOM
-    pressing = np.where(first_is_lower, z_on_second, -z_on_second)
-    counted = (np.abs(frame[:, 0, 2]) >= _COS_45) & (lower >= 0) & (lower < n_boxes)
-    np.add.at(total, lower[counted], pressing[counted])
+    box, sign, counts = pressed_box(geom, centre_z[geom], frame[:, 0, 2])
+    counts &= box < n_boxes
+    np.add.at(total, box[counts], (sign * contact_force_z(force, frame[:, :, 2]))[counts])
     return total

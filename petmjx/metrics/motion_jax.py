@@ -1,4 +1,4 @@
-"""Where boxes are: shift, tilt, lowest point, and how quickly they move."""
+"""Where boxes are, and how quickly they move (JAX). Twin of ``motion_np``, with arithmetic of its own."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def tilt_deg(quat: Float[Array, "lane box 4"]) -> Float[Array, "lane box"]:
     return jnp.rad2deg(2 * jnp.arctan2(sine, cosine))
 
 
-def hull_bottom_z(
+def lowest_z(
     pos: Float[Array, "lane box 3"], quat: Float[Array, "lane box 4"], half: Float[Array, "lane box 3"]
 ) -> Float[Array, "lane box"]:
-    """Lowest z of each box's axis-aligned hull, m: centre − |R[2, :]| · half extents."""
+    """z of the lowest point of each turned box, m: centre − |R[2, :]| · half extents."""
     w, x, y, z = (quat[..., i] for i in range(4))
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
     return pos[..., 2] - (jnp.abs(row) * half).sum(-1)
@@ -40,8 +40,8 @@ def has_dropped(
     half: Float[Array, "lane box 3"],
     thresholds: Thresholds,
 ) -> Bool[Array, "lane box"]:
-    """Centre below the carrier's top, or hull below ``drop_hull_z_m``."""
-    return (pos[..., 2] < 0) | (hull_bottom_z(pos, quat, half) < thresholds.drop_hull_z_m)
+    """Centre below the carrier's top, or lowest point below ``drop_hull_z_m``."""
+    return (pos[..., 2] < 0) | (lowest_z(pos, quat, half) < thresholds.drop_hull_z_m)
 
 
 def excess(
@@ -60,7 +60,10 @@ def excess(
 
 
 def pace_squared(vel: Float[Array, "lane box 6"], quiet: Quiet) -> Float[Array, "lane box"]:
-    """Speed in units of the quiet limits, linear or angular, whichever is larger; squared."""
+    """Linear or angular speed in units of its quiet limit, whichever is larger; squared, which saves the root.
+
+    The rules compare squares throughout. ``motion_np.pace`` is the root of it.
+    """
     linear = (vel[..., :3] ** 2).sum(-1) / quiet.lin_vel_m_s**2
     angular = (vel[..., 3:] ** 2).sum(-1) / quiet.ang_vel_rad_s**2
     return jnp.maximum(linear, angular)

@@ -1,10 +1,18 @@
-"""Where boxes are: tilt and lowest point (NumPy)."""
+"""Where boxes are, and how quickly they move (NumPy). Twin of ``motion_jax``, with arithmetic of its own."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from petmjx.config import Quiet, Thresholds
 from petmjx.units import FloatArray
+
+
+def shift(pos: FloatArray, target: FloatArray, floor_m: float) -> FloatArray:
+    """(n, 3) displacement from the planned centre, m; components under ``floor_m`` count as 0."""
+    delta = pos - target
+    return np.where(np.abs(delta) < floor_m, 0.0, delta)
 
 
 def tilt_deg(quat: FloatArray) -> FloatArray:
@@ -21,3 +29,24 @@ def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatA
     norm2 = w * w + x * x + y * y + z * z
     row = np.abs(np.stack((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))) / norm2
     return np.asarray(pos[:, 2] - row[0] * half_size[:, 0] - row[1] * half_size[:, 1] - row[2] * half_size[:, 2])
+
+
+def has_dropped(pos: FloatArray, quat: FloatArray, half_size: FloatArray, thresholds: Thresholds) -> NDArray[np.bool_]:
+    """(n,) centre below the carrier's top, or lowest point below ``drop_hull_z_m``."""
+    return np.asarray((pos[:, 2] < 0.0) | (lowest_z(pos, quat, half_size) < thresholds.drop_hull_z_m))
+
+
+def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds) -> FloatArray:
+    """(n,) how far over its thresholds each box is: the larger of shift and tilt as multiples of theirs.
+
+    Above 1 is a sign of failure, and so is a dropped box, which counts at least as 1.
+    """
+    worst = np.maximum(np.abs(shift_m).max(axis=1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
+    return np.asarray(np.maximum(worst, dropped))
+
+
+def pace(vel: FloatArray, quiet: Quiet) -> FloatArray:
+    """(n,) linear or angular speed in units of its quiet limit, whichever is larger, from (n, 6) velocities."""
+    linear = np.linalg.norm(vel[:, :3], axis=1) / quiet.lin_vel_m_s
+    angular = np.linalg.norm(vel[:, 3:], axis=1) / quiet.ang_vel_rad_s
+    return np.asarray(np.maximum(linear, angular))

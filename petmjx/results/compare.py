@@ -6,7 +6,6 @@ floor is about the weight of a 1 kg box; below it a ratio says nothing about the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,10 @@ from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
 from petmjx.errors import InputError
+from petmjx.metrics.spec import DIMENSIONLESS, Column, box_columns, world_columns
+from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
+from petmjx.text import counted
 from petmjx.verdict import Verdict
 
 FORCE_FLOOR_N: Final = 10.0
@@ -27,31 +29,11 @@ FORCE_FLOOR_N: Final = 10.0
 KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]
 
-_FORCES: Final = {"max_top_force_n": "N", "rest_top_force_n": "N"}
-
-WORLD_METRICS: Final = {
-    "max_shift_m": "m",
-    "max_tilt_deg": "deg",
-    "max_lin_acc": "m/s^2",
-    "max_ang_acc": "rad/s^2",
-    **_FORCES,
-    "n_dropped": "1",
-    "first_sign_s": "s",
-    "first_drop_s": "s",
-    "sim_time_s": "s",
-}
-BOX_METRICS: Final = {
-    "shift_x_m": "m",
-    "shift_y_m": "m",
-    "shift_z_m": "m",
-    "max_tilt_deg": "deg",
-    "max_lin_acc": "m/s^2",
-    "max_ang_acc": "rad/s^2",
-    **_FORCES,
-    "drop_s": "s",
-    "max_sway_m": "m",
-}
-"""Metric → unit. Of boxes also the distance of the final centres and the angle between the final orientations."""
+POSE: Final = (
+    Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
+    Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
+)
+"""Made from all components of the final poses, which are not compared one by one."""
 
 GROUPS: Final = ("same verdict", "both stable")
 """Over which worlds differences are taken: where a pallet collapses, what follows is chaotic."""
@@ -90,6 +72,9 @@ class Comparison:
     n_not_stable: int
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        return f"Comparison({self.a} and {self.b}: {self.n_agree:,} of {counted(self.n_common, 'world')} agree)"
+
     @property
     def n_agree(self) -> int:
         """Worlds with the same verdict in both runs."""
@@ -102,26 +87,9 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as JSON can hold it: missing numbers are None."""
-        return {
-            "a": self.a,
-            "b": self.b,
-            "n_common": self.n_common,
-            "n_agree": self.n_agree,
-            "agreement": self.agreement,
-            "n_not_stable": self.n_not_stable,
-            "same_reason": self.same_reason,
-            "same_culprit": self.same_culprit,
-            "confusion": {
-                str(row): {str(column): int(count) for column, count in counts.items()}
-                for row, counts in self.confusion.iterrows()
-            },
-            "flips": _records(self.flips),
-            "worlds": _records(self.worlds),
-            "boxes": _records(self.boxes),
-            "only_a": _records(self.only_a),
-            "only_b": _records(self.only_b),
-            "notes": list(self.notes),
-        }
+        confusion = {row: dict(counts) for row, counts in self.confusion.iterrows()}
+        shares = {"n_agree": self.n_agree, "agreement": self.agreement}
+        return dict(plain(shares | vars(self) | {"confusion": confusion}))
 
 
 def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comparison:
@@ -150,8 +118,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comp
         n_common=len(both),
         confusion=confusion.fillna(0).astype(int),
         flips=_flips(both[~same], thresholds_of(run_a.info), thresholds_of(run_b.info)),
-        worlds=_differences(both, WORLD_METRICS, KEY),
-        boxes=_differences(_with_pose_differences(boxes), BOX_METRICS, BOX_KEY),
+        worlds=_differences(both, world_columns(), KEY),
+        boxes=_differences(_with_pose_differences(boxes), [*POSE, *box_columns()], BOX_KEY),
         only_a=keys.loc[keys["side"] == "left_only", KEY].reset_index(drop=True),
         only_b=keys.loc[keys["side"] == "right_only", KEY].reset_index(drop=True),
         same_reason=int((not_stable["reason_a"] == not_stable["reason_b"]).sum()),
@@ -204,12 +172,10 @@ def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
     return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)
 
 
-def _differences(joined: pd.DataFrame, metrics: Mapping[str, str], key: Sequence[str]) -> pd.DataFrame:
-    """A row for each metric and group, from columns ``<metric>_a`` and ``<metric>_b``."""
-    listed = [(name, name, unit) for name, unit in metrics.items()]
-    if "position_m_a" in joined:
-        listed = [("position_m", "position_m", "m"), ("orientation_deg", "orientation_deg", "deg"), *listed]
-    listed += [(f"{name} relative", name, "1") for name in _FORCES]
+def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[str]) -> pd.DataFrame:
+    """A row for each compared metric and group, from columns ``<metric>_a`` and ``<metric>_b``."""
+    listed = [(column.name, column.name, column.unit) for column in columns if column.compared]
+    listed += [(f"{column.name} relative", column.name, DIMENSIONLESS) for column in columns if column.relative]
     rows = []
     for metric, name, unit in listed:
         if f"{name}_a" not in joined or f"{name}_b" not in joined:
@@ -260,15 +226,3 @@ def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.D
         if left is not None and right is not None and not ((left == right) | (left.isna() & right.isna())).all():
             notes.append(f"variants of one number differ in {name}")
     return notes
-
-
-def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(name): _plain(value) for name, value in row.items()} for row in frame.to_dict("records")]
-
-
-def _plain(value: Any) -> Any:
-    if pd.isna(value):
-        return None
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

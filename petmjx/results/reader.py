@@ -1,4 +1,4 @@
-"""A run's folder, read back as pandas data frames. What lies in it: petmjx.results.writer."""
+"""A run's folder, read back as pandas data frames. What lies in it: petmjx.results.files."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from petmjx.errors import InputError
+from petmjx.results.files import RUN_FILE, part_files
 from petmjx.results.schema import (
     SCHEMA_VERSION,
     attempts_schema,
@@ -20,10 +21,8 @@ from petmjx.results.schema import (
     schema_version_of,
     worlds_schema,
 )
-from petmjx.text import one_line
-
-RUN_FILE: Final = "run.json"
-TABLES: Final = ("worlds", "boxes", "attempts", "summary")
+from petmjx.text import counted, one_line
+from petmjx.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +36,13 @@ class RunResults:
 
     path: Path
     info: dict[str, Any]
+
+    def __repr__(self) -> str:
+        counts = self.info.get("counts", {})
+        what = "world" if self.info.get("config", {}).get("command") == "sweep" else "plan"
+        verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
+        status = self.info.get("status", "unknown")
+        return f"RunResults({self.path}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
@@ -98,11 +104,6 @@ def load_run(path: str | Path) -> RunResults:
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     _check_version(file, info["schema_version"])
     return RunResults(folder, info)
-
-
-def part_files(folder: Path, table: str) -> list[Path]:
-    """The files of a table's parts, in their order."""
-    return sorted((folder / table).glob("part-*.parquet"))
 
 
 def _read_part(file: Path) -> pa.Table:

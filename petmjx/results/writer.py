@@ -1,38 +1,26 @@
-"""A run's folder: written part by part while worlds finish, read back as pandas data frames.
-
-    DIR/run.json                    what was run, with what, how far it came, what was skipped
-    DIR/worlds/part-*.parquet       a row a world
-    DIR/boxes/part-*.parquet        a row a box of a world
-    DIR/attempts/part-*.parquet     a row an attempt, of worlds that needed more than one
-    DIR/summary/part-*.parquet      sweeps: the answers
-
-Every file appears whole or not at all. The boxes of a part are there before its worlds; boxes whose worlds are
-missing were left behind by a crash, and :func:`load_run` does not read them.
-"""
+"""Writes a run's folder, part by part, while worlds finish. What lies in it: petmjx.results.files."""
 
 from __future__ import annotations
 
 import json
-import math
 import platform
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from enum import Enum
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 
 from petmjx.errors import InputError, PetmjxError
-from petmjx.plans.plan import Plan
-from petmjx.results.parts import Part, Row, part_name, write_part, write_table, write_text
-from petmjx.results.reader import RUN_FILE, TABLES, part_files
+from petmjx.plans.plan import Plan, Skipped
+from petmjx.results.files import RUN_FILE, make_room, part_name, write_table, write_text
+from petmjx.results.parts import Part, Row
+from petmjx.results.plain import plain
 from petmjx.results.schema import (
     SCHEMA_VERSION,
     Param,
@@ -49,15 +37,6 @@ WORLDS_PER_PART: Final = 1_000
 
 SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this, however slowly worlds finish."""
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """A plan that was not simulated, and why (the line the user saw)."""
-
-    plan_id: str
-    source: str
-    error: str
 
 
 @dataclass(frozen=True)
@@ -162,8 +141,7 @@ class RunWriter:
 
     def __enter__(self) -> Self:
         try:
-            self.out_dir.mkdir(parents=True, exist_ok=True)
-            _make_room(self.out_dir, self._overwrite)
+            make_room(self.out_dir, self._overwrite)
             self._write_info()
         except OSError as error:
             raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
@@ -209,7 +187,10 @@ class RunWriter:
             "updated": _now(),
             "counts": {**counts, "skipped_plans": len(self.skipped)},
             "timings": {**self.timings, "wall_s": round(wall_s, 3)},
-            "skipped": [vars(skipped) for skipped in self.skipped],
+            "skipped": [
+                {"plan_id": skipped.plan_id or "", "source": skipped.source, "error": skipped.message}
+                for skipped in self.skipped
+            ],
             "warnings": list(self.warnings),
         }
 
@@ -240,7 +221,7 @@ class RunWriter:
         given = params or {}
         if unknown := given.keys() - set(self._param_names):
             raise ValueError(f"the run has no parameter {sorted(unknown)[0]!r}")
-        values = tuple(given.get(name) for name in self._param_names)
+        values = {name: given.get(name) for name in self._param_names}
         row = Row.of(plan, variant, engine, str(schedule), outcome, attempts, values)
         pending = self._pending
         if not pending.part.rows:
@@ -251,9 +232,9 @@ class RunWriter:
             self._flush()
             self._write_info()
 
-    def skip(self, plan_id: str, source: str, error: str) -> None:
-        """Record a plan that is not simulated, and why."""
-        self.skipped.append(Skipped(plan_id, source, error))
+    def skip(self, skipped: Skipped) -> None:
+        """Record something that is not simulated, and why."""
+        self.skipped.append(skipped)
 
     def warn(self, message: str) -> None:
         """Record a warning for ``run.json``."""
@@ -265,14 +246,14 @@ class RunWriter:
         if not pending.part.rows and not (last and pending.part.number == 0):
             return
         try:
-            write_part(pending.part, self.out_dir, self.schemas)
+            pending.part.write(self.out_dir, self.schemas)
         except OSError as error:
             raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
         # one assignment: an interrupt before it writes the same part again, one after it begins the next
         self._pending = _Pending(Part(pending.part.number + 1), pending.after())
 
     def _write_info(self) -> None:
-        text = json.dumps(_plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)
+        text = json.dumps(plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)
         write_text(text + "\n", self.out_dir / RUN_FILE)
 
 
@@ -304,36 +285,5 @@ def write_summary(
     return path
 
 
-def _make_room(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that holds a run, or take that run's files (no others) away.
-
-    ``run.json`` goes first: what a crash halfway through leaves is no run, rather than a run with parts missing.
-    """
-    parts = [file for table in TABLES for file in part_files(folder, table)]
-    if not overwrite and (parts or (folder / RUN_FILE).exists()):
-        raise InputError(f"{folder}: holds a run already; name another folder with --out, or pass --overwrite")
-    (folder / RUN_FILE).unlink(missing_ok=True)
-    leftovers = [file for table in TABLES for file in (folder / table).glob(".part-*.parquet.tmp")]
-    for file in (*parts, *leftovers):
-        file.unlink()
-
-
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _plain(value: Any) -> Any:
-    """The value as JSON can hold it: NumPy scalars, enums, paths and tuples unpacked, non-finite numbers null."""
-    if isinstance(value, Mapping):
-        return {str(_plain(key)): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, Enum):
-        return _plain(value.value)
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    return str(value)

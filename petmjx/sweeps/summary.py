@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 import pyarrow.dataset as ds
 
-from petmjx.results.schema import DIMENSIONLESS, TEXT, Param
+from petmjx.metrics.spec import DIMENSIONLESS, TEXT
+from petmjx.results.schema import Param
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import eumos_assessment
 from petmjx.sweeps.grid import SweepPlan

@@ -15,6 +15,7 @@ from support.outcomes import dropped_outcome, make_outcome, make_plan
 
 from petmjx.config import Simulation, Thresholds
 from petmjx.errors import InputError
+from petmjx.plans.plan import Skipped
 from petmjx.results.compare import FORCE_FLOOR_N, Comparison, compare_runs, thresholds_of
 from petmjx.results.reader import load_run
 from petmjx.results.schema import Param
@@ -62,6 +63,7 @@ def test_a_run_agrees_with_itself(tmp_path: Path) -> None:
     assert result.agreement == 1.0
     assert result.flips.empty
     assert result.notes == ()
+    assert repr(result) == f"Comparison({run} and {run}: 2 of 2 worlds agree)"
     assert (result.n_not_stable, result.same_reason, result.same_culprit) == (1, 1, 1)
     assert result.worlds.largest.dropna().max() == 0
     assert result.boxes.largest.dropna().max() == 0
@@ -228,7 +230,7 @@ def test_summary_table(tmp_path: Path) -> None:
     with RunWriter(tmp_path, CONFIG, expected_worlds=4) as run:
         run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
         run.add(make_plan("b"), 0, "mujoco", "fixed", dropped_outcome())
-        run.skip("c", "plans.json", "bad")
+        run.skip(Skipped("plans.json", "c", "bad"))
     info = load_run(tmp_path).info
     info["timings"]["wall_s"] = 4.0
     lines = [" ".join(line.replace("│", " ").split()) for line in shown(summary_table(info, "out/x")).splitlines()]

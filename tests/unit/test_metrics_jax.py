@@ -7,11 +7,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from support.outcomes import make_plan
 
-from petmjx.config import Quiet, Thresholds
+from petmjx.config import Quiet, Simulation, Thresholds
+from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics import force_jax as force
 from petmjx.metrics import force_np, motion_np
 from petmjx.metrics import motion_jax as motion
+from petmjx.world.scene import build_scene
 
 RNG = np.random.default_rng(3)
 LANES, BOXES = 8, 25
@@ -51,7 +54,7 @@ def test_lowest_points_are_the_oracles() -> None:
     pos, half = RNG.normal(size=(LANES, BOXES, 3)), RNG.uniform(0.05, 0.3, (LANES, BOXES, 3))
     quat = quaternions((LANES, BOXES))
     expected = motion_np.lowest_z(pos.reshape(-1, 3), quat.reshape(-1, 4), half.reshape(-1, 3))
-    found = motion.hull_bottom_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
+    found = motion.lowest_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
     np.testing.assert_allclose(np.asarray(found).ravel(), expected, atol=METRES)
 
 
@@ -71,15 +74,60 @@ def test_drops_and_signs() -> None:
     assert float(none[0, 0]) < 1
 
 
+def test_drops_signs_and_shifts_are_the_oracles() -> None:
+    limits = Thresholds()
+    target, half = RNG.normal(size=(LANES, BOXES, 3)), RNG.uniform(0.05, 0.3, (LANES, BOXES, 3))
+    target[..., 2] = half[..., 2]
+    pos = target + RNG.normal(scale=[0.01, 0.01, 0.3], size=target.shape)
+    quat = quaternions((LANES, BOXES))
+    flat = [array.reshape(-1, array.shape[-1]) for array in (pos, quat, half, target)]
+    single = [jnp.asarray(array, jnp.float32) for array in (pos, quat, half, target)]
+
+    dropped = motion_np.has_dropped(*flat[:3], limits)
+    assert 20 < dropped.sum() < 180
+    assert motion.has_dropped(*single[:3], limits).ravel().tolist() == dropped.tolist()
+    shift = motion_np.shift(flat[0], flat[3], limits.shift_floor_m)
+    found = motion.shift(single[0], single[3], limits.shift_floor_m)
+    np.testing.assert_allclose(np.asarray(found).reshape(-1, 3), shift, atol=METRES)
+    tilt = motion_np.tilt_deg(flat[1]) / 5
+    excess = motion_np.excess(shift, tilt, dropped, limits)
+    tilt_32, dropped_32 = (jnp.asarray(a).reshape(LANES, BOXES) for a in (tilt.astype(np.float32), dropped))
+    np.testing.assert_allclose(motion.excess(found, tilt_32, dropped_32, limits).ravel(), excess, rtol=1e-3)
+
+
+@pytest.mark.parametrize("limit", [0.02, 0.03, 0.0007, 20.0])
+def test_an_excess_above_one_is_a_shift_above_its_limit(limit: float) -> None:
+    """Rounding the ratio does not move it across 1: C's engine asks for the ratio, the verdict for the shift."""
+    shifts = np.array([np.nextafter(limit, 0), limit, np.nextafter(limit, 99)])
+    shift_m = np.stack([shifts, np.zeros(3), np.zeros(3)], axis=1)
+    excess = motion_np.excess(shift_m, np.zeros(3), np.zeros(3, bool), Thresholds(shift_m=limit))
+    assert (excess > 1).tolist() == [False, False, True]
+
+
 def test_shifts_under_the_floor_are_none() -> None:
     pos = jnp.array([[[0.0009, -0.0011, 0.5]]])
     np.testing.assert_allclose(motion.shift(pos, jnp.zeros((1, 1, 3)), 0.001), [[[0.0, -0.0011, 0.5]]])
+
+
+def test_a_displacement_under_the_floor_is_no_sign_on_any_engine() -> None:
+    limits = Thresholds(shift_m=0.0005, shift_floor_m=0.001)
+    scene = build_scene(make_plan(n=2), Simulation(thresholds=limits))
+    metrics = OracleMetrics(scene, limits)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    for offset_m, culprit in ((0.0008, -1), (0.0011, 1)):
+        pos = scene.target + np.array([[0.0, 0.0, 0.0], [offset_m, 0.0, 0.0]])
+        metrics.add_pose(1.0, pos, upright)
+        assert metrics.culprit == culprit
+        shift = motion.shift(jnp.asarray(pos)[None], jnp.asarray(scene.target, jnp.float32)[None], limits.shift_floor_m)
+        excess = motion.excess(shift, jnp.zeros((1, 2)), jnp.zeros((1, 2), bool), limits)
+        assert (np.asarray(excess[0]) > 1).tolist() == [False, culprit == 1]
 
 
 def test_the_pace_is_the_larger_of_both_speeds_in_units_of_their_limits() -> None:
     vel = jnp.array([[[0.009, 0, 0, 0, 0, 0.049], [0.003, 0.004, 0, 0, 0, 0], [0, 0, 0, 0.03, 0.04, 0]]])
     pace = jnp.sqrt(motion.pace_squared(vel, Quiet()))
     np.testing.assert_allclose(pace, [[0.98, 0.5, 1.0]], rtol=1e-5)
+    np.testing.assert_allclose(motion_np.pace(np.asarray(vel[0], float), Quiet()), [0.98, 0.5, 1.0], rtol=1e-6)
 
 
 # ---------------------------------------------------------------------- contact forces

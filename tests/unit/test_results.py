@@ -17,8 +17,11 @@ import pyarrow.parquet as pq
 import pytest
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 
+from petmjx.config import Schedule
 from petmjx.errors import InputError, PetmjxError
-from petmjx.results import parts
+from petmjx.plans.plan import Skipped
+from petmjx.results import files
+from petmjx.results.plain import plain
 from petmjx.results.reader import load_run
 from petmjx.results.schema import SCHEMA_VERSION, Param, boxes_schema, worlds_schema
 from petmjx.results.writer import RunWriter, write_summary
@@ -68,6 +71,8 @@ def test_columns_are_the_specified_ones_and_carry_units(tmp_path: Path) -> None:
             assert set(column.metadata) == {b"unit", b"description"}
             assert column.metadata[b"description"]
     assert worlds.field("max_lin_acc").metadata[b"unit"] == b"m/s^2"
+    schedule = worlds.field("schedule").metadata[b"description"].decode()
+    assert all(name in schedule for name in Schedule)
     suffixes = {"_m": b"m", "_s": b"s", "_n": b"N", "_deg": b"deg"}
     for column in (*worlds, *boxes):
         for suffix, unit in suffixes.items():
@@ -79,7 +84,7 @@ def test_round_trip(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "run", {"sim": {"interval_s": 0.7}}, versions={"mujoco": "3"}, device="cpu") as run:
         run.add(make_plan("stands"), 0, "mujoco", "adaptive", make_outcome())
         run.add(make_plan("falls"), 0, "mujoco", "adaptive", dropped_outcome())
-        run.skip("bad", "plans.json", "plans.json: plan bad, placement 0: weight/kg must be > 0, got -1")
+        run.skip(Skipped("plans.json", "bad", "plans.json: plan bad, placement 0: weight/kg must be > 0, got -1"))
         run.timings["simulate_s"] = 2.0
     results = load_run(tmp_path / "run")
     stands, falls = results.worlds.to_dict("records")
@@ -115,10 +120,37 @@ def test_round_trip(tmp_path: Path) -> None:
     }
     assert results.info["config"] == {"sim": {"interval_s": 0.7}}
     assert results.info["versions"].keys() == {"python", "mujoco"}
-    assert results.info["skipped"][0]["plan_id"] == "bad"
+    assert results.info["skipped"] == [
+        {
+            "plan_id": "bad",
+            "source": "plans.json",
+            "error": "plans.json: plan bad, placement 0: weight/kg must be > 0, got -1",
+        }
+    ]
     assert results.info["timings"]["simulate_s"] == 2.0
     assert results.summary is None
     assert results.attempts.empty
+
+
+def test_the_repr_is_a_line(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", {"command": "score"}) as run:
+        run.add(make_plan("stands"), 0, "mujoco", "adaptive", make_outcome())
+        run.add(make_plan("falls"), 0, "mujoco", "adaptive", dropped_outcome())
+    line = f"RunResults({tmp_path}/run: 2 plans, 1 stable, 1 unstable, 0 invalid; finished)"
+    assert repr(load_run(tmp_path / "run")) == line
+    with RunWriter(tmp_path / "sweep", {"command": "sweep"}) as run:
+        run.add(make_plan(), 0, "mujoco", "adaptive", make_outcome())
+    assert ": 1 world, 1 stable" in repr(load_run(tmp_path / "sweep"))
+
+
+def test_anything_becomes_plain_json() -> None:
+    frame = pd.DataFrame({"n": pd.array([1, None], "Int64"), "x": [np.inf, 0.5]})
+    value = {Verdict.STABLE: (np.float32(0.5), np.arange(2), Path("a")), 1: [np.nan, None, True, pd.NA], "f": frame}
+    assert plain(value) == {
+        "stable": [0.5, [0, 1], "a"],
+        "1": [None, None, True, None],
+        "f": [{"n": 1, "x": None}, {"n": None, "x": 0.5}],
+    }
 
 
 def test_outcomes_are_copied(tmp_path: Path) -> None:
@@ -236,7 +268,7 @@ def test_ctrl_c_while_a_part_is_written_neither_loses_nor_doubles_worlds(
             calls += 1
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(parts.os, "replace", interrupted_replace)
+    monkeypatch.setattr(files.os, "replace", interrupted_replace)
     with pytest.raises(KeyboardInterrupt):
         write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
     results = load_run(tmp_path)
@@ -314,7 +346,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def full(*_: Any, **__: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(parts.pq, "write_table", full)
+    monkeypatch.setattr(files.pq, "write_table", full)
     with pytest.raises(PetmjxError, match="cannot write results: No space left"):
         write_run(tmp_path)
     assert load_run(tmp_path).info["status"] == "failed"

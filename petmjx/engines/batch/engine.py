@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from petmjx.config import Check, Cone, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.capacities import class_capacities, growing_capacities
-from petmjx.engines.batch.outcomes import handed_on, judge, outcomes, started_states
+from petmjx.engines.batch.outcomes import handed_on, outcomes, started_states
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.stage import Queue, Stage, Stepper
@@ -171,8 +171,7 @@ class MjxEngine(ABC):
             rows = [row for row in np.flatnonzero(~emitted) if handed_on(int(status[row]), jobs[int(row)])]
             if rows:
                 emitted[rows] = True
-                results = judge(group.table, group.worlds, sim)
-                yield from outcomes(np.array(rows), jobs, first_job, group.table, results, timetable, sim)
+                yield from outcomes(np.array(rows), jobs, first_job, group.table, group.worlds, timetable, sim)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
         if "" in capacities:

@@ -1,4 +1,4 @@
-"""Metrics and verdicts of finished worlds: reduced on the device, then read out as outcomes."""
+"""Metrics and verdicts of finished worlds: reduced on the device, judged and read out on the host."""
 
 from __future__ import annotations
 
@@ -9,69 +9,33 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.state import State, Status, Worlds
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.metrics import motion_jax as motion
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
 
-REASONS = (
-    Reason.NONE,
-    Reason.NONFINITE,
-    Reason.OVERFLOW,
-    Reason.OUT_OF_MEMORY,
-    Reason.EXPLOSION,
-    Reason.DROP,
-    Reason.TILT,
-    Reason.SHIFT,
-)
-"""In the order in which they are looked at; the device speaks of them by index."""
 
-FIRST_UNSTABLE = REASONS.index(Reason.DROP)
+class Reduced(NamedTuple):
+    """Metrics of worlds that need the whole run."""
 
-
-class Results(NamedTuple):
-    """Device-side results of worlds; ``reason`` indexes REASONS."""
-
-    reason: Int[Array, " world"]
     shift: Float[Array, "world box 3"]
     rest_force: Float[Array, "world box"]
 
 
 @partial(jax.jit, static_argnames="sim")
-def judge(state: State, worlds: Worlds, sim: Simulation) -> Results:
-    """Verdicts (as reasons) and the metrics that need the whole run, for every world of a table."""
-    limits, m = sim.thresholds, state.metrics
-    box = jnp.arange(worlds.mass.shape[1])
-    placed = box < state.placed[:, None]
-    shift = motion.shift(state.pose[..., :3], worlds.target, limits.shift_floor_m)
-    shift = jnp.where(placed[..., None], shift, 0.0)
-    flags = state.flags
-
-    def flagged(*kinds: Flag) -> Array:
-        mask = sum(int(kind) for kind in kinds)
-        return (flags & mask) != 0
-
-    tests = {
-        Reason.NONFINITE: flagged(Flag.NONFINITE),
-        Reason.OVERFLOW: flagged(Flag.CONTACT_OVERFLOW, Flag.CONSTRAINT_OVERFLOW, Flag.OTHER_OVERFLOW),
-        Reason.OUT_OF_MEMORY: flagged(Flag.OUT_OF_MEMORY),
-        Reason.EXPLOSION: flagged(Flag.EXPLOSION),
-        Reason.DROP: (placed & (m.drop_step >= 0)).any(-1),
-        Reason.TILT: (placed & (m.max_tilt > limits.tilt_deg)).any(-1),
-        Reason.SHIFT: (jnp.abs(shift) > limits.shift_m).any((-1, -2)),
-    }
-    reason = jnp.zeros(len(state.step), jnp.int32)
-    for index, kind in reversed(list(enumerate(REASONS))):
-        if kind is not Reason.NONE:
-            reason = jnp.where(tests[kind], index, reason)
+def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Reduced:
+    """Metrics that need the whole run, for every world of a table, on the device."""
+    m = state.metrics
+    placed = jnp.arange(worlds.mass.shape[1]) < state.placed[:, None]
+    shift = motion.shift(state.pose[..., :3], worlds.target, sim.thresholds.shift_floor_m)
     rested = (m.rest_samples > 0) & (state.step >= state.end)
     mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
-    return Results(reason, shift, jnp.where(rested[:, None], mean, jnp.nan))
+    return Reduced(jnp.where(placed[..., None], shift, 0.0), jnp.where(rested[:, None], mean, jnp.nan))
 
 
 def doubles(values: Any) -> NDArray[np.float64]:
@@ -84,13 +48,13 @@ def outcomes(
     jobs: Sequence[Job],
     first_job: int,
     state: State,
-    results: Results,
+    worlds: Worlds,
     timetable: Timetable,
     sim: Simulation,
 ) -> Iterator[Outcome]:
     """Outcomes of some rows of a table. The whole table is fetched: picking rows on the device would compile a
     program for every number of them."""
-    fetched: tuple[State, Results] = jax.device_get((state, results))
+    fetched: tuple[State, Reduced] = jax.device_get((state, reduce_metrics(state, worlds, sim)))
     host, found = jax.tree.map(lambda a: a[rows], fetched)
     m, clock, dt = host.metrics, timetable.clock, sim.physics.timestep_s
 
@@ -100,8 +64,6 @@ def outcomes(
     for i, row in enumerate(rows):
         job = jobs[row]
         n = job.scene.n_boxes
-        reason = REASONS[found.reason[i]]
-        stable = reason is Reason.NONE
         driven = job.drive is not None and host.driven_from[i] <= host.step[i]
         drops = m.drop_step[i, :n]
         boxes = BoxMetrics(
@@ -117,11 +79,9 @@ def outcomes(
             pos=doubles(host.pose[i, :n, :3]),
             quat=doubles(host.pose[i, :n, 3:]),
         )
-        verdict = Verdict.STABLE if stable else Verdict.UNSTABLE
-        if not stable and found.reason[i] < FIRST_UNSTABLE:
-            verdict = Verdict.INVALID
-        known = not stable and m.culprit[i] >= 0
         flags = Flag(int(host.flags[i])) | (Flag.FORKED if job.start is not None else Flag.NONE)
+        verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
+        known = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
             job=first_job + int(row),
             verdict=verdict,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from petmjx.config import Simulation
+from petmjx.metrics import motion_np
 from petmjx.units import FloatArray
 
 
@@ -32,9 +33,7 @@ class QuietRule:
             sign_seen: whether a box has crossed a threshold; then creep holds up nothing any more.
         """
         rule = self._rule
-        linear = np.linalg.norm(velocity[:, :3], axis=1) / rule.lin_vel_m_s
-        angular = np.linalg.norm(velocity[:, 3:], axis=1) / rule.ang_vel_rad_s
-        pace = np.maximum(linear, angular)
+        pace = motion_np.pace(velocity, rule)
         if not (pace < 1).all():
             self._steps = 0
             return False

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
-from petmjx.metrics.motion_np import lowest_z, tilt_deg
+from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
 from petmjx.world.scene import Scene
@@ -86,19 +86,17 @@ class OracleMetrics:
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
         """Look for drops and the first sign in one pose; the final state counts too. Returns the (k,) tilts."""
         k = len(pos)
-        limits = self._thresholds
         tilt = tilt_deg(quat)
-        hull = lowest_z(pos, quat, self._scene.half_size[:k])
-        dropped = (pos[:, 2] < 0.0) | (hull < limits.drop_hull_z_m)
+        dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
         newly = dropped & np.isnan(self.drop_s[:k])
         self.drop_s[:k][newly] = time_s
         if self._sway_origin is not None:
             sway = np.hypot(*(pos - self._sway_origin)[:, :2].T)
             self.max_sway_m[:k] = np.fmax(self.max_sway_m[:k], sway)
         if self.culprit < 0:
-            excess, crossed = self._excess(pos, tilt, dropped)
+            over, crossed = self._excess(pos, tilt, dropped)
             if crossed.any():
-                self.culprit = int(np.argmax(np.where(crossed, excess, -np.inf)))
+                self.culprit = int(np.argmax(np.where(crossed, over, -np.inf)))
                 self.first_sign_s = time_s
         return tilt
 
@@ -123,12 +121,10 @@ class OracleMetrics:
 
     def finish(self, pos: FloatArray, quat: FloatArray, came_to_end: bool) -> BoxMetrics:
         """The per-box results, from the final (n, 3) centres and (n, 4) orientations."""
-        shift = pos - self._scene.target
-        shift[np.abs(shift) < self._thresholds.shift_floor_m] = 0.0
         n = self._scene.n_boxes
         rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics(
-            shift_m=shift,
+            shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m),
             max_tilt_deg=self.max_tilt_deg,
             max_lin_acc=self.max_lin_acc,
             max_ang_acc=self.max_ang_acc,
@@ -144,15 +140,14 @@ class OracleMetrics:
     def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
         """The box furthest over its thresholds in this pose."""
         dropped = np.isfinite(self.drop_s[: len(pos)])
-        excess, _ = self._excess(pos, tilt_deg(quat), dropped)
-        return int(np.argmax(excess))
+        over, _ = self._excess(pos, tilt_deg(quat), dropped)
+        return int(np.argmax(over))
 
     def _excess(
         self, pos: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_]
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(k,) how far each box is from its thresholds (1 = at them), and (k,) whether one is crossed."""
+        """(k,) how far each box is over its thresholds, and (k,) whether it has crossed one."""
         limits = self._thresholds
-        shift = np.abs(pos - self._scene.target[: len(pos)]).max(axis=1)
-        excess = np.maximum(np.maximum(shift / limits.shift_m, tilt / limits.tilt_deg), dropped)
-        crossed = (shift > limits.shift_m) | (tilt > limits.tilt_deg) | dropped
-        return excess, crossed
+        shift_m = shift(pos, self._scene.target[: len(pos)], limits.shift_floor_m)
+        over = excess(shift_m, tilt, dropped, limits)
+        return over, (over > 1) | dropped

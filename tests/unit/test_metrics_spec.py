@@ -1,0 +1,138 @@
+"""The table of metrics: what is made from it, and the verdict that follows from the metrics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.outcomes import make_outcome, make_plan
+
+from petmjx.config import Thresholds
+from petmjx.metrics import spec
+from petmjx.metrics.spec import BoxMetric, OfWorld, Reduction, When, markdown, reduce_boxes
+from petmjx.results.compare import compare_runs
+from petmjx.results.reader import load_run
+from petmjx.results.writer import RunWriter
+from petmjx.units import FloatArray
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict, judge
+
+
+@pytest.fixture(scope="module")
+def documentation(repository: Path) -> str:
+    return (repository / "docs/metrics.md").read_text(encoding="utf-8")
+
+
+def test_the_documentation_has_the_tables_of_the_spec(documentation: str) -> None:
+    assert markdown() in documentation, "docs/metrics.md: paste what python -m petmjx.metrics.spec prints"
+
+
+def test_the_documentation_has_all_flags_and_reasons_in_their_order(documentation: str) -> None:
+    for flag in Flag:
+        assert f"| {flag.value} | {str(flag.name).lower().replace('_', '-')} |" in documentation
+    order = [Reason.NONFINITE, Reason.OVERFLOW, Reason.OUT_OF_MEMORY, Reason.EXPLOSION]
+    places = [documentation.index(f"| `{reason}` |") for reason in (*order, Reason.DROP, Reason.TILT, Reason.SHIFT)]
+    assert places == sorted(places)
+    assert len(places) == len(Reason) - 1
+
+
+def test_every_metric_has_a_field_and_every_field_a_metric() -> None:
+    attributes = [metric.attribute for metric in spec.box_metrics()]
+    assert sorted(attributes) == sorted(field.name for field in fields(BoxMetrics))
+    assert {metric.name for metric in spec.world_metrics()} <= {field.name for field in fields(Outcome)}
+    for columns in (spec.box_columns(), spec.world_columns()):
+        assert len({column.name for column in columns}) == len(columns)
+
+
+@dataclass(eq=False)
+class MoreMetrics(BoxMetrics):
+    """With a metric that petmjx does not have."""
+
+    spin: FloatArray
+
+
+def test_a_new_metric_reaches_files_units_and_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = {"spin_x": "turns about x", "spin_y": "turns about y"}
+    most = OfWorld("max_spin", Reduction.LARGEST, "most turns of any box")
+    spin = BoxMetric("spin", "1", columns, When.SAMPLES, "turns", of_world=most, relative=True)
+    monkeypatch.setattr(spec, "METRICS", (*spec.METRICS, spin))
+    for folder, factor in (("a", 1.0), ("b", 1.5)):
+        outcome = make_outcome()
+        values = np.array([[1.0, -2.0], [0.5, 0.0], [np.nan, np.nan]]) * 100 * factor
+        outcome.boxes = MoreMetrics(**vars(outcome.boxes), spin=values)
+        with RunWriter(tmp_path / folder, {}) as run:
+            run.add(make_plan(), 0, "mujoco", "fixed", outcome)
+    results = load_run(tmp_path / "a")
+    assert results.boxes["spin_y"].tolist()[:2] == [-200.0, 0.0]
+    assert results.boxes["spin_y"].isna().tolist() == [False, False, True]
+    assert results.worlds["max_spin"].tolist() == [200.0]
+    assert results.units("boxes")["spin_x"] == results.units("worlds")["max_spin"] == "1"
+    column = pq.read_schema(tmp_path / "a/worlds/part-00000.parquet").field("max_spin")
+    assert column.metadata[b"description"] == b"most turns of any box"
+    found = compare_runs(tmp_path / "a", tmp_path / "b")
+    largest = {row["metric"]: row["largest"] for row in found.boxes.to_dict("records")}
+    assert (largest["spin_x"], largest["spin_y"], largest["spin_y relative"]) == (50.0, 100.0, 0.5)
+    assert dict(zip(found.worlds["metric"], found.worlds["largest"], strict=True))["max_spin"] == 100.0
+    assert "`max_spin` | 1 | float64 | largest magnitude of `spin_x`, `spin_y`" in markdown()
+
+
+@pytest.mark.parametrize(
+    ("reduction", "expected"),
+    [(Reduction.LARGEST, [3.0, np.nan]), (Reduction.SMALLEST, [-3.0, np.nan]), (Reduction.COUNT, [1.0, 0.0])],
+)
+def test_boxes_without_a_value_do_not_count(reduction: Reduction, expected: list[float]) -> None:
+    values = np.array([[1.0, 2.0], [-3.0, 0.0], [np.nan, np.nan], [np.nan, np.nan]])
+    np.testing.assert_array_equal(reduce_boxes(reduction, values, np.array([0, 2])), expected)
+    assert reduce_boxes(reduction, values[:0], np.array([], int)).shape == (0,)
+
+
+# ---------------------------------------------------------------------- verdict
+
+
+def everything_wrong() -> BoxMetrics:
+    return replace(
+        make_outcome().boxes,
+        shift_m=np.array([[0.0, 0.0, 0.0], [0.0, -0.03, 0.0], [0.0, 0.0, 0.0]]),
+        max_tilt_deg=np.array([0.0, 30.0, 0.0]),
+        dropped=np.array([False, True, False]),
+    )
+
+
+def test_reasons_are_looked_at_in_their_order() -> None:
+    steps = [
+        (Flag.NONFINITE, Reason.NONFINITE),
+        (Flag.CONTACT_OVERFLOW, Reason.OVERFLOW),
+        (Flag.CONSTRAINT_OVERFLOW, Reason.OVERFLOW),
+        (Flag.OTHER_OVERFLOW, Reason.OVERFLOW),
+        (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
+        (Flag.EXPLOSION, Reason.EXPLOSION),
+    ]
+    flags = ~Flag.NONE
+    boxes = everything_wrong()
+    for flag, reason in steps:
+        assert judge(flags, boxes, 3, Thresholds()) == (Verdict.INVALID, reason)
+        flags &= ~flag
+    assert flags == Flag.EARLY_STOP | Flag.RERUN_AFTER_OVERFLOW | Flag.FORKED
+    assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.DROP)
+    boxes.dropped[:] = False
+    assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.TILT)
+    boxes.max_tilt_deg[:] = 0
+    assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.SHIFT)
+    assert judge(flags, boxes, 3, Thresholds(shift_m=0.03)) == (Verdict.STABLE, Reason.NONE)
+
+
+def test_boxes_that_were_not_placed_are_not_judged() -> None:
+    assert judge(Flag.NONE, everything_wrong(), 1, Thresholds()) == (Verdict.STABLE, Reason.NONE)
+
+
+@pytest.mark.parametrize(("name", "limit"), [("max_tilt_deg", 20.0), ("shift_m", 0.02)])
+def test_float32_metrics_are_judged_as_the_device_would(name: str, limit: float) -> None:
+    """No float32 lies between a default limit and its nearest float32."""
+    nearest = np.float32(limit)
+    for value in (np.nextafter(nearest, np.float32(0)), nearest, np.nextafter(nearest, np.float32(99))):
+        boxes = make_outcome(shift_m=np.zeros((3, 3)), max_tilt_deg=np.zeros(3)).boxes
+        getattr(boxes, name).flat[0] = value
+        verdict, _ = judge(Flag.NONE, boxes, 3, Thresholds())
+        assert (verdict is Verdict.UNSTABLE) == bool(value > nearest)
