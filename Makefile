@@ -24,10 +24,10 @@ check: $(VENV)/.dev ## lint, format and types only
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(VENV)/.runtime ## short benchmarks on the CPU; benchmarks/README.md tells of the others
-	$(BIN)/python -m benchmarks stacks-16 stacks-40 W-adaptive plain-loop --engine mujoco --limit 40 --oracle mujoco-fixed \
-		--max-seconds 60 --out $(BENCH_OUT)
-	$(BIN)/python -m benchmarks.table $(BENCH_OUT)
+bench: $(VENV)/.runtime ## two minutes of benchmarks on the CPU; benchmarks/README.md tells of the others
+	$(BIN)/python -m benchmarks run stacks-16 stacks-40 W-adaptive plain-loop --limit 20 --oracle mujoco-fixed \
+		--max-seconds 30 --out $(BENCH_OUT)
+	$(BIN)/python -m benchmarks table $(BENCH_OUT)
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache

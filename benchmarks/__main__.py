@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: run declared cases."""
+"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table``."""
 
 from __future__ import annotations
 
@@ -10,131 +10,116 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.cli import options as opt
-from petmjx.cli.console import results_console
 from petmjx.cli.main import run_app
 from petmjx.config import Schedule
 from petmjx.errors import InputError
 
 if TYPE_CHECKING:
-    from benchmarks.measure import Result
+    from benchmarks.record import Result
+
+app = typer.Typer(
+    help="Measures speed and agreement; benchmarks/README.md says what and how.",
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["--help", "-h"]},
+)
+
+Out = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Results are appended here, a JSON line each.")]
+DEFAULT_OUT = Path("petmjx-results/bench.jsonl")
 
 
-app = typer.Typer(add_completion=False, context_settings={"help_option_names": ["--help", "-h"]})
+@app.command("list")
+def list_cases() -> None:
+    """List the cases by group."""
+    from benchmarks.cases import GROUPS
+
+    for group, cases in GROUPS.items():
+        print(group)
+        for case in cases:
+            print(f"    {case.name:<28}{case.text}")
 
 
 @app.command()
 @opt.takes("limit", "lanes", "threads")
-def bench(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[CASES]...", help="Cases or groups of them; --list shows all.", show_default=False),
-    ] = None,
-    engines: Annotated[
-        str, typer.Option("--engine", metavar="NAMES", help="mujoco, mjx-jax, mjx-warp, or several with commas.")
-    ] = "mujoco",
-    plans: Annotated[
-        Path | None,
-        typer.Option(
-            "--plans", metavar="FILE", help="The workload's plans.", show_default="samples of seed 0, generated"
-        ),
-    ] = None,
-    skip: Annotated[
-        int, typer.Option("--skip", metavar="N", min=0, help="Leave out the workload's first N plans.")
-    ] = 0,
-    max_seconds: Annotated[
-        float | None,
-        typer.Option(
-            "--max-seconds",
-            metavar="S",
-            help="Cut a workload off after S seconds (plain loops: begin no further plan).",
-            show_default="never; plain loops 60",
-        ),
-    ] = None,
-    repeat: Annotated[
-        int,
-        typer.Option("--repeat", metavar="N", min=1, help="Run workloads N times; compare each run with the first."),
-    ] = 1,
-    oracle: Annotated[
-        str | None,
-        typer.Option(
-            "--oracle",
-            metavar="NAMES",
-            help="Compare with mujoco-fixed, mujoco-adaptive, or both with a comma; run here.",
-        ),
-    ] = None,
-    oracle_limit: Annotated[
-        int | None,
-        typer.Option(
-            "--oracle-limit", metavar="K", min=1, help="The oracles take the first K plans only.", show_default="all"
-        ),
-    ] = None,
-    against: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--against",
-            metavar="LABEL=DIR,…",
-            help="Compare workloads with earlier runs' folders too. Repeatable.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="JSON lines are appended here.")] = Path(
-        "petmjx-results/bench.jsonl"
-    ),
-    work: Annotated[
-        Path | None,
-        typer.Option(
-            "--work", metavar="DIR", help="Folder that keeps what timed runs write.", show_default="a temporary one"
-        ),
-    ] = None,
-    date: Annotated[
-        str | None, typer.Option("--date", metavar="TEXT", help="Date to write into the results.", show_default="now")
-    ] = None,
-    list_cases: Annotated[bool, typer.Option("--list", help="List the cases and groups, and stop.")] = False,
+def run(
+    names: Annotated[list[str], typer.Argument(metavar="CASES...", help="Cases, or groups of them.")],
+    engine: Annotated[str, typer.Option(metavar="NAMES", help="Engines, several with commas.")] = "mujoco",
+    plans: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of generated samples.")] = None,
+    skip: Annotated[int, typer.Option(metavar="N", min=0, help="Leave out the first N plans.")] = 0,
+    max_seconds: Annotated[float | None, typer.Option(metavar="S", help="Cut runs off (plain loops: 60 s).")] = None,
+    repeat: Annotated[int, typer.Option(metavar="N", min=1, help="Run all N times, in turns.")] = 1,
+    oracle: Annotated[str, typer.Option(metavar="NAMES", help="Run and compare with mujoco-fixed, …")] = "",
+    against: Annotated[list[str] | None, typer.Option(metavar="LABEL=DIR,…", help="Compare with earlier runs.")] = None,
+    work: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps what runs write.")] = None,
+    out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
-    """Measure speed and agreement: declared cases, one JSON line a result.
-
-    Timed runs go from the plans' file to Parquet; compilation is reported apart from the run.
-    """
-    from benchmarks.cases import chosen_cases
-
-    if list_cases or not names:
-        _list()
-        return
+    """Run cases and append a line of results each."""
     import tempfile
 
-    from benchmarks.measure import Bench, Settings
+    from benchmarks.cases import chosen_cases
+    from benchmarks.measure import Bench
     from benchmarks.record import append_line
-    from petmjx.engines.choose import ENGINES
 
-    engine_names = _words(engines)
-    if unknown := [name for name in engine_names if name not in ENGINES]:
-        raise InputError(f"unknown engine {unknown[0]!r}; there are {', '.join(ENGINES)}")
-    settings = Settings(
-        work=work if work is not None else Path(tempfile.mkdtemp(prefix="petmjx-bench-")),
+    bench = Bench(
+        work=work or Path(tempfile.mkdtemp(prefix="petmjx-bench-")),
         plans=plans,
         skip=skip,
-        **options,
         max_seconds=max_seconds,
         repeat=repeat,
-        oracles=tuple(_oracle_schedule(name) for name in _words(oracle or "")),
-        oracle_limit=oracle_limit,
+        oracles=[_oracle_schedule(name) for name in _words(oracle)],
         against=dict(_labelled(entry) for entry in against or ()),
-        date=date,
+        say=lambda text: print(text, file=sys.stderr, flush=True),
+        **options,
     )
-    cases = chosen_cases(names)
-    measuring = Bench(settings, on_message=lambda text: print(text, file=sys.stderr, flush=True))
-    loops_done: set[str] = set()
-    for engine in engine_names:
-        for case in cases:
-            if case.name.startswith("plain-loop"):
-                if case.name in loops_done:
-                    continue
-                loops_done.add(case.name)
-            for result in measuring.run(case, engine):
-                append_line(out, result)
-                print(_brief(result), flush=True)
-    print(f"results in {out}, runs in {settings.work}", file=sys.stderr)
+    for result in bench.run(chosen_cases(names), _words(engine)):
+        append_line(out, result)
+        print(_brief(result), flush=True)
+    print(f"results in {out}, runs in {bench.work}", file=sys.stderr)
+
+
+@app.command("agreement")
+def compare(
+    oracle: Annotated[str, typer.Option(metavar="LABEL=DIR,…", help="The yardstick, and its folders.")],
+    runs: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of the run that is judged.")],
+    case: Annotated[str, typer.Option(metavar="NAME", help="Name of the case, for the tables.")],
+    out: Out = DEFAULT_OUT,
+) -> None:
+    """Compare runs that were made before, also in several pieces, and append a line."""
+    from benchmarks.agreement import agreement, joint_run
+    from benchmarks.cases import chosen_cases
+    from benchmarks.record import append_line, environment
+
+    [of] = chosen_cases([case])
+    label, folders = _labelled(oracle)
+    info = joint_run(runs).info
+    result: Result = {
+        "case": of.name,
+        "group": of.group,
+        "way": "agreement",
+        **environment(),
+        "engine": info["config"]["engine"],
+        "device": info["device"],
+        "agreement": {label: agreement(folders, runs)},
+    }
+    append_line(out, result)
+    print(_brief(result))
+
+
+@app.command("table")
+def make_tables(
+    files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Files of results.")],
+    readme: Annotated[Path | None, typer.Option(metavar="FILE", help="Write between this file's markers.")] = None,
+) -> None:
+    """Make Markdown tables of results."""
+    from benchmarks.record import read_lines
+    from benchmarks.table import tables, write_between_markers
+
+    text = tables(read_lines(files))
+    if readme is None:
+        print(text)
+    else:
+        write_between_markers(readme, text)
 
 
 def _words(text: str) -> list[str]:
@@ -142,50 +127,28 @@ def _words(text: str) -> list[str]:
 
 
 def _oracle_schedule(name: str) -> Schedule:
-    for schedule in Schedule:
-        if name == f"mujoco-{schedule.value}":
-            return schedule
-    raise InputError(f"unknown oracle {name!r}; there are {', '.join(f'mujoco-{each.value}' for each in Schedule)}")
+    known = {f"mujoco-{schedule.value}": schedule for schedule in Schedule}
+    if name not in known:
+        raise InputError(f"unknown oracle {name!r}; there are {', '.join(known)}")
+    return known[name]
 
 
-def _labelled(entry: str) -> tuple[str, tuple[Path, ...]]:
-    label, separator, folders = entry.partition("=")
-    if not (label and separator and folders):
-        raise InputError(f"--against {entry}: must be LABEL=DIR, or several folders with commas")
-    return label, tuple(Path(folder) for folder in _words(folders))
+def _labelled(entry: str) -> tuple[str, list[Path]]:
+    label, _, folders = entry.partition("=")
+    if not (label and folders):
+        raise InputError(f"{entry}: must be LABEL=DIR, or several folders with commas")
+    return label, [Path(folder) for folder in _words(folders)]
 
 
 def _brief(result: Result) -> str:
     """One line on one result."""
-    parts = [
-        f"{result['case']} {result['engine']}: {result['plans_per_s']:.4g} plans/s",
-        f"{result['world_steps_per_s']:,.0f} steps/s",
-        f"run {result['run_s']:.1f} s",
-        f"compile {result['compile_s']:.1f} s",
-    ]
-    for label, found in result["agreement"].items():
-        force = found["rest_top_force"]
-        text = f"{label} {found['same']}/{found['common']}"
-        if force["boxes"]:
-            text += f", resting forces {100 * force['median']:.2g} % / {100 * force['p95']:.2g} %"
-        parts.append(text)
-    return "; ".join([*parts, *([result["note"]] if result["note"] else [])])
-
-
-def _list() -> None:
-    from rich.table import Table
-
-    from benchmarks.cases import CASES, GROUPS
-
-    table = Table(title="Cases", title_justify="left")
-    table.add_column("case")
-    table.add_column("what it measures")
-    for name, case in CASES.items():
-        table.add_row(name, case.text)
-    table.add_section()
-    for name, members in GROUPS.items():
-        table.add_row(name, ", ".join(members))
-    results_console().print(table)
+    parts = [f"{result['case']} {result['engine']}"]
+    if "run_s" in result:
+        parts[0] += f": {result['plans_per_s']:.4g} plans/s"
+        parts += [f"{result['world_steps_per_s']:,.0f} steps/s", f"run {result['run_s']:.1f} s"]
+        parts += [f"compile {result['compile_s']:.1f} s"]
+    parts += [f"{label} {found['same']} of {found['common']}" for label, found in result["agreement"].items()]
+    return "; ".join(part for part in [*parts, result.get("note")] if part)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,22 +1,20 @@
-"""Whether runs of the same plans say the same. Also by hand, for runs made elsewhere or in several pieces:
-
-python -m benchmarks.agreement --label mujoco-fixed --oracle DIR [DIR …] --run DIR [DIR …] [--out FILE]
-"""
+"""Whether runs of the same plans say the same."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.record import append_line, environment, rounded
 from petmjx.results.compare import BOX_KEY, KEY, compare_runs
 from petmjx.results.reader import RunResults, load_run
+from petmjx.sweeps.shares import ALL_PLANS, share_standing
 from petmjx.verdict import Reason, Verdict
 
 LOADED_N = 1.0
@@ -25,40 +23,51 @@ LOADED_N = 1.0
 _FLIP_FIELDS = ("verdict", "reason", "culprit", "first_sign_s", "n_dropped", "shift_margin_m", "tilt_margin_deg")
 
 
-def merged(folders: Sequence[Path]) -> RunResults:
-    """Runs of different plans under one configuration, as one run. Worlds that are in several count once."""
-    runs = [load_run(folder) for folder in folders]
-    whole = RunResults(runs[0].path, runs[0].info)
-    if len(runs) > 1:
-        # fills the cached tables, which are then not read from the first folder
-        vars(whole)["worlds"] = pd.concat([run.worlds for run in runs]).drop_duplicates(KEY)
-        vars(whole)["boxes"] = pd.concat([run.boxes for run in runs]).drop_duplicates(BOX_KEY)
-    return whole
+@dataclass(frozen=True, eq=False)
+class JointRun(RunResults):
+    """Runs of different plans under one configuration, as one run. A world that is in several counts once."""
+
+    runs: tuple[RunResults, ...] = ()
+
+    @cached_property
+    def worlds(self) -> pd.DataFrame:
+        """A row a world."""
+        return pd.concat([run.worlds for run in self.runs]).drop_duplicates(KEY)
+
+    @cached_property
+    def boxes(self) -> pd.DataFrame:
+        """A row a box of a world."""
+        return pd.concat([run.boxes for run in self.runs]).drop_duplicates(BOX_KEY)
+
+
+def joint_run(folders: Sequence[Path]) -> JointRun:
+    """The runs in these folders as one, with the path and the configuration of the first."""
+    runs = tuple(load_run(folder) for folder in folders)
+    return JointRun(runs[0].path, runs[0].info, runs)
 
 
 def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
     """How a run's verdicts and resting forces agree with the yardstick's, over the worlds that both have.
 
     Returns:
-        ``common``, ``same``, ``share``, ``flips`` (each with both verdicts and by how much shift and tilt are over
-        (+) or under their thresholds), ``stable_here_dropped_there``, and ``rest_top_force``: relative differences
-        over single boxes of plans that stand in both.
+        ``common``, ``same``, ``share``; ``flips``, each with both verdicts, by how much shift and tilt are over (+) or
+        under their thresholds, and a sweep's parameters; ``stable_here_dropped_there``; ``rest_top_force``, relative
+        differences over single boxes of plans that stand in both; ``plans`` that both have and ``plans_all_the_same``;
+        and of sweeps with replicates ``shares`` (:func:`compare_shares`).
     """
-    there, here = merged(oracle), merged(run)
+    there, here = joint_run(oracle), joint_run(run)
     found = compare_runs(there, here)
+    parameters = [parameter["name"] for parameter in here.info.get("params", [])]
+    flipped = found.flips[KEY].merge(here.worlds[[*KEY, *parameters]], on=KEY, how="left")
     flips = [
         {
-            "plan_id": row["plan_id"],
+            **world,
             "oracle": {name: row[f"{name}_a"] for name in _FLIP_FIELDS},
             "here": {name: row[f"{name}_b"] for name in _FLIP_FIELDS},
         }
-        for row in found.to_dict()["flips"]
+        for world, row in zip(json.loads(flipped.to_json(orient="records")), found.to_dict()["flips"], strict=True)
     ]
-    missed = [
-        flip["plan_id"]
-        for flip in flips
-        if flip["here"]["verdict"] == Verdict.STABLE.value and flip["oracle"]["reason"] == Reason.DROP.value
-    ]
+    plans = set(there.worlds["plan_id"]) & set(here.worlds["plan_id"])
     return {
         "common": found.n_common,
         "same": found.n_agree,
@@ -66,8 +75,15 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
         "same_reason": found.same_reason,
         "same_culprit": found.same_culprit,
         "not_stable": found.n_not_stable,
-        "stable_here_dropped_there": missed,
+        "plans": len(plans),
+        "plans_all_the_same": len(plans - {flip["plan_id"] for flip in flips}),
+        "stable_here_dropped_there": [
+            flip["plan_id"]
+            for flip in flips
+            if flip["here"]["verdict"] == Verdict.STABLE.value and flip["oracle"]["reason"] == Reason.DROP.value
+        ],
         "rest_top_force": rest_force_differences(there, here),
+        **({"shares": compare_shares(there, here)} if "replicate" in parameters else {}),
         "flips": flips,
     }
 
@@ -88,29 +104,25 @@ def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any
     return {"boxes": int(counted.sum()), "median": median, "p95": p95}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command line of the module's docstring."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--label", required=True, help="name of the yardstick, such as mujoco-fixed")
-    parser.add_argument("--oracle", type=Path, nargs="+", required=True, help="folders of the yardstick's runs")
-    parser.add_argument("--run", type=Path, nargs="+", required=True, help="folders of the runs that are judged")
-    parser.add_argument("--case", default="", help="name of the case, for the table")
-    parser.add_argument("--out", type=Path, help="file of JSON lines; without: print")
-    options = parser.parse_args(arguments)
-    info = load_run(options.run[0]).info
-    result = {
-        "benchmark": "agreement",
-        "case": options.case,
-        **environment(),
-        "engine": info["config"]["engine"],
-        "device": info["device"],
-        "agreement": {options.label: agreement(options.oracle, options.run)},
+def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
+    """How often plans stand in both runs, as shares of their worlds that are not invalid.
+
+    Returns:
+        ``plans``; ``agree``, plans where each one's share lies in the other's Wilson 95 % interval;
+        ``intervals_overlap``; ``differ``, the plans that do not agree, with both shares.
+    """
+    a, b = (share_standing(results.worlds, ()).set_index("plan_id").drop(ALL_PLANS) for results in (oracle, run))
+    both = a.add_suffix("_a").join(b.add_suffix("_b"), how="inner")
+    agree = both["share_a"].between(both["low_b"], both["high_b"]) & both["share_b"].between(
+        both["low_a"], both["high_a"]
+    )
+    overlap = (both["low_a"] <= both["high_b"]) & (both["low_b"] <= both["high_a"])
+    return {
+        "plans": len(both),
+        "agree": int(agree.sum()),
+        "intervals_overlap": int(overlap.sum()),
+        "differ": [
+            {"plan_id": str(plan), "oracle": float(row["share_a"]), "here": float(row["share_b"])}
+            for plan, row in both[~agree].iterrows()
+        ],
     }
-    if options.out is None:
-        print(json.dumps(rounded(result), ensure_ascii=False, indent=1))
-    else:
-        append_line(options.out, result)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,106 +1,142 @@
-"""What is measured, as data. Nothing here simulates."""
+"""What is measured, as data: a new case is one more entry of ``CASES``. Nothing here simulates."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
 
-from petmjx.config import PHYSICS, Check, Schedule, Simulation
+from petmjx.config import PHYSICS, Schedule, Simulation
 from petmjx.errors import InputError
+from petmjx.plans.samples import bundled_path
 
 SEED = 0
-"""Seed of the sample plans that the workload consists of."""
-
-WORKLOAD_PLANS = 2_000
-STACK_BOXES = (8, 16, 24, 32, 40, 48, 64)
-SCALE_PLANS = (500, 1_000, 2_000, 4_000, 8_000)
+"""Seed of the generated sample plans."""
 
 STACK_PLAN = 33
-"""Sample plan of ``SEED``, packed strictly, that the stacks are cut from: the first with at least 64 boxes (67)."""
+"""Sample plan of ``SEED``, packed strictly, that stacks are cut from: the first with at least 64 boxes (67)."""
+
+MUJOCO = "mujoco"
+PLAIN_LOOP = "plain-loop"
+"""What stands for the engine in results of plain loops."""
+
+
+class Way(StrEnum):
+    """Which code is timed.
+
+    ``files``: ``petmjx.score`` or ``petmjx.sweep``, from the plans' file to Parquet. ``engine``: an engine alone, from
+    scenes to outcomes; engines that compile run once before. ``loop-air``, ``loop-floor``: the plain loop on one
+    thread; boxes that wait hang in the air, held by a force, or stand on the floor.
+    """
+
+    FILES = "files"
+    ENGINE = "engine"
+    LOOP_AIR = "loop-air"
+    LOOP_FLOOR = "loop-floor"
 
 
 @dataclass(frozen=True)
-class StackCase:
-    """Copies of one full stack, all boxes standing from the start: what a step costs at a size.
+class Case:
+    """One thing that is measured.
 
     Attributes:
-        boxes: the first so many boxes of ``STACK_PLAN``.
-        duration_s: simulated time after the soft start; the same for every world.
+        group: cases that are run by this name, and shown in one table (``benchmarks.table``).
+        text: what it measures, in one line.
+        count: the first so many plans; with ``boxes``, so many copies (0: as many as fill the engine).
+        source: file of plans; empty: generated samples of ``SEED``. ``--plans`` goes before it.
+        boxes: not plans of a file but copies of one stack, the first so many boxes of sample plan ``STACK_PLAN``; for
+            ``Way.ENGINE``.
+        longest_first: plans with many boxes come first, so that no thread is left alone with the last one.
+        simulation: fields of ``petmjx.Simulation``.
+        sweep: a sweep's file or the name of a ready-made one; empty: each plan is scored once.
+        only: the engine that the case is about; empty: those asked for.
+        threads: CPU threads that the case is about; None: those asked for.
     """
 
     name: str
+    group: str
     text: str
-    boxes: int
-    duration_s: float = 1.0
+    way: Way = Way.FILES
+    count: int = 2_000
+    source: str = ""
+    boxes: int = 0
+    longest_first: bool = False
+    simulation: Mapping[str, Any] = field(default_factory=dict)
+    sweep: str = ""
+    only: str = ""
+    threads: int | None = None
 
     @property
     def sim(self) -> Simulation:
-        """Static check of fixed length; nothing ends a world early."""
-        return Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=self.duration_s, early_stop=False)
+        """The case's simulation, defaults included."""
+        return Simulation(**self.simulation)
 
 
-@dataclass(frozen=True)
-class WorkloadCase:
-    """The first plans of the samples, one by one, from file to Parquet, as ``petmjx score`` does it."""
+_FULL_STACK = {"check": "static", "schedule": "fixed", "duration_s": 1.0, "early_stop": False}
+"""All boxes from the start, the same length for every world, and nothing that ends one early."""
 
-    name: str
-    text: str
-    schedule: Schedule
-    physics: str = "pallet"
-    plans: int = WORKLOAD_PLANS
-
-    @property
-    def sim(self) -> Simulation:
-        """The configuration of ``petmjx score`` with this schedule and physics."""
-        return Simulation(physics=PHYSICS[self.physics], schedule=self.schedule)
+_LOOPS = {Way.LOOP_AIR: "waiting boxes in the air", Way.LOOP_FLOOR: "waiting boxes on the floor"}
+_SCHEDULES = tuple(schedule.value for schedule in Schedule)
+_PLACEMENT_SEEDS = str(Path(__file__).parent / "sweeps" / "placement-seeds.toml")
 
 
-@dataclass(frozen=True)
-class PlainLoopCase:
-    """The loop one would write first: one thread, one ``mj_step`` a step from Python, fixed schedule.
+def _w(name: str, text: str, **simulation: str) -> Case:
+    """A case over workload W, the first 2,000 sample plans."""
+    return Case(name, "W", f"workload W, {text}", simulation=simulation)
 
-    Attributes:
-        parked_on_floor: boxes that wait stand on the floor, as in the reference implementation; otherwise they hang
-            in the air, held by a force (cheaper).
-        max_seconds: no further plan is begun after this.
-    """
-
-    name: str
-    text: str
-    parked_on_floor: bool
-    physics: str = "pallet"
-    plans: int = WORKLOAD_PLANS
-    max_seconds: float = 60.0
-
-
-Case = StackCase | WorkloadCase | PlainLoopCase
 
 _DECLARED: tuple[Case, ...] = (
-    *(StackCase(f"stacks-{n}", f"full stack of {n} boxes, static: steps per second", n) for n in STACK_BOXES),
-    WorkloadCase("W-adaptive", "workload W, adaptive schedule", Schedule.ADAPTIVE),
-    WorkloadCase("W-brisk", "workload W, brisk schedule: creep holds nothing up", Schedule.BRISK),
-    WorkloadCase("W-adaptive-reference", "workload W, adaptive, physics reference", Schedule.ADAPTIVE, "reference"),
-    WorkloadCase("W-fixed", "workload W, fixed schedule", Schedule.FIXED),
-    WorkloadCase("W-fixed-reference", "workload W, fixed, physics reference (an oracle)", Schedule.FIXED, "reference"),
     *(
-        WorkloadCase(f"scale-{n}", f"{n} plans, adaptive: time per plan", Schedule.ADAPTIVE, plans=n)
-        for n in SCALE_PLANS
+        Case(f"stacks-{n}", "stacks", f"full stack of {n} boxes, static: what a step costs", Way.ENGINE, 0, boxes=n,
+             simulation=_FULL_STACK)
+        for n in (8, 16, 24, 32, 40, 48, 64)
     ),
-    PlainLoopCase("plain-loop", "plain Python loop, waiting boxes in the air", parked_on_floor=False),
-    PlainLoopCase("plain-loop-floor", "plain Python loop, waiting boxes on the floor", parked_on_floor=True),
-)
+    _w("W-adaptive", "adaptive schedule"),
+    _w("W-brisk", "brisk schedule: creep holds nothing up", schedule="brisk"),
+    _w("W-adaptive-reference", "adaptive, physics reference", physics="reference"),
+    _w("W-fixed", "fixed schedule", schedule="fixed"),
+    *(Case(f"scale-{n}", "scale", f"{n} plans, adaptive: time a plan", count=n) for n in (500, 1000, 2000, 4000, 8000)),
+    Case("plain-loop", "plain", f"plain Python loop over plans of W, {_LOOPS[Way.LOOP_AIR]}", Way.LOOP_AIR,
+         only=PLAIN_LOOP),
+    Case("plain-loop-floor", "plain", f"plain Python loop over plans of W, {_LOOPS[Way.LOOP_FLOOR]}", Way.LOOP_FLOOR,
+         only=PLAIN_LOOP),
+    *(
+        Case(f"one-plan-{physics}-{way}", "one-plan", f"one plan, plain loop, {text}, physics {physics}", way, 1,
+             simulation={"physics": physics}, only=PLAIN_LOOP)
+        for physics in PHYSICS
+        for way, text in _LOOPS.items()
+    ),
+    *(
+        Case(f"one-plan-{physics}-{schedule}", "one-plan", f"one plan, engine mujoco, {schedule}, physics {physics}",
+             Way.ENGINE, 1, simulation={"physics": physics, "schedule": schedule}, only=MUJOCO, threads=1)
+        for physics in PHYSICS
+        for schedule in _SCHEDULES
+    ),
+    *(
+        Case(f"threads-{n}", "threads", f"16 sample plans on engine mujoco, threads: {n}", count=16,
+             longest_first=True, only=MUJOCO, threads=n)
+        for n in (1, 2)
+    ),
+    Case("eumos-100", "sweeps", "100 plans × 64 EUMOS tests from settled states: worlds per second", count=100,
+         sweep="eumos"),
+    Case("eumos-16", "sweeps", "16 plans × 64 EUMOS tests: verdicts, with --oracle mujoco-adaptive", count=16,
+         sweep="eumos"),
+    Case("placement-seeds", "sweeps", "bundled plans × 32 random placements: how often each stands, with --oracle",
+         count=26, source=str(bundled_path()), sweep=_PLACEMENT_SEEDS),
+)  # fmt: skip
 
 CASES: dict[str, Case] = {case.name: case for case in _DECLARED}
 
-GROUPS: dict[str, tuple[str, ...]] = {
-    "stacks": tuple(case.name for case in _DECLARED if isinstance(case, StackCase)),
-    "W": ("W-adaptive", "W-brisk", "W-adaptive-reference", "W-fixed"),
-    "scale": tuple(case.name for case in _DECLARED if case.name.startswith("scale-")),
-    "plain": ("plain-loop", "plain-loop-floor"),
+GROUPS: dict[str, tuple[Case, ...]] = {
+    group: tuple(case for case in _DECLARED if case.group == group)
+    for group in dict.fromkeys(case.group for case in _DECLARED)
 }
 """Names that stand for several cases."""
 
 
-def chosen_cases(names: list[str]) -> list[Case]:
+def chosen_cases(names: Sequence[str]) -> list[Case]:
     """Cases by name or group, each once, in the order in which they were named.
 
     Raises:
@@ -109,20 +145,19 @@ def chosen_cases(names: list[str]) -> list[Case]:
     found: dict[str, Case] = {}
     for name in names:
         if name not in CASES and name not in GROUPS:
-            raise InputError(f"unknown case {name!r}; python -m benchmarks --list shows all")
-        found.update((member, CASES[member]) for member in GROUPS.get(name, (name,)))
+            raise InputError(f"unknown case {name!r}; python -m benchmarks list shows all")
+        found.update((case.name, case) for case in GROUPS.get(name) or (CASES[name],))
     return list(found.values())
 
 
-def oracle_case(case: WorkloadCase, schedule: Schedule) -> WorkloadCase:
-    """The workload whose results on engine ``mujoco`` are the yardstick: same physics and plans, this schedule."""
-    if case.schedule is schedule:
+def oracle_case(case: Case, schedule: Schedule) -> Case:
+    """The case whose results on engine ``mujoco`` a case is compared with: the same but for the schedule."""
+    if case.sim.schedule is schedule:
         return case
-    for other in _DECLARED:
-        if isinstance(other, WorkloadCase) and (other.schedule, other.physics, other.plans) == (
-            schedule,
-            case.physics,
-            WORKLOAD_PLANS,
-        ):
-            return other
-    raise InputError(f"no case with schedule {schedule.value} and physics {case.physics}")
+    wanted = replace(case, name=f"{case.name}/{schedule.value}", simulation={**case.simulation, "schedule": schedule})
+
+    def is_wanted(other: Case) -> bool:
+        alike = replace(wanted, name=other.name, text=other.text, simulation=other.simulation)
+        return alike == other and wanted.sim == other.sim
+
+    return next(filter(is_wanted, GROUPS[case.group]), wanted)

@@ -1,60 +1,96 @@
-"""Runs cases and measures them. Everything that is timed goes through the code that ``petmjx score`` goes through."""
+"""Runs cases and measures them."""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-import petmjx.api as api
-from benchmarks.agreement import agreement
-from benchmarks.cases import SEED, STACK_PLAN, Case, PlainLoopCase, StackCase, WorkloadCase, oracle_case
+import petmjx
+from benchmarks.agreement import agreement, joint_run
+from benchmarks.cases import MUJOCO, PLAIN_LOOP, SEED, STACK_PLAN, Case, Way, oracle_case
 from benchmarks.plain import fixed_steps, plain_loop
-from benchmarks.record import (
-    device_of,
-    environment,
-    peak_device_bytes,
-    peak_memory_bytes,
-    reset_peak_memory,
-)
-from petmjx.config import PHYSICS, SOFT_START_STEPS, Schedule, Simulation
+from benchmarks.record import Clock, Result, environment, peak_device_bytes, timed
+from petmjx.api import RunStart
+from petmjx.config import SOFT_START_STEPS, Schedule
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import make_engine
 from petmjx.errors import InputError
+from petmjx.machine import device_name
 from petmjx.plans.plan import Plan, PlanSet
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans, write_samples
-from petmjx.results.reader import RunResults, load_run
+from petmjx.results.reader import load_run
 from petmjx.sweeps.run import SweptWorld
-from petmjx.units import seconds_to_steps
+from petmjx.verdict import Verdict
 from petmjx.world.job import Job
-from petmjx.world.scene import Scene, build_scene
+from petmjx.world.scene import build_scene
 
-DEFAULT_STACK_LANES = 2048
-ORACLE_ENGINE = "mujoco"
+STACK_LANES = 2048
+"""Copies that fill an MJX engine where nothing else is said."""
 
-Result = dict[str, Any]
+LOOP_SECONDS = 60.0
+"""A plain loop begins no further plan after this where nothing else is said."""
+
+BLOCK_PLANS = 8
+"""Plans a block of a sweep whose time is limited: 512 EUMOS worlds keep 16 threads busy nearly to the end."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What the caller decides about a benchmark run.
+class _TimeIsUp(KeyboardInterrupt):
+    """Ends a run as Ctrl-C would: what is finished is written."""
 
-    Attributes:
-        plans: file with the workload's plans; None: the samples of ``SEED``, generated into ``work`` when needed.
-        work: folder that keeps what the timed runs write.
-        limit: at most so many plans of a workload; ``skip``: without the first so many.
+
+class _Watch:
+    """Takes hold of a run's progress, and cuts the run off.
+
+    Args:
+        max_seconds: from now; None: never.
+        between_blocks: whether the run is ended between blocks only. An interrupted sweep does not tell what its
+            placements and drives took.
+    """
+
+    def __init__(self, max_seconds: float | None, between_blocks: bool = False) -> None:
+        self._deadline = math.inf if max_seconds is None else time.perf_counter() + max_seconds
+        self._between_blocks = between_blocks
+        self.progress: list[Progress] = []
+
+    @property
+    def time_is_up(self) -> bool:
+        return time.perf_counter() > self._deadline
+
+    def begin(self, start: RunStart) -> None:
+        self.progress.append(start.progress)
+
+    def world_done(self, world: SweptWorld) -> None:
+        if self.time_is_up and not self._between_blocks:
+            raise _TimeIsUp
+
+
+@dataclass
+class Bench:
+    """Measures cases one after the other. Engines are kept, so that what one case compiled serves the next.
+
+    Args:
+        work: folder that keeps what timed runs write.
+        plans: file of plans instead of the cases' own.
+        limit: at most so many plans; ``skip``: without the first so many.
         lanes, threads: as for ``make_engine``; None: the engine's own choice.
-        max_seconds: a workload is cut off after this (wall time), and the result says so.
-        repeat: times a workload is run on an engine; each further run is compared with the first.
-        oracles: schedules of engine ``mujoco`` that workloads are compared with; run first, on at most
-            ``oracle_limit`` plans.
-        against: label → folders of earlier runs to compare workloads with.
+        max_seconds: a run is cut off after this (wall time), and the result says so.
+        repeat: times each case is run on an engine. Cases take turns; each further run is compared with the first.
+        oracles: schedules of engine ``mujoco`` that runs are compared with; run first.
+        against: label → folders of earlier runs to compare with.
+        say: is told what begins.
+        make: builds engines, as ``make_engine`` does.
     """
 
     work: Path
@@ -65,323 +101,269 @@ class Settings:
     threads: int | None = None
     max_seconds: float | None = None
     repeat: int = 1
-    oracles: tuple[Schedule, ...] = ()
-    oracle_limit: int | None = None
-    against: dict[str, tuple[Path, ...]] = field(default_factory=dict)
-    date: str | None = None
+    oracles: Sequence[Schedule] = ()
+    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    say: Callable[[str], None] = lambda text: None
+    make: Callable[..., Engine] = make_engine
+    _environment: Result = field(default_factory=environment, init=False)
+    _engines: dict[tuple[str, int | None], Engine] = field(default_factory=dict, init=False)
+    _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)
 
+    def run(self, cases: Sequence[Case], engines: Sequence[str]) -> Iterator[Result]:
+        """Results of cases on engines, as they come; an oracle's before the first that it judges."""
+        asked = ((case, case.only or engine) for engine in engines for case in cases)
+        turns = {(case.name, engine): (case, engine) for case, engine in asked}
+        for repetition in range(1, self.repeat + 1):
+            for case, engine in turns.values():
+                for result in self._measure(case, engine):
+                    yield {**result, "repetition": repetition}
 
-class _TimeIsUp(KeyboardInterrupt):
-    """Ends a workload as Ctrl-C would: what is finished is written."""
-
-
-@dataclass
-class _Watch:
-    """Takes hold of a run's progress, and cuts the run off."""
-
-    deadline: float | None
-    progress: Progress = field(default_factory=Progress)
-
-    def begin(self, start: api.RunStart) -> None:
-        self.progress = start.progress
-
-    def world_done(self, world: SweptWorld) -> None:
-        if self.deadline is not None and time.perf_counter() > self.deadline:
-            raise _TimeIsUp
-
-
-@dataclass(frozen=True)
-class _Timed:
-    """One run of a workload and its measurement."""
-
-    result: Result
-    folder: Path
-
-
-class Bench:
-    """Measures cases one after the other. Engines are kept, so that what one case compiled serves the next."""
-
-    def __init__(self, settings: Settings, on_message: Callable[[str], None] = lambda text: None) -> None:
-        self.settings = settings
-        self._say = on_message
-        self._environment = environment(settings.date)
-        self._engines: dict[str, Engine] = {}
-        self._oracles: dict[str, _Timed] = {}
-        self._files: dict[int, Path] = {}
-
-    def run(self, case: Case, engine: str) -> Iterator[Result]:
-        """Results of one case on one engine, as they come: those of its oracles first."""
-        if isinstance(case, StackCase):
-            yield self._stack(case, engine)
-        elif isinstance(case, PlainLoopCase):
+    def _measure(self, case: Case, engine: str) -> Iterator[Result]:
+        if case.way is Way.ENGINE:
+            yield self._engine_alone(case, engine)
+        elif case.way is not Way.FILES:
             yield self._plain_loop(case)
         else:
-            yield from self._workload(case, engine)
+            yield from self._compared(case, engine)
 
-    # ------------------------------------------------------------------ workloads
-
-    def _workload(self, case: WorkloadCase, engine: str) -> Iterator[Result]:
-        yardsticks = {label: list(folders) for label, folders in self.settings.against.items()}
-        for schedule in self.settings.oracles:
+    def _compared(self, case: Case, engine: str) -> Iterator[Result]:
+        """A run from file to Parquet, after the oracles that it is compared with."""
+        yardsticks = dict(self.against)
+        for schedule in self.oracles:
             oracle = oracle_case(case, schedule)
-            label = f"{ORACLE_ENGINE}-{schedule.value}"
-            if (oracle, engine) == (case, ORACLE_ENGINE):
+            if (oracle.name, engine) == (case.name, MUJOCO):
                 continue
-            known = oracle.name in self._oracles
-            if not known:
-                self._oracles[oracle.name] = self._time_workload(oracle, ORACLE_ENGINE, self.settings.oracle_limit)
-                self._compare(self._oracles[oracle.name], yardsticks)
-                yield self._oracles[oracle.name].result
-            yardsticks[label] = [self._oracles[oracle.name].folder]
-        first: _Timed | None = None
-        for number in range(1, self.settings.repeat + 1):
-            timed = self._time_workload(case, engine, None)
-            timed.result["repetition"] = number
-            self._compare(timed, yardsticks)
-            if first is None:
-                first = timed
-            else:
-                self._compare(timed, {"first run": [first.folder]})
-            yield timed.result
+            if (oracle.name, MUJOCO) not in self._folders:
+                yield self._files(oracle, MUJOCO, self.against)
+            yardsticks[f"{MUJOCO}-{schedule.value}"] = self._folders[oracle.name, MUJOCO]
+        if (case.name, engine) in self._folders:
+            yardsticks["first run"] = self._folders[case.name, engine]
+        yield self._files(case, engine, yardsticks)
 
-    def _compare(self, timed: _Timed, yardsticks: dict[str, list[Path]]) -> None:
-        for label, folders in yardsticks.items():
-            timed.result["agreement"][label] = agreement(folders, [timed.folder])
+    # ------------------------------------------------------------------ the ways
 
-    def _time_workload(self, case: WorkloadCase, engine_name: str, further_limit: int | None) -> _Timed:
-        settings = self.settings
-        count = min(limit for limit in (case.plans, settings.limit, further_limit) if limit is not None)
-        path = self._plans_file(settings.skip + count)
-        engine, start_s = self._engine(engine_name)
-        folder = self._folder(f"{case.name}-{engine_name}-{settings.skip}+{count}")
-        self._say(f"{case.name} on {engine_name}: {count} plans from {settings.skip}")
-        reset_peak_memory()
-        begin = time.perf_counter()
-        watch = _Watch(None if settings.max_seconds is None else begin + settings.max_seconds)
-        results, cut = self._score(path, count, case, engine, folder, watch)
-        wall_s = time.perf_counter() - begin
-        peak_bytes = peak_memory_bytes()
-        return _Timed(self._result(case, engine, watch.progress, results, cut, start_s, wall_s, peak_bytes), folder)
+    def _files(self, case: Case, engine_name: str, yardsticks: Mapping[str, Sequence[Path]]) -> Result:
+        """From the plans' file to Parquet, through ``petmjx.score`` or ``petmjx.sweep``."""
+        engine, start_s = self._engine(case, engine_name)
+        path, count = self._plans_file(case)
+        base = self._new_folder(f"{case.name.replace('/', '-')}-{engine_name}-{self.skip}+{count}")
+        self.say(f"{case.name} on {engine_name}: up to {count} plans from {self.skip}")
+        watch = _Watch(self.max_seconds, between_blocks=bool(case.sweep))
+        folders: list[Path] = []
+        with timed() as clock:
+            found = load_plans(path, limit=self.skip + count)
+            plans = found.plans[self.skip :]
+            for block in self._blocks(case, plans):
+                if folders and watch.time_is_up:
+                    break
+                folders.append(base / f"{len(folders):04d}" if len(block) < len(plans) else base)
+                options = {"threads": _threads(engine), "lanes": self.lanes, "out": folders[-1], "watcher": watch}
+                with contextlib.suppress(_TimeIsUp):
+                    _simulate(case, PlanSet(block, found.skipped, found.warnings), engine=engine, **options)
+        if not folders:
+            raise InputError(f"{path}: no plans left after the first {self.skip}")
+        self._folders.setdefault((case.name, engine_name), folders)
+        run = joint_run(folders)
+        sim = run.info["config"]["simulation"]  # a sweep's file may have one of its own
+        n_boxes = run.worlds.drop_duplicates("plan_id")["n_boxes"]
+        timings = pd.DataFrame([load_run(folder).info["timings"] for folder in folders]).sum().to_dict()
+        steps = timings["placement_steps"] + timings["drive_steps"] if case.sweep else run.worlds["n_steps"].sum()
+        notes = [f"{len(n_boxes)} of {case.count} plans"] if len(n_boxes) < case.count else []
+        notes += [f"after the first {self.skip}"] if self.skip else []
+        notes += [f"cut off after {self.max_seconds:g} s"] if len(n_boxes) < len(plans) else []
+        return self._result(
+            case,
+            engine,
+            clock,
+            start_s=start_s,
+            compile_s=sum(progress.compile_s for progress in watch.progress),
+            sizes=n_boxes,
+            steps=steps,
+            verdicts=zip(run.worlds["verdict"], run.worlds["reason"], strict=True),
+            schedule=sim["schedule"],
+            physics=sim["physics"]["name"],
+            check=sim["check"],
+            agreement={label: agreement(there, folders) for label, there in yardsticks.items()},
+            stages={name: value for progress in watch.progress for name, value in progress.extra.items()},
+            timings=timings,
+            plans_file=str(self.plans or case.source or f"samples, seed {SEED}"),
+            skip=self.skip,
+            results_dir=str(base),
+            note="; ".join(notes),
+        )
 
-    def _score(
-        self, path: Path, count: int, case: WorkloadCase, engine: Engine, folder: Path, watch: _Watch
-    ) -> tuple[RunResults, bool]:
-        """From file to Parquet. Returns the results, and whether time was up before the end."""
-        skip = self.settings.skip
-        found = load_plans(path, limit=skip + count)
-        plans = PlanSet(found.plans[skip:], found.skipped, found.warnings)
-        if not plans.plans:
-            raise InputError(f"{path}: no plans left after the first {skip}")
-        try:
-            results = api.score(
-                plans,
-                engine=engine,
-                schedule=case.schedule,
-                physics=case.physics,
-                threads=getattr(engine, "threads", None),
-                lanes=self.settings.lanes,
-                out=folder,
-                watcher=watch,
-            )
-        except _TimeIsUp:
-            return load_run(folder), True
-        return results, False
+    def _engine_alone(self, case: Case, engine_name: str) -> Result:
+        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in what is timed."""
+        engine, start_s = self._engine(case, engine_name)
+        threads, sim = _threads(engine), case.sim
+        if case.boxes:
+            copies = case.count or (4 * threads if threads else self.lanes or STACK_LANES)
+            jobs = [Job(build_scene(_stack(case.boxes), sim))] * copies
+        else:
+            jobs = [Job(build_scene(plan, sim)) for plan in self._plans(case)]
+        self.say(f"{case.name} on {engine_name}: {len(jobs)} worlds")
+        warming, progress = Progress(), Progress()
+        if not threads:
+            list(engine.run(jobs, sim, warming))
+        with timed() as clock:
+            outcomes = list(engine.run(jobs, sim, progress))
+        clock.wall_s += warming.compile_s
+        return self._result(
+            case,
+            engine,
+            clock,
+            start_s=start_s,
+            compile_s=warming.compile_s,
+            sizes=[job.scene.n_boxes for job in jobs],
+            steps=sum(2 * SOFT_START_STEPS + outcome.n_steps for outcome in outcomes),
+            verdicts=[(outcome.verdict.value, outcome.reason.value) for outcome in outcomes],
+            stages=dict(progress.extra),
+            note=f"soft start ({2 * SOFT_START_STEPS} steps) included",
+        )
+
+    def _plain_loop(self, case: Case) -> Result:
+        """One plan after the other, evenly spread over their sizes, until time is up."""
+        plans, physics = self._plans(case), case.sim.physics
+        max_seconds = self.max_seconds or LOOP_SECONDS
+        sizes: list[int] = []
+        self.say(f"{case.name}: up to {max_seconds:g} s")
+        watch = _Watch(max_seconds)
+        with timed() as clock:
+            for plan in spread_over_sizes(plans):
+                if sizes and watch.time_is_up:
+                    break
+                plain_loop(build_scene(plan, case.sim), physics, on_floor=case.way is Way.LOOP_FLOOR)
+                sizes.append(plan.n_boxes)
+        note = f"{len(sizes)} of {case.count} plans, evenly spread over the sizes" if len(sizes) < case.count else ""
+        steps = sum(fixed_steps(n, physics.timestep_s) for n in sizes)
+        return self._result(case, None, clock, sizes=sizes, steps=steps, note=note)
+
+    # ------------------------------------------------------------------ what they share
 
     def _result(
         self,
-        case: WorkloadCase,
-        engine: Engine,
-        progress: Progress,
-        results: RunResults,
-        cut: bool,
-        start_s: float,
-        wall_s: float,
-        peak_bytes: int,
+        case: Case,
+        engine: Engine | None,
+        clock: Clock,
+        *,
+        sizes: Sequence[int],
+        steps: int,
+        start_s: float = 0.0,
+        compile_s: float = 0.0,
+        verdicts: Iterable[tuple[str, str]] = (),
+        **more: Any,
     ) -> Result:
-        worlds = results.worlds
-        n, run_s = len(worlds), wall_s - progress.compile_s
-        steps = int(worlds["n_steps"].sum())
-        notes = []
-        if n < case.plans:
-            notes.append(
-                f"{n} of {case.plans} plans" + (f", after the first {self.settings.skip}" * bool(self.settings.skip))
-            )
-        if cut:
-            notes.append(f"cut off after {self.settings.max_seconds:g} s")
+        """A line of results. ``sizes``: boxes of each plan; ``engine``: None for plain loops."""
+        run_s = clock.wall_s - compile_s
+        threads = _threads(engine) if engine else 1
+        verdicts = Counter(verdicts)
         return {
-            **self._head(case, engine),
-            "schedule": case.schedule.value,
-            "physics": case.physics,
-            "check": case.sim.check.value,
-            "plans_file": str(self.settings.plans) if self.settings.plans else f"samples, seed {SEED}",
-            "skip": self.settings.skip,
-            "plans": n,
-            "boxes": int(worlds["n_boxes"].sum()),
-            "plans_per_s": n / run_s,
-            "world_steps": steps,
-            "world_steps_per_s": steps / run_s,
-            "start_s": start_s,
-            "compile_s": progress.compile_s,
-            "run_s": run_s,
-            "wall_s": wall_s,
-            "counts": results.info["counts"],
-            "agreement": {},
-            "stages": dict(progress.extra),
-            "peak_rss_bytes": peak_bytes,
-            "peak_device_bytes": peak_device_bytes(),
-            "note": "; ".join(notes),
-            "results_dir": str(results.path),
-        }
-
-    # ------------------------------------------------------------------ stacks and plain loops
-
-    def _stack(self, case: StackCase, engine_name: str) -> Result:
-        """Copies of one stack. MJX engines run it once before, so that nothing compiles in what is timed."""
-        engine, start_s = self._engine(engine_name)
-        threads = getattr(engine, "threads", None)
-        worlds = 4 * threads if threads else self.settings.lanes or DEFAULT_STACK_LANES
-        scene = build_scene(self._stack_plan(case.boxes), case.sim)
-        jobs = [Job(scene) for _ in range(worlds)]
-        self._say(f"{case.name} on {engine_name}: {worlds} worlds")
-        reset_peak_memory()
-        compile_s = 0.0
-        if not threads:
-            warming = Progress()
-            list(engine.run(jobs, case.sim, warming))
-            compile_s = warming.compile_s
-        progress = Progress()
-        begin = time.perf_counter()
-        outcomes = list(engine.run(jobs, case.sim, progress))
-        run_s = time.perf_counter() - begin
-        verdicts = [str(outcome.verdict) for outcome in outcomes]
-        steps = worlds * (2 * SOFT_START_STEPS + seconds_to_steps(case.duration_s, case.sim.physics.timestep_s))
-        return {
-            **self._head(case, engine),
+            "case": case.name,
+            "group": case.group,
+            "way": case.way.value,
+            **self._environment,
+            "engine": engine.name if engine else PLAIN_LOOP,
+            "device": device_name(engine.name if engine else MUJOCO, threads),
+            "threads": threads,
+            "lanes": None if threads else self.lanes,
             "schedule": case.sim.schedule.value,
             "physics": case.sim.physics.name,
             "check": case.sim.check.value,
-            "plans": worlds,
-            "boxes": worlds * case.boxes,
-            "plans_per_s": worlds / run_s,
-            "world_steps": steps,
+            "sweep": case.sweep and Path(case.sweep).stem,
+            "plans": len(sizes),
+            "boxes": int(sum(sizes)),
+            "plans_per_s": len(sizes) / run_s,
+            "world_steps": int(steps),
             "world_steps_per_s": steps / run_s,
             "start_s": start_s,
             "compile_s": compile_s,
             "run_s": run_s,
-            "wall_s": run_s + compile_s,
-            "counts": {verdict: verdicts.count(verdict) for verdict in sorted(set(verdicts))},
-            "agreement": {},
-            "stages": dict(progress.extra),
-            "peak_rss_bytes": peak_memory_bytes(),
-            "peak_device_bytes": peak_device_bytes(),
-            "note": f"soft start ({2 * SOFT_START_STEPS} steps) included",
-        }
-
-    def _stack_plan(self, boxes: int) -> Plan:
-        """The first boxes of the sample plan that stacks are cut from."""
-        plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
-        with tempfile.TemporaryDirectory(prefix="petmjx-") as folder:
-            path = Path(folder) / "stack.json"
-            write_plans(path, [(plan_id, placements[:boxes])])
-            return load_plans(path).plans[0]
-
-    def _plain_loop(self, case: PlainLoopCase) -> Result:
-        settings, physics = self.settings, PHYSICS[case.physics]
-        count = min(case.plans, settings.limit or case.plans)
-        max_seconds = settings.max_seconds or case.max_seconds
-        plans = load_plans(self._plans_file(count), limit=count).plans
-        self._say(f"{case.name}: up to {max_seconds:g} s")
-        reset_peak_memory()
-        run_s, steps, sizes = 0.0, 0, []
-        for plan in spread_over_sizes(plans):
-            if run_s >= max_seconds:
-                break
-            scene: Scene = build_scene(plan, Simulation(physics=physics))
-            begin = time.perf_counter()
-            plain_loop(scene, physics, parked_on_floor=case.parked_on_floor)
-            run_s += time.perf_counter() - begin
-            steps += fixed_steps(plan.n_boxes, physics.timestep_s)
-            sizes.append(plan.n_boxes)
-        return {
-            "case": case.name,
-            **self._environment,
-            "engine": "plain-loop",
-            "device": device_of(ORACLE_ENGINE),
-            "threads": 1,
-            "lanes": None,
-            "schedule": Schedule.FIXED.value,
-            "physics": case.physics,
-            "check": "one-by-one",
-            "plans": len(sizes),
-            "boxes": sum(sizes),
-            "plans_per_s": len(sizes) / run_s,
-            "world_steps": steps,
-            "world_steps_per_s": steps / run_s,
-            "start_s": 0.0,
-            "compile_s": 0.0,
-            "run_s": run_s,
-            "wall_s": run_s,
-            "counts": {},
+            "wall_s": clock.wall_s,
+            "cpu_s": clock.cpu_s,
+            "counts": {
+                "worlds": verdicts.total(),
+                **{each.value: sum(n for (said, _), n in verdicts.items() if said == each) for each in Verdict},
+                "by_reason": {reason: n for (_, reason), n in sorted(verdicts.items()) if reason},
+            },
             "agreement": {},
             "stages": {},
-            "peak_rss_bytes": peak_memory_bytes(),
-            "peak_device_bytes": None,
-            "note": f"{len(sizes)} of {len(plans)} plans, evenly spread over the sizes",
+            "peak_rss_bytes": clock.peak_rss_bytes,
+            "peak_device_bytes": peak_device_bytes(),
+            "note": "",
+            **more,
         }
 
-    # ------------------------------------------------------------------ what they share
-
-    def _head(self, case: Case, engine: Engine) -> Result:
-        threads = getattr(engine, "threads", None)
-        return {
-            "case": case.name,
-            **self._environment,
-            "engine": engine.name,
-            "device": device_of(engine.name),
-            "threads": threads,
-            "lanes": None if threads else self.settings.lanes,
-        }
-
-    def _engine(self, name: str) -> tuple[Engine, float]:
+    def _engine(self, case: Case, name: str) -> tuple[Engine, float]:
         """The engine, and the seconds it took to import and build it (0 where it was there)."""
-        if name in self._engines:
-            return self._engines[name], 0.0
-        begin = time.perf_counter()
-        if name == ORACLE_ENGINE:
-            self._engines[name] = make_engine(name, threads=self.settings.threads)
-        else:
-            self._engines[name] = make_engine(name, lanes=self.settings.lanes)
-        return self._engines[name], time.perf_counter() - begin
+        threads = case.threads or self.threads
+        if (name, threads) not in self._engines:
+            limits = {"threads": threads} if name == MUJOCO else {"lanes": self.lanes}
+            begin = time.perf_counter()
+            self._engines[name, threads] = self.make(name, **limits)
+            return self._engines[name, threads], time.perf_counter() - begin
+        return self._engines[name, threads], 0.0
 
-    def _plans_file(self, count: int) -> Path:
-        """A file with at least ``count`` plans of the workload."""
-        if self.settings.plans is not None:
-            return self.settings.plans
-        large_enough = [path for n, path in self._files.items() if n >= count]
-        if large_enough:
-            return large_enough[0]
-        path = self.settings.work / f"samples-seed{SEED}-{count}.json"
-        if not path.exists():
-            self._say(f"generating {count} sample plans")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_suffix(".part.json")
-            write_samples(part, count, SEED)
+    def _plans_file(self, case: Case) -> tuple[Path, int]:
+        """A file with a case's plans, and how many of them are taken after those that are skipped."""
+        count = min(case.count, self.limit or case.count)
+        if self.plans or case.source:
+            return self.plans or Path(case.source), count
+        needed = self.skip + count
+        there = sorted(self.work.glob("samples-*.json"))
+        path = next((each for each in there if int(each.stem.split("-")[1]) >= needed), None)
+        if path is None:
+            self.say(f"generating {needed} sample plans")
+            path = self.work / f"samples-{needed}.json"
+            part = path.with_suffix(".part")
+            self.work.mkdir(parents=True, exist_ok=True)
+            write_samples(part, needed, SEED)
             part.replace(path)
-        self._files[count] = path
-        return path
+        return path, count
 
-    def _folder(self, name: str) -> Path:
+    def _plans(self, case: Case) -> list[Plan]:
+        path, count = self._plans_file(case)
+        return load_plans(path, limit=self.skip + count).plans[self.skip :]
+
+    def _blocks(self, case: Case, plans: list[Plan]) -> list[list[Plan]]:
+        """All plans at once; of a sweep whose time is limited a few at a time, evenly spread over their sizes."""
+        if case.sweep and self.max_seconds is not None:
+            order = spread_over_sizes(plans)
+            return [order[first : first + BLOCK_PLANS] for first in range(0, len(order), BLOCK_PLANS)]
+        if case.longest_first:
+            plans = sorted(plans, key=lambda plan: plan.n_boxes, reverse=True)
+        return [plans] if plans else []
+
+    def _new_folder(self, name: str) -> Path:
         """A folder for one run's results that is not there yet."""
-        number = 1
-        while (self.settings.work / f"{name}-{number}").exists():
-            number += 1
-        return self.settings.work / f"{name}-{number}"
+        folders = (self.work / f"{name}-{number}" for number in itertools.count(1))
+        return next(folder for folder in folders if not folder.exists())
 
 
-def spread_over_sizes(plans: list[Plan]) -> list[Plan]:
+def _simulate(case: Case, plans: PlanSet, **options: Any) -> None:
+    options |= case.simulation
+    if case.sweep:
+        petmjx.sweep(case.sweep, plans, **options)
+    else:
+        petmjx.score(plans, **options)
+
+
+def _threads(engine: Engine) -> int | None:
+    """CPU threads of an engine that has them."""
+    threads: int | None = getattr(engine, "threads", None)
+    return threads
+
+
+def _stack(boxes: int) -> Plan:
+    """The first boxes of the sample plan that stacks are cut from."""
+    plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
+    with tempfile.TemporaryDirectory(prefix="petmjx-") as folder:
+        path = Path(folder) / "stack.json"
+        write_plans(path, [(plan_id, placements[:boxes])])
+        return load_plans(path).plans[0]
+
+
+def spread_over_sizes(plans: Sequence[Plan]) -> list[Plan]:
     """The plans in an order of which every beginning is evenly spread over their sizes (van der Corput sequence)."""
-    if not plans:
-        return []
     by_size = sorted(plans, key=lambda plan: plan.n_boxes)
     bits = max(len(plans) - 1, 1).bit_length()
     numbers = np.arange(1 << bits)

@@ -1,4 +1,4 @@
-"""What is written beside every number: commit, device, versions, date; and the file that takes the lines."""
+"""What is written beside every number: commit, versions, date, memory; and the file that takes the lines."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import platform
 import resource
 import subprocess
 import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from petmjx.errors import InputError
-from petmjx.machine import cpu_name, cpu_threads, cuda_devices, package_versions
+from petmjx.machine import cpu_name, cpu_threads, package_versions
 
 COMMIT_VARIABLE = "PETMJX_COMMIT"
 """Environment variable that names the commit where the source stands without its history."""
@@ -23,6 +26,9 @@ DIGITS = 6
 """Significant digits of numbers in a result."""
 
 _KIB = 1024
+
+Result = dict[str, Any]
+"""One line of results; benchmarks/README.md tells what its fields mean."""
 
 
 def commit() -> str:
@@ -38,36 +44,39 @@ def commit() -> str:
     return done.stdout.strip() or "unknown"
 
 
-def environment(date: str | None = None) -> dict[str, Any]:
+def environment() -> Result:
     """The fields that every result of this process has."""
     return {
         "commit": commit(),
-        "date": date or datetime.now(UTC).isoformat(timespec="seconds"),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "cpu": f"{cpu_name()}, {cpu_threads()} threads",
         "versions": {"python": platform.python_version(), **package_versions()},
     }
 
 
-def device_of(engine: str) -> str:
-    """What an engine steps on, in words."""
-    if engine == "mjx-warp" and cuda_devices():
-        return cuda_devices()[0]
-    if engine == "mjx-jax":
-        import jax
+@dataclass
+class Clock:
+    """What passed while something was timed: seconds, CPU seconds of the whole process, most memory held."""
 
-        device = jax.devices()[0]
-        return str(device.device_kind) if device.platform != "cpu" else cpu_name()
-    return cpu_name()
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    peak_rss_bytes: int = 0
 
 
-def reset_peak_memory() -> None:
-    """Start the high-water mark of this process anew, where the system can."""
-    with contextlib.suppress(OSError):
+@contextlib.contextmanager
+def timed() -> Iterator[Clock]:
+    """Time the body; the clock is filled at its end."""
+    with contextlib.suppress(OSError):  # starts the high-water mark of memory anew, where the system can
         Path("/proc/self/clear_refs").write_text("5")
+    clock = Clock()
+    cpu_s, begin = time.process_time(), time.perf_counter()
+    yield clock
+    clock.wall_s, clock.cpu_s = time.perf_counter() - begin, time.process_time() - cpu_s
+    clock.peak_rss_bytes = _peak_rss_bytes()
 
 
-def peak_memory_bytes() -> int:
-    """Most memory that this process has held since ``reset_peak_memory`` (where that works; else since its start)."""
+def _peak_rss_bytes() -> int:
+    """Most memory of this process since the mark was reset; where it cannot be, since the process began."""
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:
@@ -85,13 +94,16 @@ def peak_device_bytes() -> int | None:
     return stats.get("peak_bytes_in_use")
 
 
-def append_line(path: Path, result: dict[str, Any]) -> None:
+def append_line(path: Path, result: Result) -> None:
     """Append a result to a file of JSON lines.
 
     Raises:
         InputError: the file cannot be written.
     """
-    line = json.dumps(rounded(result), ensure_ascii=False, allow_nan=False)
+    exact = json.dumps(result, allow_nan=False)
+    line = json.dumps(
+        json.loads(exact, parse_float=lambda text: float(f"{float(text):.{DIGITS}g}")), ensure_ascii=False
+    )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as out:
@@ -100,12 +112,24 @@ def append_line(path: Path, result: dict[str, Any]) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def rounded(value: Any) -> Any:
-    """The value with its floats cut to ``DIGITS`` significant digits."""
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}")
-    if isinstance(value, dict):
-        return {key: rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [rounded(item) for item in value]
-    return value
+def read_lines(paths: Sequence[Path]) -> list[Result]:
+    """All results in the files, in their order.
+
+    Raises:
+        InputError: a file that cannot be read, or a line that is no JSON object.
+    """
+    results = []
+    for path in paths:
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        for number, line in enumerate(lines, start=1):
+            try:
+                result = json.loads(line)
+            except ValueError as error:
+                raise InputError(f"{path}: line {number}: no JSON: {error}") from error
+            if not isinstance(result, dict):
+                raise InputError(f"{path}: line {number}: must be a JSON object")
+            results.append(result)
+    return results

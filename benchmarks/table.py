@@ -1,213 +1,197 @@
-"""Markdown tables of results, from their JSON lines:
-
-python -m benchmarks.table benchmarks/results/*.jsonl [--readme benchmarks/README.md]
-"""
+"""Markdown tables of results."""
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from benchmarks.cases import CASES
+from benchmarks.record import Result
 from petmjx.errors import InputError
+from petmjx.text import counted
+from petmjx.verdict import Verdict
 
-BEGIN = "<!-- tables: begin (made by benchmarks.table) -->"
+BEGIN = "<!-- tables: begin (made by python -m benchmarks table) -->"
 END = "<!-- tables: end -->"
 
-Result = Mapping[str, Any]
-Cell = Callable[[Result], str]
+_IDENTITY = ("case", "physics", "engine", "threads", "lanes", "plans", "skip", "repetition", "way")
 
-
-def read_results(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """All results in the files, in their order.
-
-    Raises:
-        InputError: a file that cannot be read, or a line that is no JSON object.
-    """
-    results = []
-    for path in paths:
-        try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-        for number, line in enumerate(lines, start=1):
-            if not line.strip():
-                continue
-            try:
-                result = json.loads(line)
-            except ValueError as error:
-                raise InputError(f"{path}: line {number}: no JSON: {error}") from error
-            if not isinstance(result, dict):
-                raise InputError(f"{path}: line {number}: must be a JSON object")
-            results.append(result)
-    return results
-
-
-def latest(results: Sequence[Result]) -> list[Result]:
-    """Of results that measure the same on the same device, the last one; in the order of their first."""
-    identity = ("benchmark", "case", "physics", "engine", "device", "threads", "lanes", "plans", "skip", "repetition")
-    kept = {tuple(str(result.get(name)) for name in identity): result for result in results}
-    return list(kept.values())
+_OLD_ONE_PLAN = {
+    "plain, parked in the air": "loop-air",
+    "plain, parked on the floor": "loop-floor",
+    "mujoco fixed": "fixed",
+    "mujoco adaptive": "adaptive",
+    "mujoco brisk": "brisk",
+}
+"""Case of the lines that a script of its own once wrote → end of today's name."""
 
 
 def tables(results: Sequence[Result]) -> str:
     """All tables for which there are results, with a heading each."""
-    shown = latest(results)
-    suite = [result for result in shown if "benchmark" not in result]
-    parts = [
-        _section("Workloads, from file to Parquet", [r for r in suite if _kind(r) == "workload"], _WORKLOAD),
-        _section("Agreement", [r for r in shown if r.get("agreement")], _AGREEMENT, rows=_by_yardstick),
-        _section("Time against the number of plans", [r for r in suite if _kind(r) == "scale"], _SCALE),
-        _section("Full stacks", [r for r in suite if _kind(r) == "stacks"], _STACKS),
-        _section("Plain Python loops", [r for r in suite if _kind(r) == "plain"], _PLAIN),
-        _section("One thread, packing_plan_a", _of(shown, "single_thread"), _SINGLE_THREAD),
-        _section("Threads of the engine mujoco", _of(shown, "threads"), _THREADS),
-    ]
-    return "\n".join(part for part in parts if part)
-
-
-def _kind(result: Result) -> str:
-    case = str(result.get("case", ""))
-    for prefix, kind in (("scale-", "scale"), ("stacks-", "stacks"), ("plain-loop", "plain")):
-        if case.startswith(prefix):
-            return kind
-    return "workload"
-
-
-def _of(results: Sequence[Result], benchmark: str) -> list[Result]:
-    return [result for result in results if result.get("benchmark") == benchmark]
-
-
-def _section(
-    title: str,
-    results: Sequence[Result],
-    columns: Mapping[str, Cell],
-    rows: Callable[[Sequence[Result]], list[Result]] = list,
-) -> str:
-    if not results:
-        return ""
-    lines = [f"### {title}", "", "| " + " | ".join(columns) + " |", "| " + " | ".join("---" for _ in columns) + " |"]
-    lines += ["| " + " | ".join(cell(row) for cell in columns.values()) + " |" for row in rows(results)]
-    return "\n".join(lines) + "\n"
-
-
-def _by_yardstick(results: Sequence[Result]) -> list[Result]:
-    """A row for each yardstick that a result was compared with."""
-    return [
+    shown = latest([today(result) for result in results])
+    rows = {group: [row for row in shown if row["group"] == group and row["way"] != "agreement"] for group in SECTIONS}
+    rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
+    found = [
         {**result, "yardstick": label, "found": found}
-        for result in results
-        for label, found in result["agreement"].items()
+        for result in shown
+        for label, found in result.get("agreement", {}).items()
+    ]
+    rows["agreement"] = [row for row in found if "same" in row["found"]]
+    rows["shares"] = [row for row in found if "shares" in row["found"]]
+    return "\n".join(_section(*section, rows[name]) for name, section in SECTIONS.items() if rows[name])
+
+
+def latest(results: Iterable[Result]) -> list[Result]:
+    """Of results that measure the same on the same device, the last one; in the order of their first."""
+    return list({(*(result.get(name) for name in _IDENTITY), _device(result)): result for result in results}.values())
+
+
+def today(line: Result) -> Result:
+    """A line in today's form, whichever script wrote it. Lines from before there was one form have no group."""
+    if "group" in line:
+        return line
+    line = {"case": "", "way": "", "engine": "mujoco", **line}
+    benchmark = line.get("benchmark", "")
+    if benchmark == "single_thread":
+        line["case"] = f"one-plan-{line['physics']}-{_OLD_ONE_PLAN[line['case']]}"
+        line |= {"engine": CASES[line["case"]].only, "threads": 1}
+        line |= {"times loop-air": line["times_plain_air"], "times loop-floor": line["times_plain_floor"]}
+    elif benchmark == "threads":
+        line |= {"case": f"threads-{line['threads']}", "times 1": line["times_first"]}
+    elif benchmark == "sweeps/forks":
+        line |= {"case": "eumos-100", "repetition": line["run"], "counts": line["verdicts"]}
+        line |= {"timings": {"drives": line["worlds_driven"], "drive_s": line["drive_s"]}}
+        line["note"] = f"{line['plans']} of {line['plans_asked']} plans" if line["plans"] < line["plans_asked"] else ""
+    elif benchmark == "sweeps/statistics":
+        found = {"shares": {name: line[name] for name in ("plans", "agree", "intervals_overlap", "differ")}}
+        line |= {"case": "placement-seeds", "agreement": {f"{line['engines'][0]}-adaptive": found}}
+    elif benchmark == "sweeps/verdicts":
+        found = {"common": line["worlds"], "same": line["same"], "share": line["same"] / line["worlds"]}
+        line |= {"case": "eumos-16", "agreement": {f"{line['engines'][0]}-adaptive": found}}
+    if "engines" in line:
+        line |= {"engine": line["engines"][1], "way": "agreement"}
+    if benchmark == "agreement":
+        line["way"] = "agreement"
+    return {**line, "group": CASES[line["case"]].group}
+
+
+def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
+    """Of runs that took turns the quickest of each case, with how many times as quick it is as the others."""
+    best: dict[tuple[str, str], Result] = {}
+    for row in rows:
+        key = (row["case"], _device(row))
+        if key not in best or best[key]["commit"] != row["commit"] or row[seconds] < best[key][seconds]:
+            best[key] = row
+
+    def times(row: Result, other: str) -> float | None:
+        base = best.get((other, _device(row)))
+        return base[seconds] / row[seconds] if base else None
+
+    references = {name: f"one-plan-{{physics}}-{name}" for name in ("loop-air", "loop-floor")} | {"1": "threads-1"}
+    return [
+        {**{f"times {name}": times(row, case.format_map(row)) for name, case in references.items()}, **row}
+        for row in best.values()
     ]
 
 
-def _text(name: str) -> Cell:
-    return lambda result: str(result.get(name) or "").replace("|", "/")
+_IN_TURNS = {"one-plan": "cpu_s", "threads": "wall_s"}
+"""Groups whose cases take turns, with the time that counts: other work on the machine only slows a run down."""
+
+_WHO = {"case": "case", "engine": "engine", "on": "on", "": "width"}
+_PLANS, _RATE, _STEPS = {"plans": "plans|,"}, {"plans/s": "plans_per_s|.3g"}, {"steps/s": "world_steps_per_s|,.0f"}
+_RUN, _COMPILE, _NOTE = {"run": "run_s|.1f| s"}, {"compile": "compile_s|.1f| s"}, {"note": "note"}
+SECTIONS: dict[str, tuple[str, dict[str, str]]] = {
+    "W": (
+        "Workload W, from file to Parquet",
+        {**_WHO, **_PLANS, **_RATE, **_STEPS, **_RUN, **_COMPILE, "stable / unstable / invalid": "verdicts", **_NOTE},
+    ),
+    "agreement": (
+        "Agreement",
+        {
+            **_WHO,
+            "against": "yardstick",
+            "same verdict": "same",
+            "stable here, dropped there": "dropped",
+            "resting forces, median / 95 %": "force",
+        },
+    ),
+    "scale": (
+        "Time against the number of plans",
+        {**_WHO, **_PLANS, "ms/plan": "ms|.3g", **_RATE, **_RUN, "host memory": "rss_gb|.2f| GB"},
+    ),
+    "stacks": ("Full stacks", {**_WHO, "worlds": "plans|,", **_STEPS, **_COMPILE}),
+    "plain": ("Plain Python loop", {**_WHO, **_PLANS, "boxes a plan": "mean_boxes|.1f", **_RATE, **_STEPS, **_NOTE}),
+    "one-plan": (
+        "One plan on one thread",
+        {
+            **_WHO,
+            "CPU time": "cpu_s|.3f| s",
+            "× loop, waiting in the air": "times loop-air|.2f",
+            "× loop, waiting on the floor": "times loop-floor|.2f",
+        },
+    ),
+    "threads": (
+        "Threads of the engine mujoco",
+        {**_WHO, **_PLANS, "wall time": "wall_s|.2f| s", "× 1 thread": "times 1|.2f"},
+    ),
+    "sweeps": (
+        "Sweeps, from settled states",
+        {
+            **_WHO,
+            **_PLANS,
+            "worlds driven": "drives|,.0f",
+            "worlds/s": "drives_per_s|.3g",
+            "wall time": "wall_s|.1f| s",
+            **_COMPILE,
+            **_NOTE,
+        },
+    ),
+    "shares": (
+        "How often plans stand",
+        {**_WHO, "against": "yardstick", "each share in the other's 95 % interval": "agree", "overlap": "overlap"},
+    ),
+}
+"""Group → title and columns of its table; a column's cells are ``field|format|unit`` of a result or of ``_derived``."""
 
 
-def _number(name: str, form: str = ".3g", unit: str = "") -> Cell:
-    def cell(result: Result) -> str:
-        value = result.get(name)
-        return "-" if value is None else f"{value:{form}}{unit}"
-
-    return cell
+def _section(title: str, columns: Mapping[str, str], rows: Sequence[Result]) -> str:
+    lines = [list(columns), ["---"] * len(columns)]
+    lines += [[_cell({**row, **_derived(row)}, column) for column in columns.values()] for row in rows]
+    return "\n".join([f"### {title}", "", *(f"| {' | '.join(line)} |" for line in lines)]) + "\n"
 
 
-def _width(result: Result) -> str:
-    """Threads, or worlds side by side."""
-    if result.get("threads"):
-        return f"{result['threads']} threads"
-    lanes = [value for key, value in result.get("stages", {}).items() if key.endswith(" lanes")]
-    return f"{max([*lanes, result.get('lanes') or 0]):,.0f} lanes" if lanes or result.get("lanes") else ""
+def _cell(row: Result, column: str) -> str:
+    name, form, unit = [*column.split("|"), "", ""][:3]
+    value = row.get(name)
+    return "-" if value is None else f"{value:{form}}{unit}".replace("|", "/")
+
+
+def _derived(row: Result) -> Result:
+    """What is made of a result's fields; None where one of them is missing."""
+    found, counts, timings = row.get("found", {}), row.get("counts", {}), row.get("timings", {})
+    force, shares = found.get("rest_top_force", {}), found.get("shares", {})
+    missed, plans, drives = found.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")
+    lanes = [value for key, value in row.get("stages", {}).items() if key.endswith(" lanes")] + [row.get("lanes") or 0]
+    width = counted(row["threads"], "thread") if row.get("threads") else f"{max(lanes):,.0f} lanes"
+    return {
+        "on": _device(row),
+        "width": width if row.get("threads") or max(lanes) else "",
+        "verdicts": " / ".join(str(counts.get(verdict.value, 0)) for verdict in Verdict),
+        "ms": 1000 / row["plans_per_s"] if "plans_per_s" in row else None,
+        "mean_boxes": row["boxes"] / plans if plans and "boxes" in row else None,
+        "rss_gb": row["peak_rss_bytes"] / 1e9 if "peak_rss_bytes" in row else None,
+        "drives": drives,
+        "drives_per_s": drives / timings["drive_s"] if drives else None,
+        "same": f"{found['same']} of {found['common']} ({100 * found['share']:.2f} %)" if found.get("common") else None,
+        "dropped": None if missed is None else len(missed),
+        "force": f"{100 * force['median']:.2g} % / {100 * force['p95']:.2g} %" if force.get("boxes") else None,
+        "agree": f"{shares['agree']} of {shares['plans']}" if shares else None,
+        "overlap": f"{shares['intervals_overlap']} of {shares['plans']}" if shares else None,
+    }
 
 
 def _device(result: Result) -> str:
     return str(result.get("device", "")).removeprefix("NVIDIA ").split(",")[0]
-
-
-def _verdicts(result: Result) -> str:
-    counts = result.get("counts", {})
-    return " / ".join(str(counts.get(verdict, 0)) for verdict in ("stable", "unstable", "invalid"))
-
-
-def _mean_boxes(result: Result) -> str:
-    return f"{result['boxes'] / result['plans']:.1f}" if result.get("plans") else "-"
-
-
-def _ms_per_plan(result: Result) -> str:
-    return f"{1000 / result['plans_per_s']:.3g}" if result.get("plans_per_s") else "-"
-
-
-def _same(result: Result) -> str:
-    found = result["found"]
-    share = found["share"]
-    return f"{found['same']} of {found['common']}" + ("" if share is None else f" ({100 * share:.2f} %)")
-
-
-def _force(result: Result) -> str:
-    force = result["found"]["rest_top_force"]
-    if not force["boxes"]:
-        return "-"
-    return f"{100 * force['median']:.2g} % / {100 * force['p95']:.2g} %"
-
-
-_WHO: dict[str, Cell] = {"case": _text("case"), "engine": _text("engine"), "on": _device, "": _width}
-_WORKLOAD: dict[str, Cell] = {
-    **_WHO,
-    "plans": _number("plans", ","),
-    "plans/s": _number("plans_per_s"),
-    "steps/s": _number("world_steps_per_s", ",.0f"),
-    "run": _number("run_s", ".1f", " s"),
-    "compile": _number("compile_s", ".1f", " s"),
-    "stable / unstable / invalid": _verdicts,
-    "note": _text("note"),
-}
-_AGREEMENT: dict[str, Cell] = {
-    **_WHO,
-    "against": _text("yardstick"),
-    "same verdict": _same,
-    "stable here, dropped there": lambda result: str(len(result["found"]["stable_here_dropped_there"])),
-    "resting forces, median / 95 %": _force,
-}
-_SCALE: dict[str, Cell] = {
-    **_WHO,
-    "plans": _number("plans", ","),
-    "ms/plan": _ms_per_plan,
-    "plans/s": _number("plans_per_s"),
-    "run": _number("run_s", ".1f", " s"),
-    "host memory": lambda result: f"{result['peak_rss_bytes'] / 1e9:.2f} GB",
-}
-_STACKS: dict[str, Cell] = {
-    **_WHO,
-    "worlds": _number("plans", ","),
-    "steps/s": _number("world_steps_per_s", ",.0f"),
-    "compile": _number("compile_s", ".1f", " s"),
-}
-_PLAIN: dict[str, Cell] = {
-    "case": _text("case"),
-    "on": _device,
-    "plans": _number("plans", ","),
-    "boxes a plan": _mean_boxes,
-    "plans/s": _number("plans_per_s"),
-    "steps/s": _number("world_steps_per_s", ",.0f"),
-    "note": _text("note"),
-}
-_SINGLE_THREAD: dict[str, Cell] = {
-    "physics": _text("physics"),
-    "case": _text("case"),
-    "CPU time": _number("cpu_s", ".3f", " s"),
-    "× loop, waiting in the air": _number("times_plain_air", ".2f"),
-    "× loop, waiting on the floor": _number("times_plain_floor", ".2f"),
-    "on": _device,
-}
-_THREADS: dict[str, Cell] = {
-    "plans": _number("plans"),
-    "threads": _number("threads"),
-    "wall time": _number("wall_s", ".2f", " s"),
-    "× 1 thread": _number("times_first", ".2f"),
-    "on": _device,
-}
 
 
 def write_between_markers(readme: Path, text: str) -> None:
@@ -224,20 +208,3 @@ def write_between_markers(readme: Path, text: str) -> None:
         readme.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{readme}: {error.strerror or error}") from error
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command line of the module's docstring."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("results", type=Path, nargs="+", help="files of JSON lines")
-    parser.add_argument("--readme", type=Path, help="write the tables between this file's markers instead of printing")
-    options = parser.parse_args(arguments)
-    text = tables(read_results(options.results))
-    if options.readme is None:
-        print(text)
-    else:
-        write_between_markers(options.readme, text)
-
-
-if __name__ == "__main__":
-    main()

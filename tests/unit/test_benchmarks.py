@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import petmjx
 from benchmarks import table
-from benchmarks.__main__ import main as bench_main
-from benchmarks.agreement import agreement, main
-from benchmarks.cases import CASES, GROUPS, STACK_BOXES, STACK_PLAN, WorkloadCase, chosen_cases, oracle_case
-from benchmarks.measure import Bench, Settings, spread_over_sizes
-from benchmarks.record import COMMIT_VARIABLE, rounded
-from petmjx.config import Schedule, Simulation, Thresholds
+from benchmarks.__main__ import main
+from benchmarks.agreement import agreement
+from benchmarks.cases import CASES, GROUPS, STACK_PLAN, chosen_cases, oracle_case
+from benchmarks.measure import Bench, spread_over_sizes
+from benchmarks.record import COMMIT_VARIABLE, append_line, read_lines
+from petmjx.config import Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
@@ -29,11 +31,12 @@ from petmjx.world.job import Job
 SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200, "weight/kg": 5.0}
 
 FIELDS = {
-    "case", "commit", "date", "cpu", "engine", "device", "threads", "lanes", "versions", "plans", "boxes",
-    "plans_per_s", "world_steps", "world_steps_per_s", "start_s", "compile_s", "run_s", "wall_s", "counts",
-    "agreement", "stages", "peak_rss_bytes", "peak_device_bytes", "schedule", "physics", "check", "note",
+    "case", "group", "way", "commit", "date", "cpu", "engine", "device", "threads", "lanes", "versions", "plans",
+    "boxes", "plans_per_s", "world_steps", "world_steps_per_s", "start_s", "compile_s", "run_s", "wall_s", "cpu_s",
+    "counts", "agreement", "stages", "peak_rss_bytes", "peak_device_bytes", "schedule", "physics", "check", "sweep",
+    "note", "repetition",
 }  # fmt: skip
-"""What every result of the suite has."""
+"""What every result has, whichever way it was measured."""
 
 
 @pytest.fixture(scope="module")
@@ -55,49 +58,46 @@ def plans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def bench(*arguments: str | Path) -> None:
-    assert bench_main([*map(str, arguments)]) == 0
-
-
-def lines(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    assert main(["run", *map(str, arguments)]) == 0
 
 
 @pytest.fixture(scope="module")
 def measured(plans: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of a workload with its oracle, run twice, and of a plain loop."""
+    """Results of a workload with its oracle and of a plain loop, run twice."""
     folder = tmp_path_factory.mktemp("bench")
     out = folder / "results.jsonl"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(COMMIT_VARIABLE, "0123abc")
         bench(
             "W-adaptive", "plain-loop", "--plans", plans, "--threads", "1", "--oracle", "mujoco-fixed", "--repeat", "2",
-            "--work", folder / "work", "--out", out, "--date", "2025-01-01",
+            "--work", folder / "work", "--out", out,
         )  # fmt: skip
     return out
 
 
 def test_a_result_is_one_line_with_all_fields(measured: Path) -> None:
-    results = lines(measured)
-    assert [(r["case"], r["engine"]) for r in results] == [
-        ("W-fixed", "mujoco"),
-        ("W-adaptive", "mujoco"),
-        ("W-adaptive", "mujoco"),
-        ("plain-loop", "plain-loop"),
+    results = read_lines([measured])
+    assert [(r["case"], r["engine"], r["repetition"]) for r in results] == [
+        ("W-fixed", "mujoco", 1),
+        ("W-adaptive", "mujoco", 1),
+        ("plain-loop", "plain-loop", 1),
+        ("W-adaptive", "mujoco", 2),
+        ("plain-loop", "plain-loop", 2),
     ]
     for result in results:
         assert result.keys() >= FIELDS
-        assert (result["commit"], result["date"]) == ("0123abc", "2025-01-01")
+        assert result["commit"] == "0123abc"
         assert (result["plans"], result["boxes"], result["threads"]) == (3, 7, 1)
         assert result["wall_s"] == pytest.approx(result["run_s"] + result["compile_s"])
         assert result["plans_per_s"] == pytest.approx(3 / result["run_s"], rel=1e-4)  # numbers have 6 digits
         assert result["versions"]["mujoco"]
         assert result["peak_rss_bytes"] > 1e7
-    assert results[1]["counts"]["stable"] == 2
+    assert results[1]["counts"] == {"worlds": 3, "stable": 2, "unstable": 1, "invalid": 0, "by_reason": {"tilt": 1}}
     assert "3 of 2000 plans" in results[1]["note"]
 
 
 def test_steps_are_those_of_the_schedule(measured: Path) -> None:
-    fixed, adaptive, _, loop = lines(measured)
+    fixed, adaptive, loop, *_ = read_lines([measured])
     # fixed: (n + 1) intervals of 0.7 s at 2 ms, for 2, 2 and 3 boxes, each cut to whole steps as the reference does
     # (so one fewer); the box that tips over does not drop, so no world ends early
     assert loop["world_steps"] == 350 * (3 + 3 + 4) - 3
@@ -105,24 +105,22 @@ def test_steps_are_those_of_the_schedule(measured: Path) -> None:
 
 
 def test_runs_are_kept_and_compared(measured: Path) -> None:
-    fixed, first, second, _ = lines(measured)
+    fixed, first, _, second, _ = read_lines([measured])
     assert load_run(Path(first["results_dir"])).info["counts"]["worlds"] == 3
     assert fixed["agreement"] == {}
     assert first["agreement"].keys() == {"mujoco-fixed"}
     assert first["agreement"]["mujoco-fixed"]["share"] == 1
     assert first["agreement"]["mujoco-fixed"]["stable_here_dropped_there"] == []
     again = second["agreement"]["first run"]
-    assert (again["common"], again["same"], again["flips"]) == (3, 3, [])
+    assert (again["common"], again["same"], again["plans_all_the_same"], again["flips"]) == (3, 3, 3, [])
     # boxes with something on them, of the two plans that stand; the engine repeats itself bit for bit
     assert again["rest_top_force"] == {"boxes": 3, "median": 0, "p95": 0}
 
 
 def test_flips_are_listed_with_their_margins(plans: Path, tmp_path: Path) -> None:
-    from petmjx import score
-
     results = [
-        score(plans, engine="mujoco", threads=1, early_stop=False, out=tmp_path / name, thresholds=limits)
-        for name, limits in (("a", None), ("b", Thresholds(shift_m=1e-9, shift_floor_m=0)))
+        petmjx.score(plans, engine="mujoco", threads=1, early_stop=False, out=tmp_path / name, thresholds=limits)
+        for name, limits in (("a", {}), ("b", {"shift_m": 1e-9, "shift_floor_m": 0}))
     ]
     found = agreement([results[0].path], [results[1].path])
     assert (found["common"], found["same"]) == (3, 1)
@@ -134,27 +132,63 @@ def test_flips_are_listed_with_their_margins(plans: Path, tmp_path: Path) -> Non
 
 
 def test_pieces_of_a_run_count_as_one(plans: Path, tmp_path: Path) -> None:
-    out = tmp_path / "results.jsonl"
-    bench("W-adaptive", "--plans", plans, "--limit", "2", "--work", tmp_path / "work", "--out", out)
-    bench("W-adaptive", "--plans", plans, "--skip", "2", "--work", tmp_path / "work", "--out", out)
-    bench("W-adaptive", "--plans", plans, "--work", tmp_path / "work", "--out", out)
-    pieces = [result["results_dir"] for result in lines(out)]
-    assert [result["plans"] for result in lines(out)] == [2, 1, 3]
+    out, work = tmp_path / "results.jsonl", tmp_path / "work"
+    bench("W-adaptive", "--plans", plans, "--limit", "2", "--work", work, "--out", out)
+    bench("W-adaptive", "--plans", plans, "--skip", "2", "--work", work, "--out", out)
+    pieces = [result["results_dir"] for result in read_lines([out])]
+    against = f"pieces={pieces[0]},{pieces[1]}"
+    bench("W-adaptive", "--plans", plans, "--work", work, "--out", out, "--against", against)
+    *parts, whole = read_lines([out])
+    assert [result["plans"] for result in (*parts, whole)] == [2, 1, 3]
     joint = tmp_path / "joint.jsonl"
-    main(
-        ["--label", "pieces", "--oracle", *pieces[:2], "--run", pieces[2], "--case", "W-adaptive", "--out", str(joint)]
+    assert (
+        main(["agreement", whole["results_dir"], "--oracle", against, "--case", "W-adaptive", "--out", str(joint)]) == 0
     )
-    (result,) = lines(joint)
+    [result] = read_lines([joint])
+    assert result["agreement"] == whole["agreement"]
     assert result["agreement"]["pieces"]["same"] == result["agreement"]["pieces"]["common"] == 3
     assert "pieces" in table.tables([result])
 
 
-def test_a_workload_that_takes_too_long_is_cut_off(plans: Path, tmp_path: Path) -> None:
+def test_what_takes_too_long_is_cut_off(plans: Path, tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
-    bench("W-adaptive", "--plans", plans, "--threads", "1", "--max-seconds", "1e-9", "--work", tmp_path, "--out", out)
-    (result,) = lines(out)
-    assert 1 <= result["plans"] < 3
-    assert "cut off after" in result["note"]
+    asked = ("W-adaptive", "plain-loop", "--plans", plans, "--threads", "1", "--max-seconds", "1e-9")
+    bench(*asked, "--work", tmp_path, "--out", out)
+    workload, loop = read_lines([out])
+    assert 1 <= workload["plans"] < 3
+    assert "cut off after" in workload["note"]
+    assert loop["plans"] == 1
+    assert "1 of 2000 plans" in loop["note"]
+
+
+def test_sweeps_are_timed_by_placements_and_drives(plans: Path, tmp_path: Path) -> None:
+    sweep = tmp_path / "short.toml"
+    axes = '[axes]\nprofile = "eumos-40509"\ndirection = ["+x"]\nlevel = [0.1, 3.0]\n'
+    sweep.write_text(axes + "[simulation]\nrest_s = 0.1\n", encoding="utf-8")
+    case = replace(CASES["eumos-16"], count=2, sweep=str(sweep))
+    bench = Bench(work=tmp_path, plans=plans, threads=1, repeat=2, max_seconds=60)
+    first, second = bench.run([case], ["mujoco"])
+    assert first.keys() >= FIELDS
+    assert (first["plans"], first["counts"]["worlds"], first["sweep"]) == (2, 4, "short")
+    timings = first["timings"]
+    assert (timings["placements"], timings["drives"]) == (2, 2)  # the plan that tips over is not driven
+    assert first["world_steps"] == timings["placement_steps"] + timings["drive_steps"]
+    assert 0 < timings["drive_s"] < first["run_s"]
+    assert second["agreement"]["first run"]["same"] == 4
+    assert "### Sweeps" in table.tables([first])
+
+
+def test_how_often_plans_stand_is_compared(plans: Path, tmp_path: Path) -> None:
+    def placed(name: str, error_mm: float) -> Path:
+        sweep = tmp_path / f"{name}.toml"
+        sweep.write_text(f"replicates = 3\n[axes]\nplacement_error_mm = {error_mm}\n", encoding="utf-8")
+        return petmjx.sweep(sweep, plans, engine="mujoco", threads=1, out=tmp_path / name).path
+
+    runs = [placed("a", 1), placed("b", 1), placed("c", 400)]
+    alike, apart = agreement([runs[0]], [runs[1]])["shares"], agreement([runs[0]], [runs[2]])["shares"]
+    assert alike == {"plans": 3, "agree": 3, "intervals_overlap": 3, "differ": []}
+    assert apart["agree"] < 3
+    assert apart["differ"][0]["oracle"] > apart["differ"][0]["here"]
 
 
 class Compiling:
@@ -172,33 +206,43 @@ class Compiling:
 
 
 def test_what_compiles_is_run_before_it_is_timed(tmp_path: Path) -> None:
-    measuring = Bench(Settings(work=tmp_path, lanes=2))
     engine = Compiling()
-    measuring._engines[engine.name] = engine
-    (result,) = measuring.run(CASES["stacks-8"], engine.name)
+    bench = Bench(work=tmp_path, lanes=2, make=lambda name, **limits: engine)
+    [result] = bench.run([CASES["stacks-8"]], [engine.name])
     assert result.keys() >= FIELDS
     assert engine.runs == 2
     assert (result["compile_s"], result["lanes"], result["threads"]) == (100, 2, None)
     assert result["run_s"] < 100
     # the soft start and 1 s at 2 ms, two worlds
     assert result["world_steps"] == 2 * (200 + 500)
-    assert result["counts"] == {"stable": 2}
+    assert result["counts"]["stable"] == 2
     assert "2 lanes" in table.tables([result])
 
 
 def test_cases_by_name_and_group() -> None:
-    assert [case.name for case in chosen_cases(["W", "W-fixed", "stacks-8"])] == [*GROUPS["W"], "stacks-8"]
-    assert len(GROUPS["stacks"]) == len(STACK_BOXES)
+    chosen = chosen_cases(["W", "W-fixed", "stacks-8"])
+    assert [case.name for case in chosen] == [*(case.name for case in GROUPS["W"]), "stacks-8"]
     with pytest.raises(InputError, match="unknown case 'nonsense'"):
         chosen_cases(["nonsense"])
+    assert len(CASES) == sum(map(len, GROUPS.values()))  # no name twice
+    assert GROUPS.keys() <= table.SECTIONS.keys()
     for case in CASES.values():
-        if isinstance(case, WorkloadCase):
-            assert oracle_case(case, Schedule.FIXED).physics == case.physics
+        assert case.sim.physics.timestep_s > 0
+
+
+def test_an_oracle_differs_in_its_schedule_alone() -> None:
+    assert oracle_case(CASES["W-adaptive"], Schedule.FIXED) is CASES["W-fixed"]
+    assert oracle_case(CASES["W-fixed"], Schedule.ADAPTIVE) is CASES["W-adaptive"]
+    assert oracle_case(CASES["W-fixed"], Schedule.FIXED) is CASES["W-fixed"]
+    made = oracle_case(CASES["W-adaptive-reference"], Schedule.FIXED)
+    assert (made.name, made.sim.schedule, made.sim.physics.name) == (
+        "W-adaptive-reference/fixed", Schedule.FIXED, "reference",
+    )  # fmt: skip
 
 
 def test_stacks_are_cut_from_a_plan_with_enough_boxes() -> None:
     _, placements = generate_one(STACK_PLAN, 0, loose_share=0.0)
-    assert len(placements) >= max(STACK_BOXES)
+    assert len(placements) >= max(case.boxes for case in GROUPS["stacks"])
 
 
 def test_any_beginning_is_spread_over_the_sizes() -> None:
@@ -214,12 +258,12 @@ def test_any_beginning_is_spread_over_the_sizes() -> None:
 def test_tables_go_between_the_markers(measured: Path, tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
     readme.write_text(f"before\n{table.BEGIN}\nold\n{table.END}\nafter\n", encoding="utf-8")
-    table.main([str(measured), "--readme", str(readme)])
+    assert main(["table", str(measured), "--readme", str(readme)]) == 0
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n")
     assert text.endswith("\nafter\n")
     assert "old" not in text
-    for heading in ("Workloads", "Agreement", "Plain Python loops"):
+    for heading in ("Workload W", "Agreement", "Plain Python loop"):
         assert f"### {heading}" in text
     assert "3 of 3 (100.00 %)" in text
     rows = [line for line in text.splitlines() if line.startswith("| W-adaptive | mujoco")]
@@ -234,8 +278,32 @@ def test_only_the_last_of_equal_measurements_is_shown() -> None:
     assert table.latest([old, other, new]) == [new, other]
 
 
+def test_of_runs_that_take_turns_the_quickest_counts() -> None:
+    one = {"group": "threads", "way": "files", "case": "threads-1", "engine": "mujoco", "commit": "a", "physics": ""}
+    two = {**one, "case": "threads-2"}
+    text = table.tables(
+        [
+            {**one, "commit": "before", "wall_s": 1.0, "repetition": 1},
+            {**one, "wall_s": 10.0, "repetition": 1},
+            {**two, "wall_s": 9.0, "repetition": 1},
+            {**one, "wall_s": 8.0, "repetition": 2},
+            {**two, "wall_s": 4.0, "repetition": 2},
+        ]
+    )
+    assert "8.00 s | 1.00 |" in text
+    assert "4.00 s | 2.00 |" in text
+    assert text.count("| threads-") == 2
+
+
+def test_the_readme_shows_what_the_results_say(repository: Path) -> None:
+    """Also lines from before all results had one form."""
+    folder = repository / "benchmarks"
+    text = table.tables(read_lines(sorted((folder / "results").glob("*.jsonl"))))
+    assert f"{table.BEGIN}\n\n{text}\n{table.END}" in (folder / "README.md").read_text(encoding="utf-8")
+
+
 def test_bad_options_are_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert bench_main(["--list"]) == 0
+    assert main(["list"]) == 0
     assert "stacks-64" in capsys.readouterr().out
     for options, words in (
         (["nonsense"], "unknown case"),
@@ -243,9 +311,10 @@ def test_bad_options_are_one_line(capsys: pytest.CaptureFixture[str], tmp_path: 
         (["W-fixed", "--oracle", "delphi"], "unknown oracle"),
         (["W-fixed", "--against", "folder"], "LABEL=DIR"),
     ):
-        assert bench_main([*options, "--out", str(tmp_path / "out.jsonl")]) == 2
+        assert main(["run", *options, "--out", str(tmp_path / "out.jsonl")]) == 2
         assert words in capsys.readouterr().err
 
 
-def test_numbers_are_cut_to_six_digits() -> None:
-    assert rounded({"a": [1 / 3, 2]}) == {"a": [0.333333, 2]}
+def test_numbers_are_cut_to_six_digits(tmp_path: Path) -> None:
+    append_line(tmp_path / "out.jsonl", {"a": [1 / 3, 2], "b": 1234567.8})
+    assert read_lines([tmp_path / "out.jsonl"]) == [{"a": [0.333333, 2], "b": 1234570.0}]
