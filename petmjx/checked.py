@@ -52,13 +52,18 @@ class Checked(BaseModel, metaclass=_OneLine):
     def changed(self, **values: Any) -> Self:
         """A checked copy with other values for some fields. A table changes the record that it stands for, if that is
         not given a name of its own."""
-        fields = {name: getattr(self, name) for name in type(self).model_fields}
-        for name, value in values.items():
-            old = fields.get(name)
-            if isinstance(old, Checked) and isinstance(value, Mapping) and "name" not in value:
-                value = old.changed(**value)
-            fields[name] = value
-        return self.read(fields)
+        return self.read(_fields_with(self, values))
+
+
+def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:
+    """A record's fields, some replaced. Checked as a whole later, so that an error names the whole path."""
+    fields = {name: getattr(record, name) for name in type(record).model_fields}
+    for name, value in values.items():
+        old = fields.get(name)
+        if isinstance(old, Checked) and isinstance(value, Mapping) and "name" not in value:
+            value = _fields_with(old, value)
+        fields[name] = value
+    return fields
 
 
 def describe(error: ValidationError, where: str = "") -> str:

@@ -24,11 +24,17 @@ SOFT_START_STEPS: Final = 100
 
 @dataclass(frozen=True)
 class Flag:
-    """How a field is called on the command line, and what stands for its value in the help there."""
+    """How a field is called on the command line.
+
+    Attributes:
+        metavar: what stands for its value in the help there.
+        default: what the help says of a default that is None there.
+    """
 
     name: str
     metavar: str = "NAME"
     short: str = ""
+    default: str = ""
 
 
 class Check(StrEnum):
@@ -302,7 +308,7 @@ class RunOptions(Checked):
     allow_large: Annotated[bool, Flag("--yes", short="-y")] = Field(
         False, description="run sweeps of more than a million worlds too"
     )
-    out: Annotated[Path | None, Flag("--out", "DIR", "-o")] = Field(
+    out: Annotated[Path | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
         description="folder for the results; in Python by default a temporary one that goes with what is returned",
     )

@@ -16,6 +16,7 @@ from petmjx.engines.choose import ENGINES, make_engine
 from petmjx.errors import EngineUnavailable
 from petmjx.machine import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
 from petmjx.plans.plan import Plan
+from petmjx.text import counted
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
@@ -54,7 +55,10 @@ def examine() -> Report:
             "python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})",
             **package_versions(),
         },
-        devices=(f"CPU: {cpu_name()}, {cpu_threads()} threads", *(f"GPU: {name}" for name in cuda_devices())),
+        devices=(
+            f"CPU: {cpu_name()}, {counted(cpu_threads(), 'thread')}",
+            *(f"GPU: {name}" for name in cuda_devices()),
+        ),
         engines=tuple(_examine_engine(name, check) for name, check in _CHECKS.items()),
         caches=_caches(),
     )
@@ -73,7 +77,7 @@ def _check_mujoco() -> str:
     [outcome] = engine.run([Job(build_scene(_one_box(), sim))], sim)
     if outcome.verdict is not Verdict.STABLE:
         raise RuntimeError(f"a single box came out {outcome.verdict.value} {outcome.reason.value}")
-    return f"{cpu_threads()} CPU threads; a single box stands after {outcome.n_steps} steps"
+    return f"{counted(cpu_threads(), 'CPU thread')}; a single box stands after {counted(outcome.n_steps, 'step')}"
 
 
 def _check_mjx_jax() -> str:

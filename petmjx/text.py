@@ -1,16 +1,23 @@
-"""Text as messages show it."""
+"""Text as people are shown it."""
 
 from __future__ import annotations
 
-import json
 from typing import Final
 
 _SHOWN_CHARACTERS: Final = 60
 
+_ESCAPES: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
+
 
 def printable(text: str) -> str:
-    """Text as it can stand in one line of a message: control characters and broken UTF-8 are escaped."""
-    return text if text.isprintable() else json.dumps(text)[1:-1]
+    """Text as it can stand in one line: what is no visible character is escaped ("\\u001b").
+
+    That is control characters (of a terminal also: ESC, C1), line breaks, marks that turn the direction of writing,
+    and broken UTF-8. Whatever comes from a file and is printed goes through here.
+    """
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else _ESCAPES.get(each, f"\\u{ord(each):04x}") for each in text)
 
 
 def shown(text: str) -> str:
@@ -59,3 +66,23 @@ def duration(seconds: float) -> str:
     if seconds < 5400:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h"
+
+
+def time_left(seconds: float) -> str:
+    """A time that counts down: "45 s", "1 min 45 s", "2 h 5 min"."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600:,} h {whole % 3600 // 60} min"
+
+
+def three_digits(value: float, sign: bool = False) -> str:
+    """A number of any size in at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
+
+    Args:
+        sign: whether a positive number has a sign too.
+    """
+    grouped = 99.95 <= abs(value) < 999_999.5
+    return format(value, ("+" if sign else "") + (",.0f" if grouped else ".3g"))

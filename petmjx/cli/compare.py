@@ -25,10 +25,11 @@ def compare(
     Differences are |b - a| with median, 95th percentile and largest; the largest one with its plan and box.
     """
     from petmjx.results.compare import compare_runs
-    from petmjx.show.compare_tables import print_comparison
+    from petmjx.show.compare_tables import comparison_tables
+    from petmjx.show.layout import print_each
 
     comparison = compare_runs(a, b)
     if as_json:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
         return
-    print_comparison(comparison, results_console(), max_rows=rows)
+    print_each(comparison_tables(comparison, max_rows=rows), results_console())

@@ -1,21 +1,43 @@
-"""The console that results are printed on."""
+"""What the command line writes to: standard output and standard error, whatever they are."""
 
 from __future__ import annotations
 
+import codecs
+import io
 import os
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 PIPED_WIDTH = 120
-"""Columns where standard output is a file or a pipe: wide enough that no table breaks its lines."""
+"""Columns where standard output is a file or a pipe."""
+
+_PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
+"""What stands for characters that an old terminal has not; "?" for others."""
 
 
 def results_console() -> Console:
     """Standard output; as wide as the terminal, or ``PIPED_WIDTH`` where there is none."""
     from rich.console import Console
 
-    piped = not sys.stdout.isatty() and "COLUMNS" not in os.environ
+    piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()
     return Console(width=PIPED_WIDTH if piped else None)
+
+
+def prepare_streams() -> None:
+    """Make standard output and error safe to print to: they exist, and have something for every character."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the caller (petmjx … >&-)
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
+    codecs.register_error("petmjx", _plainly)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="petmjx")
+
+
+def _plainly(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_PLAIN.get(each, "?") for each in error.object[error.start : error.end]), error.end

@@ -13,27 +13,10 @@ def doctor(as_json: opt.JsonOption = False) -> None:
     from dataclasses import asdict
 
     from petmjx.doctor import examine
+    from petmjx.show.doctor_table import doctor_table
 
     report = examine()
     if as_json:
         print(json.dumps(asdict(report), indent=2))
         return
-    from rich.table import Table
-
-    table = Table(show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
-    for name, version in report.versions.items():
-        table.add_row(name, version)
-    table.add_section()
-    for device in report.devices:
-        kind, _, text = device.partition(": ")
-        table.add_row(kind, text)
-    table.add_section()
-    for engine in report.engines:
-        state = "[green]works[/green]" if engine.works else "[yellow]not here[/yellow]"
-        table.add_row(f"engine {engine.name}", f"{state}: {engine.detail}")
-    table.add_section()
-    for name, folder in report.caches.items():
-        table.add_row(f"cache: {name}", folder)
-    results_console().print(table)
+    results_console().print(doctor_table(report))

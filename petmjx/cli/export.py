@@ -9,7 +9,7 @@ import typer
 
 from petmjx.cli import options as opt
 from petmjx.errors import InputError
-from petmjx.text import counted
+from petmjx.text import counted, printable
 
 
 @opt.takes("physics", "size_reduction_mm", "carrier")
@@ -38,4 +38,4 @@ def export(
         out.write_text(mjcf, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
-    print(f"plan {plan_id}: {counted(plan.n_boxes, 'box', 'boxes')}, MJCF in {out}")
+    print(printable(f"plan {plan_id}: {counted(plan.n_boxes, 'box', 'boxes')}, MJCF in {out}"))

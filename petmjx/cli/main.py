@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated
@@ -13,9 +14,11 @@ import typer
 
 from petmjx import __version__
 from petmjx.cli import compare, doctor, export, samples, score, sweep
+from petmjx.cli.console import prepare_streams
+from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
-from petmjx.text import one_line
+from petmjx.text import one_line, printable
 
 
 class ExitCode(IntEnum):
@@ -46,15 +49,18 @@ app = typer.Typer(
     epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["--help", "-h"]},
+    rich_markup_mode=None,  # its tables leave 24 of 80 columns to the descriptions
+    context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
 )
-app.command("score")(score.score)
-app.command("sweep")(sweep.sweep)
-app.command("compare")(compare.compare)
-app.command("samples")(samples.samples)
-app.command("export")(export.export)
-app.command("doctor")(doctor.doctor)
+for _command, _short_help in (
+    (score.score, "Say which packing plans stand."),
+    (sweep.sweep, "Simulate plans in many variants: forces, friction, errors."),
+    (compare.compare, "Compare two runs of the same plans."),
+    (samples.samples, "Write packing plans with BED-BPP's statistics."),
+    (export.export, "Write the MuJoCo model of one plan."),
+    (doctor.doctor, "Show versions, devices and which engines work here."),
+):
+    app.command(_command.__name__, cls=SectionedCommand, short_help=_short_help)(_command)
 
 
 def _print_version(wanted: bool) -> None:
@@ -88,8 +94,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) -> int:
     """Run an application, with errors as one line and an exit code."""
+    prepare_streams()
+    code = _run(application, arguments)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # what is left cannot be written; Python would try again when it ends, and complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return code
+
+
+def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
     try:
         result = application(args=None if arguments is None else list(arguments), standalone_mode=False)
+        sys.stdout.flush()  # an error shows here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)
@@ -102,9 +120,8 @@ def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) ->
     except _USAGE_ERROR as error:
         message = getattr(error, "format_message", error.__str__)()
         return _report(f"{message} (petmjx --help tells the options)" if message else "", ExitCode.UNUSABLE)
-    except BrokenPipeError:
-        # the reader of a pipe has gone (petmjx … | head); what Python flushes at exit must not complain again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (BrokenPipeError, SystemExit):
+        # The reader of the output has gone (petmjx … | head) and wants no more; typer and rich exit then.
         return ExitCode.OK
     except Exception as error:
         return _report(f"failure inside petmjx: {one_line(error)}; petmjx --debug … shows where", ExitCode.FAILURE)
@@ -112,10 +129,11 @@ def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) ->
 
 def _report(message: str, code: ExitCode) -> int:
     """Print one line to standard error (the traceback before it with --debug)."""
-    if _SETTINGS.debug and code is not ExitCode.INTERRUPTED:
-        import traceback
+    with suppress(OSError):  # nobody reads it
+        if _SETTINGS.debug and code is not ExitCode.INTERRUPTED:
+            import traceback
 
-        traceback.print_exc()
-    if message:
-        print(f"petmjx: {' '.join(message.split())}", file=sys.stderr)
+            traceback.print_exc()
+        if message:
+            print(f"petmjx: {printable(' '.join(message.split()))}", file=sys.stderr)
     return code

@@ -1,194 +1,205 @@
-"""Options of commands, made from the records that hold them (``petmjx.config``), and those that are the command line's
-own."""
+"""Options of commands, made from the records of ``petmjx.config`` that hold them."""
 
 from __future__ import annotations
 
 import inspect
+import re
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from enum import Enum
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 import typer
 from pydantic.fields import FieldInfo
-from rich.markup import escape
 
 from petmjx.checked import Checked
-from petmjx.config import Flag, Physics, RunOptions, Simulation
+from petmjx.config import Flag, RunOptions, Simulation
 from petmjx.errors import InputError
+from petmjx.text import printable
 
 Command = TypeVar("Command", bound=Callable[..., None])
+
+PLANS_HELP = "BED-BPP packing plans: JSON files (also gzipped) or folders of them."
 
 PlanPaths = Annotated[
     list[Path] | None,
     typer.Argument(
-        metavar="[PLANS]...",
-        help="BED-BPP packing plans: JSON files (also gzipped) or folders of them. Without any: the bundled samples, "
-        "or those that a sweep file names.",
+        metavar="PLANS",
+        help=f"{PLANS_HELP} Without any: the bundled samples.",
         show_default=False,
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
-_PANELS = {Simulation: "What is simulated", RunOptions: "How it runs"}
-
-_SHOWN_DEFAULTS = {
-    "threads": "all that may be used",
-    "lanes": "from device memory",
-    "limit": "all",
-    "out": "petmjx-results/DATE-TIME",
-}
-
-_SET = inspect.Parameter(
-    "settings",
-    inspect.Parameter.KEYWORD_ONLY,
-    default=None,
-    annotation=Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="FIELD=VALUE",
-            help="Any field of petmjx.Simulation, such as quiet.steps=50 or physics.timestep_s=0.001. Repeatable.",
-            rich_help_panel=_PANELS[Simulation],
-            show_default=False,
-        ),
-    ],
-)
+SIMULATED = "What is simulated"
+HOW_IT_RUNS = "How it runs"
 
 
-def takes(*fields: str, without: Collection[str] = (), defaults: bool = True) -> Callable[[Command], Command]:
-    """Give a command the options of ``Simulation`` and ``RunOptions``: all of them but some, or those named.
+@dataclass(frozen=True)
+class _Option:
+    """A field as an option.
 
-    The command gets what was given, and only that, as keyword arguments: fields of the records, nested ones as tables.
-
-    Args:
-        defaults: whether the help shows the records' defaults (not where something else stands in for them).
+    Attributes:
+        path: names of the records' fields that lead to it; one for most, ``("thresholds", "shift_m")`` for some.
+        section: heading in the help under which it stands.
     """
 
+    path: tuple[str, ...]
+    info: FieldInfo
+    flag: Flag
+    section: str
+
+    @property
+    def name(self) -> str:
+        """As a parameter of a function."""
+        return "__".join(self.path)
+
+    @property
+    def kind(self) -> Any:
+        """The type of the value: the field's; text for what is given by name, which the record itself checks."""
+        kinds = get_args(self.info.annotation) or (self.info.annotation,)
+        return next((kind for kind in kinds if kind in (int, float, bool, Path)), str)
+
+    @property
+    def help(self) -> str:
+        """The field's description (without what it says about Python alone) and its default, if it has one to show."""
+        text = (self.info.description or "").partition("; in Python")[0]
+        value = self.info.default
+        if isinstance(value, Checked):
+            value = getattr(value, "name", "")
+        if value is None:
+            default = self.flag.default
+        elif isinstance(value, bool):
+            default = "on" if value else ""
+        else:
+            default = f"{value:g}" if isinstance(value, float) else str(value)
+        return f"{text[:1].upper()}{text[1:]}." + (f" [default: {default}]" if default else "")
+
+    @property
+    def parameter(self) -> inspect.Parameter:
+        """As typer reads it from a function's signature. None stands for an option that was not given."""
+        names = [name for name in (self.flag.name, self.flag.short) if name]
+        option = typer.Option(
+            *names,
+            metavar=None if self.kind is bool else self.flag.metavar,
+            help=self.help,
+            show_default=False,
+            rich_help_panel=self.section,
+        )
+        return _keyword(self.name, Annotated[self.kind | None, option])
+
+
+def takes(*fields: str, without: Collection[str] = (), simulated: str = SIMULATED) -> Callable[[Command], Command]:
+    """Give a command the options of ``Simulation`` and ``RunOptions``: all of them but some, or those named.
+
+    The command gets what was given, and only that, as keyword arguments: fields of the records, records within them
+    as dictionaries. An error about one of these fields names it as it was typed.
+
+    Args:
+        fields: of the two records; none: all.
+        without: fields that are left out.
+        simulated: heading of the options of ``Simulation``.
+    """
+    options = [
+        option
+        for record, section in ((Simulation, simulated), (RunOptions, HOW_IT_RUNS))
+        for option in _options_of(record, section)
+        if option.path[0] not in without and (not fields or option.path[0] in fields)
+    ]
+    settable = [name for name in Simulation.model_fields if not fields or name in fields]
+
     def decorate(command: Command) -> Command:
+        def with_options(**given: Any) -> None:
+            tables: dict[str, Any] = {}
+            typed: dict[str, str] = {}
+            for option in options:
+                value = given.pop(option.name, None)
+                if value is not None:
+                    _put(tables, option.path, value)
+                    typed[".".join(option.path)] = option.flag.name.partition("/")[0]
+            for setting in given.pop("settings", None) or ():
+                path, value = _setting(setting, settable)
+                _put(tables, path, value)
+                typed[".".join(path)] = f"--set {'.'.join(path)}"
+            try:
+                command(**given, **tables)
+            except InputError as error:
+                line = _as_typed(str(error), typed)
+                if line == str(error):
+                    raise
+                raise InputError(line) from error
+
         own = inspect.signature(command, eval_str=True)
-        options = dict(_parameters(fields, without, defaults))
-
-        def wrapped(**given: Any) -> None:
-            settings = given.pop("settings", None) or ()
-            chosen = {name: given.pop(name) for name in options if name in given}
-            tables = _nested({name: value for name, value in chosen.items() if value is not None})
-            for text in settings:
-                _merge(tables, _setting(text))
-            command(**given, **tables)
-
-        named = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
-        added = [*options.values(), *([] if fields else [_SET])]
-        wrapped.__doc__, wrapped.__name__ = command.__doc__, command.__name__
-        wrapped.__signature__ = own.replace(parameters=[*named, *added])  # type: ignore[attr-defined]
-        wrapped.__annotations__ = {p.name: p.annotation for p in (*named, *added)}
-        return wrapped  # type: ignore[return-value]
+        parameters = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        parameters += [option.parameter for option in options if option.section == simulated]
+        parameters.append(_set_parameter(settable, simulated))
+        parameters += [option.parameter for option in options if option.section != simulated]
+        with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
+        with_options.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+        with_options.__annotations__ = {p.name: p.annotation for p in parameters}
+        return with_options  # type: ignore[return-value]
 
     return decorate
 
 
-def _parameters(
-    fields: Sequence[str], without: Collection[str], defaults: bool
-) -> Iterator[tuple[str, inspect.Parameter]]:
-    """The options' parameters by name; those of a record within a record are called record__field."""
-    for record in (Simulation, RunOptions):
-        for path, info in _flagged(record):
-            if (fields and path[0] not in fields) or path[0] in without:
-                continue
-            name = "__".join(path)
-            yield (
-                name,
-                inspect.Parameter(
-                    name,
-                    inspect.Parameter.KEYWORD_ONLY,
-                    default=None,
-                    annotation=_annotation(name, info, _PANELS[record], defaults),
-                ),
-            )
+def _keyword(name: str, annotation: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
-def _flagged(record: type[Checked], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
+def _options_of(record: type[Checked], section: str, path: tuple[str, ...] = ()) -> Iterator[_Option]:
+    """The fields of a record that have a flag, those of records within it included."""
     for name, info in record.model_fields.items():
-        if _flag(info) is not None:
-            yield (*path, name), info
+        flag = next((entry for entry in info.metadata if isinstance(entry, Flag)), None)
+        if flag is not None:
+            yield _Option((*path, name), info, flag, section)
         elif isinstance(info.default, Checked):
-            yield from _flagged(type(info.default), (*path, name))
+            yield from _options_of(type(info.default), section, (*path, name))
 
 
-def _flag(info: FieldInfo) -> Flag | None:
-    return next((entry for entry in info.metadata if isinstance(entry, Flag)), None)
+def _set_parameter(settable: Collection[str], section: str) -> inspect.Parameter:
+    example = "quiet.steps=50 or physics.timestep_s=0.001" if "quiet" in settable else "physics.timestep_s=0.001"
+    option = typer.Option(
+        "--set",
+        metavar="FIELD=VALUE",
+        help=f"Any other value of what is simulated, such as {example}. May be given several times.",
+        rich_help_panel=section,
+        show_default=False,
+    )
+    return _keyword("settings", Annotated[list[str] | None, option])
 
 
-def _annotation(name: str, info: FieldInfo, panel: str, defaults: bool) -> Any:
-    flag = _flag(info)
-    assert flag is not None
-    kind = _kind(info)
-    text = info.description or ""
-    shown = _default(name, info) if defaults else ""
-    return Annotated[
-        kind | None,
-        typer.Option(
-            *[each for each in (flag.name, flag.short) if each],
-            metavar=None if kind is bool else flag.metavar,
-            help=f"{text[:1].upper()}{text[1:]}." + (escape(f" [default: {shown}]") if shown else ""),
-            show_default=False,
-            rich_help_panel=panel,
-        ),
-    ]
-
-
-def _kind(info: FieldInfo) -> Any:
-    """The type of an option's value: that of the field, text for whatever is not a plain value."""
-    plain = [kind for kind in get_args(info.annotation) or (info.annotation,) if kind is not type(None)]
-    return plain[0] if plain[0] in (int, float, bool, Path) or _is_enum(plain[0]) else str
-
-
-def _is_enum(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, Enum)
-
-
-def _default(name: str, info: FieldInfo) -> str:
-    """What the help says of a default; nothing of switches, which are off."""
-    value = info.default
-    if value is None or isinstance(value, bool):
-        return "on" if value else _SHOWN_DEFAULTS.get(name, "")
-    return f"{value:g}" if isinstance(value, float) else str(value.name if isinstance(value, Physics) else value)
-
-
-def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """record__field = value as {record: {field: value}}."""
-    tables: dict[str, Any] = {}
-    for name, value in values.items():
-        record, _, field = name.partition("__")
-        _merge(tables, {record: {field: value}} if field else {record: value})
-    return tables
-
-
-def _setting(text: str) -> dict[str, Any]:
-    """``quiet.steps=50`` as {"quiet": {"steps": 50}}; values are written as in TOML, plain words need no quotes.
-
-    Raises:
-        InputError: no name, or no value.
-    """
+def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any]:
+    """``FIELD=VALUE``, taken apart. The value is read as TOML, and as plain text where it is none."""
     path, separator, value = text.partition("=")
-    if not (path.strip() and separator):
-        raise InputError(f"--set {text}: must be FIELD=VALUE, such as quiet.steps=50")
+    names = tuple(path.strip().split("."))
+    if not (separator and all(names)):
+        raise InputError(f"--set {printable(text)}: must be FIELD=VALUE, such as physics.timestep_s=0.001")
+    if names[0] not in settable:
+        raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
-        read: Any = tomllib.loads(f"value = {value}")["value"]
+        return names, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
-        read = value
-    for name in reversed(path.strip().split(".")):
-        read = {name: read}
-    table: dict[str, Any] = read
-    return table
+        return names, value.strip()
 
 
-def _merge(tables: dict[str, Any], more: Mapping[str, Any]) -> None:
-    for name, value in more.items():
-        if isinstance(value, dict) and isinstance(tables.get(name), dict):
-            _merge(tables[name], value)
-        elif isinstance(value, dict) and name == "physics" and isinstance(tables.get(name), str):
-            tables[name] = {"name": tables[name], **value}
-        else:
-            tables[name] = value
+def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
+    """Store a value at its path. A record may be given by name, as a table, and be changed value by value."""
+    *records, field = path
+    for name in records:
+        inner = tables.get(name, {})
+        tables[name] = inner = inner if isinstance(inner, dict) else {"name": inner}
+        tables = inner
+    if isinstance(tables.get(field), dict):
+        tables[field].update(value if isinstance(value, dict) else {"name": value})
+    else:
+        tables[field] = value
+
+
+def _as_typed(line: str, typed: Mapping[str, str]) -> str:
+    """An error's line that begins with a field given on the command line, with the option instead."""
+    for path, option in typed.items():
+        named = re.match(rf"(?:(?:.*: )?simulation\.)?{re.escape(path)}(?=[ :])", line)
+        if named:
+            return option + line[named.end() :]
+    return line

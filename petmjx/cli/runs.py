@@ -44,11 +44,10 @@ def run_and_show(
     if as_json:
         print(json.dumps(_brief(results), indent=2))
         return
+    from petmjx.show.layout import print_each
     from petmjx.show.tables import run_tables
 
-    console = results_console()
-    for table in run_tables(results):
-        console.print(table)
+    print_each(run_tables(results), results_console())
 
 
 def default_folder() -> Path:

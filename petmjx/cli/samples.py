@@ -9,6 +9,7 @@ import typer
 
 from petmjx.errors import InputError
 from petmjx.plans.samples import DEFAULT_LOOSE_SHARE
+from petmjx.text import counted, printable
 
 
 def samples(
@@ -35,11 +36,6 @@ def samples(
     from petmjx.plans.samples import pack_orders, write_plans, write_samples
     from petmjx.show.progress import progress
 
-    if orders is None:
-        with progress(n) as bar:
-            write_samples(out, n, seed, loose_share=loose_share, progress=bar.update)
-        print(f"{n:,} plans in {out}")
-        return
     bad: list[InputError] = []
     written = 0
 
@@ -48,8 +44,11 @@ def samples(
         written = done
         bar.update(done)
 
-    with progress(None) as bar:
-        write_plans(out, pack_orders(orders, seed=seed, on_bad_order=bad.append), progress=count)
+    with progress(n if orders is None else None) as bar:
+        if orders is None:
+            write_samples(out, n, seed, loose_share=loose_share, progress=count)
+        else:
+            write_plans(out, pack_orders(orders, seed=seed, on_bad_order=bad.append), progress=count)
     for error in bad:
-        typer.echo(f"skipped: {error}", err=True)
-    print(f"{written:,} plans in {out}")
+        typer.echo(f"skipped: {printable(str(error))}", err=True)
+    print(f"{counted(written, 'plan')} in {printable(str(out))}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -10,13 +11,18 @@ from petmjx.cli import options as opt
 from petmjx.cli.runs import run_and_show
 
 
-@opt.takes(defaults=False)
+@opt.takes(simulated="What is simulated, unless the sweep file's [simulation] says otherwise")
 def sweep(
     file: Annotated[
         str,
         typer.Argument(metavar="SWEEP", help="Sweep file (TOML), or the name of a ready-made sweep such as eumos."),
     ],
-    plans: opt.PlanPaths = None,
+    plans: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="PLANS", help=f"{opt.PLANS_HELP} Without any: those that the sweep file names.", show_default=False
+        ),
+    ] = None,
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
@@ -26,7 +32,7 @@ def sweep(
     directions. Writes every world and box, and a summary: the share that stands with its 95 % interval, or for a
     search the largest level survived and what fails first.
 
-    What is simulated is said by the sweep file's [simulation] table; options given here replace its values.
+    Options given here replace the values of the sweep file's [simulation] table.
     """
     from petmjx import api
 

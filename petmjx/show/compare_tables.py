@@ -1,114 +1,119 @@
-"""The tables that the command line shows of a comparison of two runs."""
+"""What the command line shows of a comparison of two runs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import pandas as pd
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+from rich.console import RenderableType
 
 from petmjx.results.compare import BOX_KEY, FORCE_FLOOR_N, Comparison
+from petmjx.show.layout import Column, FittedTable, line, number
+from petmjx.text import counted
 from petmjx.verdict import Verdict
 
 
-def print_comparison(found: Comparison, console: Console, max_rows: int = 40) -> None:
-    """Print the tables; of flipped worlds and of those one run alone has, ``max_rows`` at most."""
-    console.print(f"a  {found.a}\nb  {found.b}", highlight=False, markup=False)
+def comparison_tables(found: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
+    """All that is shown; of flipped worlds and of those one run alone has, ``max_rows`` at most."""
+    yield line(f"a  {found.a}")
+    yield line(f"b  {found.b}")
     for note in found.notes:
-        console.print(f"note: {note}", style="yellow", highlight=False, markup=False)
+        yield line(f"note: {note}", style="yellow")
     for name, frame in (("a", found.only_a), ("b", found.only_b)):
         if len(frame):
             shown = ", ".join(f"{row.plan_id}/{row.variant}" for row in frame.head(max_rows).itertuples())
             more = ", …" if len(frame) > max_rows else ""
-            console.print(f"{len(frame)} worlds only in {name}: {shown}{more}", highlight=False, markup=False)
-    console.print(_confusion_table(found))
+            yield line(f"{counted(len(frame), 'world')} only in {name}: {shown}{more}")
+    yield ""
+    yield _confusion_table(found)
     if found.n_not_stable:
-        console.print(
-            f"of {found.n_not_stable} worlds that neither calls stable: same reason {found.same_reason}, "
-            f"same first box {found.same_culprit}",
-            highlight=False,
-        )
+        of = f"of {counted(found.n_not_stable, 'world')} that neither calls stable"
+        yield line(f"{of}: same reason {found.same_reason:,}, same first box {found.same_culprit:,}")
     if len(found.flips):
-        console.print(_flips_table(found.flips, max_rows))
-    console.print(_differences_table("Differences |b - a| of worlds", found.worlds))
-    console.print(_differences_table("Differences |b - a| of boxes", found.boxes))
-    console.print(f"relative: |b - a| / max(a, {FORCE_FLOOR_N:g} N)", highlight=False)
+        yield ""
+        yield _flips_table(found.flips, max_rows)
+    for what, differences in (("worlds", found.worlds), ("boxes", found.boxes)):
+        for table in _differences_tables(what, differences):
+            yield ""
+            yield table
+    yield line(f"%: |b - a| / max(a, {FORCE_FLOOR_N:g} N)", style="dim")
 
 
-def _confusion_table(found: Comparison) -> Table:
-    share = "-" if found.agreement is None else f"{100 * found.agreement:.2f} %"
-    table = Table(title=f"Verdicts: {found.n_agree} of {found.n_common} worlds agree ({share})", title_justify="left")
-    table.add_column("a ↓   b →")
-    for column in found.confusion.columns:
-        table.add_column(str(column), justify="right")
+def _confusion_table(found: Comparison) -> FittedTable:
+    share = number(found.agreement, ".2f", " %", 100.0)
+    table = FittedTable(
+        Column("a ↓   b →", "left"),
+        *(Column(str(name)) for name in found.confusion.columns),
+        title=f"verdicts: {found.n_agree:,} of {counted(found.n_common, 'world')} agree ({share})",
+    )
     for row, counts in found.confusion.iterrows():
-        table.add_row(str(row), *(str(count) for count in counts))
+        table.add(str(row), *(f"{count:,}" for count in counts))
     return table
 
 
-def _number(value: Any, factor: float = 1.0, sign: bool = False) -> str:
-    if pd.isna(value):
-        return "-"
-    return f"{factor * float(value):+.3g}" if sign else f"{factor * float(value):.3g}"
-
-
-def _flips_table(flips: pd.DataFrame, max_rows: int) -> Table:
-    invalid = (flips[["verdict_a", "verdict_b"]] == Verdict.INVALID.value).any(axis=None)
-    title = f"Flipped verdicts ({len(flips)}); margins to the thresholds, + is over"
+def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
+    """Two rows a world, a above b: with both in one row they would need more than 80 columns."""
+    title = f"flipped verdicts ({len(flips):,}), with margins to the thresholds: + is over"
     if len(flips) > max_rows:
         title += f"; the first {max_rows}"
-    table = Table(title=title, title_justify="left")
-    for header in ("plan", "variant"):
-        table.add_column(header)
-    margins = [("shift_margin_m", "shift mm", 1000.0), ("tilt_margin_deg", "tilt °", 1.0)]
-    if invalid:
+    margins = [("shift_margin_m", "shift\nmm", 1000.0), ("tilt_margin_deg", "tilt\n°", 1.0)]
+    if (flips[["verdict_a", "verdict_b"]] == Verdict.INVALID.value).any(axis=None):
         margins += [("lin_acc_margin_m_s2", "m/s²", 1.0), ("ang_acc_margin_rad_s2", "rad/s²", 1.0)]
-    for side in "ab":
-        table.add_column(side)
-        table.add_column("box", justify="right")
-        for _, header, _ in margins:
-            table.add_column(header, justify="right")
-    number = partial(_number, sign=True)
+    table = FittedTable(
+        Column("plan", "left", least=20, middle=True),
+        Column("variant"),
+        Column("run", "left"),
+        *(Column(header, "left") for header in ("verdict", "reason")),
+        Column("box"),
+        *(Column(header) for _, header, _ in margins),
+        title=title,
+    )
+    signed = partial(number, sign=True)
     for row in flips.head(max_rows).to_dict("records"):
-        cells = [escape(str(row["plan_id"])), str(row["variant"])]
-        for side in "ab":
+        for side, world in (("a", (str(row["plan_id"]), str(row["variant"]))), ("b", ("", ""))):
             culprit = row[f"culprit_{side}"]
-            cells.append(f"{row[f'verdict_{side}']} {row[f'reason_{side}']}".strip())
-            cells.append("-" if pd.isna(culprit) else str(culprit))
-            cells += [number(row[f"{name}_{side}"], factor) for name, _, factor in margins]
-        table.add_row(*cells)
+            table.add(
+                *world,
+                side,
+                str(row[f"verdict_{side}"]),
+                str(row[f"reason_{side}"]),
+                "-" if pd.isna(culprit) else str(culprit),
+                *(signed(row[f"{name}_{side}"], factor=factor) for name, _, factor in margins),
+            )
     return table
 
 
-def _differences_table(title: str, differences: pd.DataFrame) -> Table:
-    # without lines, and with the place as the one column that may break: the numbers stay in one piece
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
-    for header in ("metric", "worlds"):
-        table.add_column(header, no_wrap=True)
-    for header in ("n", "median", "95 %", "largest"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
+def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
+    """A table for each group of worlds that has any."""
     key = [column for column in BOX_KEY if column in differences]
-    table.add_column("at " + "/".join(column.removesuffix("_id") for column in key))
-    for header in ("a", "b"):
-        table.add_column(header, justify="right", no_wrap=True)
-    for row in differences.to_dict("records"):
-        if not row["n"]:
-            continue
-        relative = row["metric"].endswith(" relative")
-        factor, unit = (100.0, "%") if relative else (1.0, "" if row["unit"] == "1" else row["unit"])
-        differs = row["largest"] > 0
-        place = escape("/".join(str(row[column]) for column in key)) if differs else ""
-        table.add_row(
-            row["metric"],
-            row["group"],
-            str(row["n"]),
-            *(_number(row[name], factor) for name in ("median", "p95", "largest")),
-            unit,
-            place,
-            *(_number(row[side]) if differs else "" for side in "ab"),
+    for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
+        table = FittedTable(
+            Column("metric", "left"),
+            Column("n"),
+            *(Column(header) for header in ("median", "95 %", "largest")),
+            Column("at " + "/".join(column.removesuffix("_id") for column in key), "left", least=8, middle=True),
+            *(Column(header, spare=1) for header in "ab"),
+            title=f"differences |b - a| of {what}, {group}",
         )
-    return table
+        for row in rows.to_dict("records"):
+            name, factor = _named(row)
+            differs = row["largest"] > 0
+            table.add(
+                name,
+                f"{row['n']:,}",
+                *(number(row[column], factor=factor) for column in ("median", "p95", "largest")),
+                "/".join(str(row[column]) for column in key) if differs else "",
+                *(number(row[side]) if differs else "" for side in "ab"),
+            )
+        yield table
+
+
+def _named(row: dict[str, Any]) -> tuple[str, float]:
+    """A metric with its unit, and the factor to that unit: per cent for relative differences."""
+    metric, unit = row["metric"], row["unit"]
+    if metric.endswith(" relative"):
+        return metric.removesuffix("relative") + "%", 100.0
+    plain = unit == "1" or metric.endswith(f"_{unit.lower()}")
+    return metric if plain else f"{metric} {unit.replace('^2', '²')}", 1.0

@@ -1,101 +1,178 @@
-"""How far a run is: a progress bar in a terminal."""
+"""How far a run is: a bar in a terminal, lines elsewhere. All of it goes to standard error."""
 
 from __future__ import annotations
 
+import shutil
 import sys
+import textwrap
 import threading
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Protocol
 
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, ProgressColumn, Task, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
 from petmjx.api import RunStart
 from petmjx.sweeps.run import SweptWorld
+from petmjx.text import counted, printable, three_digits, time_left
 
 REFRESH_S: Final = 0.5
 """The bar is drawn anew this often also while no world finishes: its message changes."""
 
+LINE_S: Final = 10.0
+"""Time between two lines where there is no terminal, s."""
 
-class ProgressBar:
-    """Handle of a running bar, made by :func:`progress`."""
 
-    def __init__(self, bar: RichProgress, task: TaskID) -> None:
-        self._bar = bar
-        self._task = task
+class Shown(Protocol):
+    """Handle of a progress that is shown, made by :func:`progress`."""
 
     def update(self, done: int, message: str = "") -> None:
-        """Show that ``done`` worlds are finished; ``message`` stands beside the bar (compiling, retrying)."""
-        self._bar.update(self._task, completed=done, message=escape(message))
+        """Show that ``done`` worlds are finished, and what is going on besides (compiling, retrying)."""
 
 
-class _RateColumn(ProgressColumn):
-    """Finished worlds a second, over the whole run so far."""
+@contextmanager
+def progress(total: int | None, what: str = "plan", console: Console | None = None) -> Iterator[Shown]:
+    """Shows how many are done, how many a second, the time left and a message.
 
+    Args:
+        total: how many there will be; None where that is not known.
+        what: what one of them is to the user: ``plan``, or ``world`` in sweeps.
+        console: where it is shown; standard error by default, so that standard output holds results alone.
+    """
+    console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
+    if not console.is_interactive:
+        lines = ProgressLines(total, what, console.file.write)
+        try:
+            yield lines
+        finally:
+            lines.end()
+        return
+    with _BarAndMessage(
+        _CountColumn(what), BarColumn(), _RateColumn(what), TimeRemainingColumn(), console=console
+    ) as b:
+        yield _Bar(b, total)
+
+
+def _is_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def _broken(text: str) -> str:
+    """A line, broken between words where a terminal is too narrow for it."""
+    return textwrap.fill(text, shutil.get_terminal_size().columns) if _is_terminal() else text
+
+
+class _Bar:
+    """A bar."""
+
+    def __init__(self, shown: RichProgress, total: int | None) -> None:
+        self._shown = shown
+        self._task = shown.add_task("", total=total, message="")
+
+    def update(self, done: int, message: str = "") -> None:
+        self._shown.update(self._task, completed=done, message=printable(message))
+
+
+class ProgressLines:
+    """A line every ``LINE_S``, and a last one. That nobody reads them is no reason to stop a run."""
+
+    def __init__(
+        self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._total, self._what, self._write, self._clock = total, what, write, clock
+        self._begin = self._last = clock()
+        self._done = 0
+
+    def update(self, done: int, message: str = "") -> None:
+        self._done = done
+        now = self._clock()
+        if now - self._last >= LINE_S:
+            self._last = now
+            self._print(now, message)
+
+    def end(self) -> None:
+        if self._done:
+            self._print(self._clock())
+
+    def _print(self, now: float, message: str = "") -> None:
+        seconds = now - self._begin
+        parts = [_count(self._done, self._total, self._what)]
+        if self._done and seconds > 0:
+            parts.append(_rate(self._done, seconds, self._what))
+            if self._total is not None and self._done < self._total:
+                parts.append(f"{time_left(seconds / self._done * (self._total - self._done))} left")
+        parts += [printable(message)] if message else []
+        with suppress(OSError):
+            self._write(", ".join(parts) + "\n")
+
+
+def _count(done: int, total: int | None, what: str) -> str:
+    return counted(done, what) if total is None else f"{done:,} of {counted(total, what)}"
+
+
+def _rate(done: float, seconds: float, what: str) -> str:
+    """Those done a second, over the whole run so far."""
+    return f"{three_digits(done / seconds)} {what}s/s"
+
+
+class _CountColumn(ProgressColumn):
     def __init__(self, what: str) -> None:
         super().__init__()
         self._what = what
 
     def render(self, task: Task) -> Text:
-        elapsed_s = task.finished_time if task.finished else task.elapsed
-        if not elapsed_s or not task.completed:
-            return Text(f"- {self._what}/s")
-        return Text(f"{rate(task.completed / elapsed_s)} {self._what}/s")
+        return Text(_count(int(task.completed), None if task.total is None else int(task.total), self._what))
 
 
-@contextmanager
-def progress(total: int | None, what: str = "plans", console: Console | None = None) -> Iterator[ProgressBar]:
-    """A progress bar with worlds a second, time left and a message.
-
-    Args:
-        total: worlds there will be; None where that is not known.
-        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
-        console: where it is shown; standard error by default, so that standard output holds results alone.
-    """
-    bar = RichProgress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        _RateColumn(what),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[message]}"),
-        console=console or Console(stderr=True),
-    )
-    with bar:
-        yield ProgressBar(bar, bar.add_task(what, total=total, message=""))
+class _RateColumn(_CountColumn):
+    def render(self, task: Task) -> Text:
+        seconds = task.finished_time if task.finished else task.elapsed
+        return Text(_rate(task.completed, seconds, self._what) if seconds and task.completed else f"- {self._what}s/s")
 
 
-def rate(per_s: float) -> str:
-    """Something a second, in three digits."""
-    return f"{per_s:,.0f}" if per_s >= 100 else f"{per_s:.3g}"
+class _BarAndMessage(RichProgress):
+    """The message stands below the bar, where there is room for it."""
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        yield self.make_tasks_table(self.tasks)
+        for task in self.tasks:
+            if task.fields["message"]:
+                yield Text(task.fields["message"], style="dim", no_wrap=True, overflow="ellipsis")
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Tells on standard error what a run is going to do, and draws its progress bar."""
+    """Tells on standard error what a run is going to do, and shows its progress.
+
+    Attributes:
+        what: what a world is to the user: "plan", or "world" in sweeps.
+        total: worlds there will be; None before the run begins, and where it is not known.
+    """
 
     def __init__(self) -> None:
         self.what = "plan"
         self.total: int | None = None
         self._done = 0
-        self._bar_context: AbstractContextManager[ProgressBar] | None = None
+        self._shown: AbstractContextManager[Shown] | None = None
         self._stop = threading.Event()
         self._refresher: threading.Thread | None = None
 
     def begin(self, start: RunStart) -> None:
         self.what, self.total = start.what, start.total
-        print(f"{start.size}\nengine {start.choice.name} ({start.choice.reason})", file=sys.stderr)
-        self._bar_context = progress(start.total, f"{start.what}s")
-        bar = self._bar_context.__enter__()
+        for text in (start.size, f"engine {start.choice.name} ({start.choice.reason})"):
+            with suppress(OSError):
+                print(_broken(text), file=sys.stderr)
+        self._shown = progress(start.total, start.what)
+        shown = self._shown.__enter__()
 
         def refresh() -> None:
             while True:
                 stopped = self._stop.wait(REFRESH_S)
-                bar.update(self._done, start.progress.message)
+                shown.update(self._done, start.progress.message)
                 if stopped:
                     return
 
@@ -105,14 +182,11 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
     def world_done(self, world: SweptWorld) -> None:
         self._done += 1
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self._stop.set()
         if self._refresher is not None:
             self._refresher.join()
-        if self._bar_context is not None:
-            self._bar_context.__exit__(None, None, None)
+        if self._shown is not None:
+            self._shown.__exit__(None, None, None)

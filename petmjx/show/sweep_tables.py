@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import pandas as pd
-from rich.markup import escape
-from rich.table import Table
-from rich.text import Text
 
+from petmjx.show.layout import Column, FittedTable, number, percent
 from petmjx.sweeps.shares import ALL_PLANS
 
 FEW_ROWS: Final = 40
@@ -20,8 +18,10 @@ MAX_VALUES: Final = 50
 
 _QUANTILES: Final = {"smallest": 0.0, "lower\nquarter": 0.25, "median": 0.5, "upper\nquarter": 0.75, "largest": 1.0}
 
+_PROFILE: Final = Column("profile", "left", least=11, middle=True)
 
-def sweep_tables(summary: pd.DataFrame) -> Iterator[Table]:
+
+def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
     """The tables for a run's ``summary``: of shares, or of largest levels survived.
 
     Args:
@@ -35,90 +35,84 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[Table]:
         yield answers_table(summary)
 
 
-def _table(*headers: str, left: int = 1) -> Table:
-    table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
-    for number, header in enumerate(headers):
-        table.add_column(header, justify="left" if number < left else "right", no_wrap=True)
-    return table
-
-
-def shares_table(summary: pd.DataFrame) -> Table:
+def shares_table(summary: pd.DataFrame) -> FittedTable:
     """Share standing for each value of each axis that has several, over all plans."""
     overall = summary[summary["plan_id"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
     shown = overall[several | (overall["axis"] == "")]
     eumos, angle = "eumos_share" in shown, "smallest_fail_angle_deg" in shown
-    headers = ["axis", "value", "worlds", "stand", "share", "95 %"]
-    headers += ["passes\nEUMOS"] if eumos else []
-    headers += ["fails\nfrom"] if angle else []
-    table = _table(*headers)
+    table = FittedTable(
+        Column("axis", "left", least=13, middle=True),
+        Column("value", least=11, middle=True),
+        Column("worlds"),
+        Column("stand", spare=1),
+        Column("share"),
+        Column("95 %"),
+        *([Column("passes\nEUMOS")] if eumos else []),
+        *([Column("fails\nfrom")] if angle else []),
+        caption=f"{len(shown) - MAX_VALUES:,} more in summary" if len(shown) > MAX_VALUES else "",
+    )
     for row in shown.head(MAX_VALUES).to_dict("records"):
         cells = [
             str(row["axis"]) or "all",
             str(row["value"]),
             f"{row['n_worlds']:,}",
             f"{row['n_standing']:,}",
-            _percent(row["share"]),
-            f"{_percent(row['low'])} to {_percent(row['high'])}",
+            percent(row["share"]),
+            f"{percent(row['low'])} to {percent(row['high'])}",
         ]
-        cells += [_percent(row["eumos_share"])] if eumos else []
-        cells += [_number(row["smallest_fail_angle_deg"], ".1f", " °")] if angle else []
-        table.add_row(*map(escape, cells))
-    if len(shown) > MAX_VALUES:
-        table.add_row("…", "", "", "", "", f"{len(shown) - MAX_VALUES} more in summary")
+        cells += [percent(row["eumos_share"])] if eumos else []
+        cells += [number(row["smallest_fail_angle_deg"], ".1f", " °")] if angle else []
+        table.add(*cells)
     return table
 
 
-def levels_table(summary: pd.DataFrame) -> Table:
+def levels_table(summary: pd.DataFrame) -> FittedTable:
     """How the largest levels survived are spread over plans, for each profile and direction.
 
     A placement that does not stand, or survives no level, counts as 0.
     """
-    column = _largest(summary)
-    table = _table("profile", "direction °", "searches", "stand\nat rest", *_QUANTILES)
+    column, name = _largest(summary)
+    table = FittedTable(
+        _PROFILE,
+        Column("direction\n°"),
+        Column("searches"),
+        Column("stand\nat rest"),
+        *map(Column, _QUANTILES),
+        title=f"largest {name} survived",
+    )
     for (profile, direction), part in summary.groupby(["profile", "direction_deg"], sort=True):
         levels = part[column].fillna(0.0)
         cells = [str(profile), f"{direction:g}", f"{len(part):,}", f"{int(part['stands_at_rest'].sum()):,}"]
-        cells += [f"{levels.quantile(q):.3g}" for q in _QUANTILES.values()]
-        table.add_row(*map(escape, cells))
-    table.title = f"largest {_name(column)} survived"
-    table.title_justify = "left"
+        table.add(*cells, *(number(levels.quantile(q)) for q in _QUANTILES.values()))
     return table
 
 
-def answers_table(summary: pd.DataFrame) -> Table:
+def answers_table(summary: pd.DataFrame) -> FittedTable:
     """A row a search: largest level survived, and what fails first above it."""
-    column = _largest(summary)
-    table = _table("plan", "profile", "direction °", f"largest\n{_name(column)}", "fails", "first box", left=2)
-    table.columns[-1].justify = "left"
+    column, name = _largest(summary)
+    table = FittedTable(
+        Column("plan", "left", least=20, middle=True),
+        _PROFILE,
+        Column("direction\n°"),
+        Column(f"largest\n{name}"),
+        Column("fails", "left"),
+        Column("first box", "left", least=8),
+        caption="" if summary["monotone"].all() else "* a level above the smallest that failed was survived",
+    )
     for row in summary.to_dict("records"):
-        box = "" if pd.isna(row["box"]) else f"{row['box']} {row['article']}"
-        fails = str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}"
-        table.add_row(
-            escape(str(row["plan_id"])),
-            escape(str(row["profile"])),
+        table.add(
+            str(row["plan_id"]),
+            str(row["profile"]),
             f"{row['direction_deg']:g}",
-            _number(row[column], ".3g") + ("" if row["monotone"] else " *"),
-            escape(fails),
-            Text(box, no_wrap=True, overflow="ellipsis"),
+            number(row[column]) + ("" if row["monotone"] else " *"),
+            str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}",
+            "" if pd.isna(row["box"]) else f"{row['box']} {row['article']}",
         )
-    if not summary["monotone"].all():
-        table.caption = "* a level above the smallest that failed was survived"
-        table.caption_justify = "left"
     return table
 
 
-def _largest(summary: pd.DataFrame) -> str:
-    return next(str(name) for name in summary if str(name).startswith("largest_"))
-
-
-def _name(column: str) -> str:
-    return {"largest_level_g": "level, g", "largest_scale": "scale"}[column]
-
-
-def _percent(share: Any) -> str:
-    return _number(share, ".1f", " %", 100.0)
-
-
-def _number(value: Any, form: str, unit: str = "", factor: float = 1.0) -> str:
-    return "-" if pd.isna(value) else f"{factor * float(value):{form}}{unit}"
+def _largest(summary: pd.DataFrame) -> tuple[str, str]:
+    """The column with the largest level or scale, and what that is called."""
+    names = {"largest_level_g": "level, g", "largest_scale": "scale"}
+    return next((column, name) for column, name in names.items() if column in summary)

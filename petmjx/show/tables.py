@@ -1,21 +1,19 @@
-"""The tables that the command line shows of a run."""
+"""What the command line shows of a run: one report for scores and sweeps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
-from rich.console import Group, RenderableType
-from rich.markup import escape
+from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from petmjx.results.reader import RunResults
-from petmjx.show.progress import rate
+from petmjx.show.layout import Column, FittedTable, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS, sweep_tables
-from petmjx.text import counted
+from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
 SHOWN_SKIPPED: Final = 10
@@ -35,27 +33,26 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
         yield worlds_table(results.worlds.sort_values(["plan_id", "variant"]), results.boxes)
         yield ""
     yield from notes(results.info)
-    yield summary_table(results.info, results.path, "worlds" if sweep else "plans")
+    yield summary_table(results.info, "worlds" if sweep else "plans")
+    yield line(f"results in {results.path}")
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
     """Skipped plans, a line each as far as there is room, and how many plans are odd."""
     skipped, odd = info["skipped"], len(info["warnings"])
     for entry in skipped[:SHOWN_SKIPPED]:
-        yield Text(f"skipped: {entry['error']}", style="yellow", overflow="fold")
+        yield line(f"skipped: {entry['error']}", style="yellow")
     if len(skipped) > SHOWN_SKIPPED:
-        yield Text(f"skipped: {len(skipped) - SHOWN_SKIPPED} more, in run.json", style="yellow")
+        yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
     if odd:
-        text = f"{counted(odd, 'plan')} with overlapping, floating or outside boxes, listed in run.json"
-        yield Text(text, style="yellow")
+        yield line(f"{counted(odd, 'plan')} with overlapping, floating or outside boxes, in run.json", style="yellow")
 
 
-def summary_table(info: Mapping[str, Any], out_dir: str | Path | None = None, what: str = "plans") -> RenderableType:
+def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
     """The short table of a run.
 
     Args:
         info: ``run.json``, or ``RunWriter.info``.
-        out_dir: the run's folder, to say where the results are.
         what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
     """
     counts = info.get("counts", {})
@@ -66,7 +63,7 @@ def summary_table(info: Mapping[str, Any], out_dir: str | Path | None = None, wh
     table.add_column(justify="right")
 
     def add(label: str, count: int, style: str = "") -> None:
-        share = f"{100 * count / worlds:.1f} %" if worlds else ""
+        share = percent(count / worlds) if worlds else ""
         table.add_row(label, f"{count:,}", share, style=style if count else "dim")
 
     table.add_row(what, f"{worlds:,}", "")
@@ -84,29 +81,29 @@ def summary_table(info: Mapping[str, Any], out_dir: str | Path | None = None, wh
     table.add_section()
     seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
     if seconds > 0:
-        table.add_row(f"{what}/s", rate(worlds / seconds), f"{seconds:,.1f} s")
-    # below the table and not in it: a long path would be broken up
-    return table if out_dir is None else Group(table, Text(f"results in {out_dir}", overflow="fold"))
+        table.add_row(f"{what}/s", three_digits(worlds / seconds), f"{seconds:,.1f} s")
+    return table
 
 
-def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> Table:
+def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
     """A row a world: what became of it, which box went first and when, and its largest metrics.
 
     Args:
         worlds, boxes: the tables of a run, as :func:`petmjx.results.reader.load_run` reads them.
     """
-    # without lines, and with the article as the one column that gives way: nine columns fit on 80 characters
-    table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
     with_variants = bool(len(worlds)) and int(worlds["variant"].nunique()) > 1
-    table.add_column("plan", no_wrap=True)
-    if with_variants:
-        table.add_column("variant", justify="right")
-    table.add_column("boxes", justify="right", no_wrap=True)
-    for header in ("verdict", "reason"):
-        table.add_column(header, no_wrap=True)
-    table.add_column("first box")
-    for header in ("at\ns", "shift\nmm", "tilt\n°", "rest\nforce N"):
-        table.add_column(header, justify="right", no_wrap=True)
+    table = FittedTable(
+        Column("plan", "left", least=24, middle=True),
+        *([Column("variant")] if with_variants else []),
+        Column("boxes", spare=2),
+        Column("verdict", "left"),
+        Column("reason", "left"),
+        Column("first box", "left", least=8, spare=1),
+        Column("at\ns", spare=3),
+        Column("shift\nmm"),
+        Column("tilt\n°"),
+        Column("rest\nforce N", spare=4),
+    )
     culprits = worlds.loc[worlds["culprit"].notna(), ["plan_id", "variant", "culprit"]]
     named = culprits.astype({"culprit": "int32"}).merge(
         boxes[["plan_id", "variant", "box", "article"]],
@@ -117,20 +114,16 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> Table:
     for row in worlds.to_dict("records"):
         verdict = str(row["verdict"])
         placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
-        table.add_row(
-            escape(str(row["plan_id"])),
+        table.add(
+            str(row["plan_id"]),
             *([str(row["variant"])] if with_variants else []),
             f"{placed}{row['n_boxes']}",
             Text(verdict, style=_STYLES.get(verdict, "")),
-            escape(str(row["reason"])),
-            Text(articles.get((row["plan_id"], row["variant"]), ""), no_wrap=True, overflow="ellipsis"),
-            _value(row["first_sign_s"], ".2f"),
-            _value(row["max_shift_m"], ".1f", 1000.0),
-            _value(row["max_tilt_deg"], ".1f"),
-            _value(row["rest_top_force_n"], ".1f"),
+            str(row["reason"]),
+            articles.get((row["plan_id"], row["variant"]), ""),
+            number(row["first_sign_s"], ".2f"),
+            number(row["max_shift_m"], ".1f", factor=1000.0),
+            number(row["max_tilt_deg"], ".1f"),
+            number(row["rest_top_force_n"], ".1f"),
         )
     return table
-
-
-def _value(value: Any, form: str, factor: float = 1.0) -> str:
-    return "-" if pd.isna(value) else format(factor * float(value), form)

@@ -3,38 +3,36 @@
 from __future__ import annotations
 
 import json
+import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import pyarrow.parquet as pq
 import pytest
-from support.command_line import only_line, run, write
+from support.command_line import (
+    INTERRUPT_AFTER,
+    OVERHANG,
+    TOWER,
+    only_line,
+    placement,
+    run,
+    run_interrupted,
+    run_process,
+    write,
+)
 
-from petmjx.config import Simulation
+from petmjx.checked import Checked
+from petmjx.config import Flag, Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.results.reader import load_run
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
-
-SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200}
-
-
-def placement(corner: Sequence[float], **item: Any) -> dict[str, Any]:
-    fields = {"article": "carton", "id": "1", "product_group": "test", **SIZE, "weight/kg": 5.0, "sequence": 1, **item}
-    return {"item": fields, "orientation": 0, "flb_coordinates": list(corner)}
-
-
-TOWER = [placement((0, 0, 0)), placement((0, 0, 200))]
-OVERHANG = [placement((0, 0, 0)), placement((260, 0, 200))]
 
 
 @pytest.fixture
@@ -67,8 +65,8 @@ def test_options_reach_the_run(plans: Path, tmp_path: Path) -> None:
     assert code == 0
     info = load_run(out).info
     config = info["config"]
-    sim = config["sim"]
-    assert (config["engine"], config["carrier"], config["size_reduction_mm"]) == ("mujoco", "euro-pallet", 0.2)
+    sim = config["simulation"]
+    assert (config["engine"], sim["carrier"], sim["size_reduction_mm"]) == ("mujoco", "euro-pallet", 0.2)
     assert (sim["check"], sim["schedule"], sim["physics"]["name"]) == ("static", "fixed", "reference")
     assert (sim["duration_s"], sim["sample_interval_s"], sim["early_stop"]) == (0.5, 0.1, False)
     assert (sim["thresholds"]["shift_m"], sim["thresholds"]["tilt_deg"]) == (0.03, 15.0)
@@ -80,7 +78,7 @@ def test_options_reach_the_run(plans: Path, tmp_path: Path) -> None:
 def test_score_without_files_takes_the_bundled_samples(
     plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("petmjx.api.bundled_path", lambda: plans)
+    monkeypatch.setattr("petmjx.plans.gather.bundled_path", lambda: plans)
     monkeypatch.chdir(tmp_path)
     assert run("score") == 0
     [folder] = (tmp_path / "petmjx-results").iterdir()
@@ -121,15 +119,23 @@ def test_unusable_files(content: str, tmp_path: Path, capsys: pytest.CaptureFixt
     [
         (["nowhere.json"], "nowhere.json: no such file"),
         (["--engine", "abacus"], "abacus"),
-        (["--interval", "0"], "interval_s must be at least the timestep"),
-        (["--interval", "nan"], "interval_s must be at least the timestep"),
-        (["--sample-interval", "0.001"], "sample_interval_s must be at least the timestep"),
+        (["--interval", "0"], "petmjx: --interval must be > 0, got 0"),
+        (["--interval", "nan"], "petmjx: --interval: should be a finite number, got nan"),
+        (["--sample-interval", "0.001"], "petmjx: --sample-interval must be at least the timestep of 0.002 s"),
         (["--interval", "soon"], "--interval"),
-        (["--size-reduction-mm", "-1"], "size_reduction_mm must be ≥ 0"),
+        (["--size-reduction-mm", "-1"], "petmjx: --size-reduction-mm must be ≥ 0"),
+        (["--check", "foo"], "petmjx: --check must be 'one-by-one' or 'static', got 'foo'"),
+        (["--physics", "foo"], "petmjx: --physics must be pallet or reference, or a table of values, got 'foo'"),
+        (["--set", "quiet.steps=0"], "petmjx: --set quiet.steps must be ≥ 1, got 0"),
+        (["--set", "quiet.steep=1"], "petmjx: --set quiet.steep: unknown field"),
+        (["--set", "total_time_factor=4"], "petmjx: --set total_time_factor needs check one-by-one and schedule fixed"),
+        (["--set", "plans=x"], "petmjx: --set plans: unknown field; there are check, schedule,"),
+        (["--set", "quiet.steps"], "petmjx: --set quiet.steps: must be FIELD=VALUE"),
+        (["--set", "=3"], "petmjx: --set =3: must be FIELD=VALUE"),
         (["--size-reduction-mm", "200"], "vanishes under the size reduction"),
         (["--limit", "0"], "--limit"),
         (["--engine", "mujoco", "--lanes", "8"], "lanes belong to the MJX engines"),
-        (["--shift-limit-m", "-1"], "shift_m"),
+        (["--shift-limit-m", "-1"], "petmjx: --shift-limit-m must be > 0, got -1"),
         (["--no-such-option"], "--no-such-option"),
     ],
 )
@@ -193,28 +199,86 @@ def test_an_interrupted_run_says_how_far_it_came(
 
 
 def test_ctrl_c_leaves_whole_parts(tmp_path: Path) -> None:
-    path = write(tmp_path / "plans.json", {f"p{k}": TOWER for k in range(5000)})
+    path = write(tmp_path / "plans.json", {f"p{k}": TOWER for k in range(500)})
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "petmjx", "score", "--engine", "mujoco", "--schedule", "fixed"]
-    process = subprocess.Popen(
-        [*command, path, "--out", out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    deadline = time.monotonic() + 60
-    while not (out / "run.json").exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(1.5)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    assert "Traceback" not in errors
-    stated = re.search(r"interrupted: ([\d,]+) of 5,000 plans are done", errors)
-    assert stated, errors
-    done = int(stated[1].replace(",", ""))
-    assert 0 < done < 5000
+    done = run_interrupted("score", path, "--engine", "mujoco", "--out", out)
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr
+    assert f"interrupted: {INTERRUPT_AFTER} of 500 plans are done and in {out}" in done.stderr
     files = [file for file in out.rglob("*") if file.is_file() and file.name != "run.json"]
     assert {file.suffix for file in files} == {".parquet"}
-    assert sum(pq.read_metadata(file).num_rows for file in files if file.parent.name == "worlds") == done
-    assert sum(pq.read_metadata(file).num_rows for file in files if file.parent.name == "boxes") == 2 * done
+
+    def rows(table: str) -> int:
+        return sum(pq.read_metadata(file).num_rows for file in files if file.parent.name == table)
+
+    assert (rows("worlds"), rows("boxes")) == (INTERRUPT_AFTER, 2 * INTERRUPT_AFTER)
+
+
+@pytest.mark.parametrize("command", [["doctor"], ["--help"]])
+def test_a_reader_that_goes_ends_it_quietly(command: list[str]) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)  # as `petmjx … | true` leaves it
+    with os.fdopen(writing, "w") as gone:
+        done = run_process(*command, stdout=gone)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_run_goes_on_when_nobody_reads_its_progress(plans: Path, tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as gone:
+        done = run_process("score", plans, "--engine", "mujoco", "--out", tmp_path / "out", stderr=gone)
+    assert done.returncode == 0
+    assert "results in" in done.stdout
+    assert load_run(tmp_path / "out").info["status"] == "finished"
+
+
+@pytest.mark.parametrize("closed", [1, 2], ids=["stdout", "stderr"])
+def test_closed_streams(closed: int, plans: Path, tmp_path: Path) -> None:
+    command = ("score", plans, "--engine", "mujoco", "--json", "--out", tmp_path / "out")
+    done = run_process(*command, preexec_fn=lambda: os.close(closed))
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+    assert load_run(tmp_path / "out").info["status"] == "finished"
+    if closed == 2:
+        assert json.loads(done.stdout)["counts"]["worlds"] == 2
+
+
+def test_a_full_disk_is_said_in_one_line(plans: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    with open("/dev/full", "w") as full:
+        done = run_process("export", "tower", plans, stdout=full)
+    assert done.returncode == 1
+    assert "No space left on device" in only_line(done.stderr)
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
+def test_terminals_without_unicode(encoding: str, tmp_path: Path) -> None:
+    plans = write(tmp_path / "plans.json", {"Turm-塔" * 20: TOWER})
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "COLUMNS": "80"}
+    command = ("score", plans, "--engine", "mujoco", "--out", tmp_path / "out")
+    done = run_process(*command, env=environment, encoding=encoding)
+    assert done.returncode == 0, done.stderr
+    assert "Turm-?" in done.stdout
+    assert "~" in done.stdout  # where the id was shortened
+    assert all(len(line) <= 80 for line in done.stdout.splitlines() if not line.startswith("results in "))
+    done = run_process("score", plans, "--interval", "-1", env=environment, encoding=encoding)
+    assert "--interval must be > 0" in only_line(done.stderr)
+
+
+def test_nothing_from_a_file_reaches_the_terminal_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nasty = "a\x1b[2J\x9b1m\u202eb\nc[bold]"
+    falls = [placement((0, 0, 0)), placement((260, 0, 200), article=nasty)]
+    path = write(tmp_path / "plans.json", {nasty: falls, f"{nasty}2": [placement((0, 0, 0), **{"weight/kg": -1})]})
+    assert run("score", path, "--engine", "mujoco", "--out", tmp_path / "a") == 0
+    assert run("compare", tmp_path / "a", tmp_path / "a") == 0
+    assert run("export", nasty, path, "--out", tmp_path / "x.xml") == 0
+    printed = capsys.readouterr()
+    assert run("export", f"{nasty}3", path) == 2
+    errors = only_line(capsys.readouterr().err)
+    assert all(each.isprintable() or each == "\n" for each in printed.out + printed.err + errors)
+    assert "a\\u001b[2J\\u009b1m\\u202eb\\nc[bold]" in printed.out
 
 
 def test_compare(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -271,14 +335,51 @@ def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str]) -> Non
     assert "engine mjx-warp" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("command", ["score", "compare", "samples", "export", "doctor"])
-def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("command", ["score", "sweep", "compare", "samples", "export", "doctor"])
+def test_every_command_explains_itself(
+    command: str, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
     assert run(command, "--help") == 0
     printed = capsys.readouterr().out
-    assert "Usage:" in printed
-    if command == "score":
-        assert re.search(r"Time between two placements, s", printed)
-        assert "[default: 0.7]" in printed
+    assert printed.startswith("Usage:")
+    assert max(map(len, printed.splitlines())) <= columns
+    assert "<" not in printed  # no Python types
+    if command in ("score", "sweep"):
+        for flag in (entry for record in (Simulation, Thresholds) for entry in flags_of(record)):
+            assert re.search(rf"^  {flag}\b", printed, flags=re.MULTILINE), flag
+        text = " ".join(printed.split())
+        assert "--interval S Time between two placements, s; the longest unless" in text
+        assert "[default: 0.7]" in text
+        assert "petmjx-results/DATE-TIME" in text
+
+
+def flags_of(record: type[Checked]) -> list[str]:
+    found = [entry for info in record.model_fields.values() for entry in info.metadata if isinstance(entry, Flag)]
+    return [flag.name.partition("/")[0] for flag in found]
+
+
+def test_any_nested_value_can_be_set(plans: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    settings = ["quiet.steps=30", "physics.timestep_s=0.001", "physics.carrier_friction=[0.4,0.005,0.0001]"]
+    options = [part for setting in settings for part in ("--set", setting)]
+    more = ("--physics", "reference", "--limit", "1", "--shift-limit-m", "0.03", "--set", "thresholds={tilt_deg=10}")
+    assert run("score", plans, "--engine", "mujoco", *options, *more, "--out", out) == 0
+    sim = load_run(out).info["config"]["simulation"]
+    assert sim["quiet"]["steps"] == 30
+    assert (sim["physics"]["name"], sim["physics"]["cone"], sim["physics"]["timestep_s"]) == (
+        "custom", "pyramidal", 0.001,
+    )  # fmt: skip
+    assert sim["physics"]["carrier_friction"] == [0.4, 0.005, 0.0001]
+    assert (sim["thresholds"]["shift_m"], sim["thresholds"]["tilt_deg"]) == (0.03, 10.0)
+
+
+def test_export_takes_what_a_model_depends_on(plans: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("export", "tower", plans, "--physics", "reference", "--set", "physics.timestep_s=0.001") == 0
+    assert 'timestep="0.001"' in capsys.readouterr().out
+    assert run("export", "tower", plans, "--set", "quiet.steps=3") == 2
+    assert "--set quiet: unknown field; there are physics, carrier, size_reduction_mm" in capsys.readouterr().err
 
 
 def test_help_loads_no_simulator() -> None:

@@ -4,29 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import subprocess
-import sys
-import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from support.command_line import only_line, run, write
+from support.command_line import INTERRUPT_AFTER, TOWER, only_line, run, run_interrupted, write
 
 from petmjx.results.reader import load_run
-
-SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200}
-
-
-def placement(corner: Sequence[float]) -> dict[str, Any]:
-    item = {"article": "carton", "id": "1", "product_group": "test", **SIZE, "weight/kg": 5.0, "sequence": 1}
-    return {"item": item, "orientation": 0, "flb_coordinates": list(corner)}
-
-
-TOWER = [placement((0, 0, 0)), placement((0, 0, 200))]
 
 GRID = """
 [simulation]
@@ -51,7 +35,7 @@ tolerance = 0.1
 
 @pytest.fixture
 def plans(tmp_path: Path) -> Path:
-    return write(tmp_path / "plans.json", json.dumps({"tower": TOWER, "box": TOWER[:1]}))
+    return write(tmp_path / "plans.json", {"tower": TOWER, "box": TOWER[:1]})
 
 
 def test_a_grid_says_what_it_will_do_and_what_came_of_it(
@@ -61,7 +45,7 @@ def test_a_grid_says_what_it_will_do_and_what_came_of_it(
     assert run("sweep", write(tmp_path / "x.toml", GRID), plans, "--engine", "mujoco", "--out", out) == 0
     printed = capsys.readouterr()
     assert "6 worlds (2 plans × 3 variants) from 2 placements, about" in printed.err
-    assert "6 worlds on engine mujoco (as asked for)" in printed.err
+    assert "engine mujoco (as asked for)" in printed.err
     assert re.search(r"level_g\s+0.2\s+2\s+2\s+100.0 %\s+34.2 % to 100.0 %", printed.out)
     assert re.search(r"level_g\s+0.8\s+2\s+0\s+0.0 %", printed.out)
     assert re.search(r"worlds\s*│\s*6", printed.out)
@@ -158,28 +142,50 @@ def test_results_are_not_written_over_unasked(plans: Path, tmp_path: Path, capsy
 
 
 def test_ctrl_c_leaves_whole_parts(tmp_path: Path) -> None:
-    plans = write(tmp_path / "plans.json", json.dumps({f"p{k}": TOWER for k in range(2000)}))
+    plans = write(tmp_path / "plans.json", {f"p{k}": TOWER for k in range(200)})
     file = write(tmp_path / "x.toml", "[axes]\nfriction_factor = [0.9, 1.0, 1.1]")
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "petmjx", "sweep", file, plans, "--engine", "mujoco", "--out", out]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not (out / "run.json").exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(1.5)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    assert "Traceback" not in errors
-    stated = re.search(r"interrupted: ([\d,]+) of 6,000 worlds are done", errors)
-    assert stated, errors
-    done = int(stated[1].replace(",", ""))
-    assert 0 < done < 6000
+    done = run_interrupted("sweep", file, plans, "--engine", "mujoco", "--out", out)
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr
+    assert f"interrupted: {INTERRUPT_AFTER} of 600 worlds are done and in {out}" in done.stderr
     parts = sorted((out / "worlds").glob("*"))
     assert {part.suffix for part in parts} == {".parquet"}
-    assert sum(pq.read_metadata(part).num_rows for part in parts) == done
+    assert sum(pq.read_metadata(part).num_rows for part in parts) == INTERRUPT_AFTER
 
 
-def test_help_explains(capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_replace_the_values_of_the_file(plans: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    file = write(tmp_path / "x.toml", GRID)
+    code = run(
+        "sweep", file, plans, "--engine", "mujoco", "--limit", "1", "--carrier", "euro-pallet", "--rest", "0.3",
+        "--physics", "reference", "--set", "thresholds.drop_hull_z_m=-0.2", "--tilt-limit-deg", "15", "--out", out,
+    )  # fmt: skip
+    assert code == 0
+    sim = load_run(out).info["config"]["simulation"]
+    assert (sim["settle_s"], sim["rest_s"], sim["carrier"], sim["physics"]["name"]) == (
+        0.2, 0.3, "euro-pallet", "reference",
+    )  # fmt: skip
+    assert (sim["thresholds"]["drop_hull_z_m"], sim["thresholds"]["tilt_deg"]) == (-0.2, 15.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--rest", "-1"], "--rest must be ≥ 0, got -1"),
+        (["--set", "quiet.steps=0"], "--set quiet.steps must be ≥ 1, got 0"),
+    ],
+)
+def test_an_error_names_the_option_not_the_file(
+    arguments: list[str], expected: str, plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("sweep", write(tmp_path / "x.toml", GRID), plans, *arguments) == 2
+    assert only_line(capsys.readouterr().err).startswith(f"petmjx: {expected}")
+
+
+def test_help_says_where_defaults_come_from(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("sweep", "--help") == 0
-    assert "--yes" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "What is simulated, unless the sweep file's [simulation] says otherwise:" in printed
+    assert "--yes" in printed
+    assert "--carrier" in printed

@@ -1,11 +1,47 @@
-"""What tests of the command line share: files, runs, and the one line of an error."""
+"""What tests of the command line share: plans, files, runs, and the one line of an error."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from petmjx.cli import main
+
+INTERRUPT_AFTER = 10
+"""Worlds that :func:`run_interrupted` lets finish."""
+
+_INTERRUPTED = f"""
+import os, signal, sys
+from petmjx.cli import main
+from petmjx.engines.cpu.engine import MujocoEngine
+
+whole_run = MujocoEngine.run
+
+def interrupted_run(*arguments):
+    for number, outcome in enumerate(whole_run(*arguments), 1):
+        yield outcome
+        if number == {INTERRUPT_AFTER}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+MujocoEngine.run = interrupted_run
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def placement(corner: Sequence[float], **item: Any) -> dict[str, Any]:
+    """A box of 400 × 300 × 200 mm and 5 kg as plan files hold it, with other fields of its item on request."""
+    size = {"length/mm": 400, "width/mm": 300, "height/mm": 200}
+    fields = {"article": "carton", "id": "1", "product_group": "test", **size, "weight/kg": 5.0, "sequence": 1, **item}
+    return {"item": fields, "orientation": 0, "flb_coordinates": list(corner)}
+
+
+TOWER = [placement((0, 0, 0)), placement((0, 0, 200))]
+OVERHANG = [placement((0, 0, 0)), placement((260, 0, 200))]
+"""A tower that stands, and a box that overhangs by more than half and falls."""
 
 
 def write(path: Path, content: object) -> Path:
@@ -15,6 +51,18 @@ def write(path: Path, content: object) -> Path:
 
 def run(*arguments: str | Path) -> int:
     return main([str(argument) for argument in arguments])
+
+
+def run_process(*arguments: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+    """petmjx in a process of its own; options are those of ``subprocess.run``."""
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    return subprocess.run([sys.executable, "-m", "petmjx", *map(str, arguments)], text=True, check=False, **streams)
+
+
+def run_interrupted(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """petmjx in a process that gets SIGINT, as from Ctrl-C, while the engine's threads work on further worlds."""
+    command = [sys.executable, "-c", _INTERRUPTED, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
 def only_line(stderr: str) -> str:

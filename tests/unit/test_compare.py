@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 
 from petmjx.config import Simulation, Thresholds
 from petmjx.errors import InputError
-from petmjx.plans.plan import Skipped
-from petmjx.results.compare import FORCE_FLOOR_N, Comparison, compare_runs, thresholds_of
+from petmjx.results.compare import FORCE_FLOOR_N, compare_runs, thresholds_of
 from petmjx.results.reader import load_run
 from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter
-from petmjx.show.compare_tables import print_comparison
-from petmjx.show.progress import progress
-from petmjx.show.tables import summary_table, worlds_table
 from petmjx.verdict import Outcome, Reason, Verdict
 
 FLOAT32 = 1e-6
@@ -41,12 +35,6 @@ def write(folder: Path, outcomes: dict[str, Outcome], config: dict[str, Any] = C
 def row_of(frame: pd.DataFrame, metric: str, group: str) -> dict[str, Any]:
     (row,) = frame[(frame.metric == metric) & (frame.group == group)].to_dict("records")
     return {str(name): value for name, value in row.items()}
-
-
-def shown(renderable: Any) -> str:
-    console = Console(file=io.StringIO(), width=200)
-    console.print(renderable)
-    return console.file.getvalue()  # type: ignore[attr-defined]  # it is the StringIO of the line above
 
 
 def shifted(by_m: float) -> Outcome:
@@ -172,7 +160,6 @@ def test_nothing_in_common(tmp_path: Path, outcomes: dict[str, Outcome]) -> None
     assert result.to_dict()["agreement"] is None
     assert (result.worlds.n == 0).all()
     assert "no world is in both runs" in result.notes
-    render(result)
 
 
 def test_notes_on_what_does_not_fit(tmp_path: Path) -> None:
@@ -205,59 +192,12 @@ def test_infinite_metrics_are_no_difference(tmp_path: Path) -> None:
     assert (row["n"], row["largest"]) == (1, 0.0)
 
 
-def render(result: Comparison) -> str:
-    console = Console(file=io.StringIO(), width=200)
-    print_comparison(result, console)
-    return console.file.getvalue()  # type: ignore[attr-defined]  # it is the StringIO of the line above
-
-
-def test_rendering_and_json(tmp_path: Path) -> None:
+def test_json(tmp_path: Path) -> None:
     a = write(tmp_path / "a", {"[bold]s": make_outcome(), "d": make_outcome()})
     b = write(tmp_path / "b", {"[bold]s": shifted(0.004), "d": dropped_outcome()})
     result = compare_runs(a, b)
-    text = render(result)
-    assert "1 of 2 worlds agree (50.00 %)" in text
-    assert "[bold]s/0/2" in text  # an id is no markup
-    assert "unstable drop" in text
     as_json = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     assert as_json["confusion"]["stable"] == {"stable": 1, "unstable": 1, "invalid": 0}
     assert as_json["flips"][0]["culprit_a"] is None
     assert as_json["flips"][0]["culprit_b"] == 1
     assert {row["group"] for row in as_json["boxes"]} == {"same verdict", "both stable"}
-
-
-def test_summary_table(tmp_path: Path) -> None:
-    with RunWriter(tmp_path, CONFIG, expected_worlds=4) as run:
-        run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
-        run.add(make_plan("b"), 0, "mujoco", "fixed", dropped_outcome())
-        run.skip(Skipped("plans.json", "c", "bad"))
-    info = load_run(tmp_path).info
-    info["timings"]["wall_s"] = 4.0
-    lines = [" ".join(line.replace("│", " ").split()) for line in shown(summary_table(info, "out/x")).splitlines()]
-    for line in ("plans 2", "stable 1 50.0 %", "unstable 1 50.0 %", "drop 1 50.0 %", "invalid 0 0.0 %"):
-        assert line in lines
-    assert "skipped plans 1" in lines
-    assert "not simulated 2 finished" in lines
-    assert "plans/s 0.5 4.0 s" in lines
-    assert "results in out/x" in lines
-
-
-def test_summary_table_of_an_empty_run() -> None:
-    assert "plans" in shown(summary_table({}))
-
-
-def test_worlds_table(tmp_path: Path) -> None:
-    run = load_run(write(tmp_path, {"[x]a": make_outcome(), "b": dropped_outcome()}))
-    lines = [line.replace("│", " ").split() for line in shown(worlds_table(run.worlds, run.boxes)).splitlines()]
-    assert ["[x]a", "3", "stable", "-", "6.0", "3.0", "150.0"] in lines
-    assert ["b", "2", "of", "3", "unstable", "drop", "1", "article-1", "0.40", "4.0", "2.0", "-"] in lines
-
-
-def test_progress_shows_rate_and_message() -> None:
-    console = Console(file=io.StringIO(), width=160, force_terminal=True)
-    with progress(4, "plans", console) as bar:
-        bar.update(1, "compiling [8 boxes]")
-        bar.update(4)
-    text = console.file.getvalue()  # type: ignore[attr-defined]  # it is the StringIO of the first line
-    assert "4/4" in text
-    assert "plans/s" in text

@@ -1,0 +1,34 @@
+"""What ``petmjx doctor`` shows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+from rich.text import Text
+
+from petmjx.show.layout import line
+
+if TYPE_CHECKING:
+    from petmjx.doctor import Report
+
+
+def doctor_table(report: Report) -> Table:
+    """Two columns; long lines of the second are broken."""
+    table = Table(show_header=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, version in report.versions.items():
+        table.add_row(name, line(version))
+    table.add_section()
+    for device in report.devices:
+        kind, _, text = device.partition(": ")
+        table.add_row(kind, line(text))
+    table.add_section()
+    for engine in report.engines:
+        state = Text("works", style="green") if engine.works else Text("not here", style="yellow")
+        table.add_row(f"engine {engine.name}", Text.assemble(state, ": ", line(engine.detail)))
+    table.add_section()
+    for name, folder in report.caches.items():
+        table.add_row(f"cache: {name}", line(folder))
+    return table

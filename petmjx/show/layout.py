@@ -1,0 +1,142 @@
+"""How tables fit the terminal, and how their values are written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, Literal
+
+import pandas as pd
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.table import Table
+from rich.text import Text
+
+from petmjx.text import printable, three_digits
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a :class:`FittedTable`.
+
+    Attributes:
+        header: may have several lines.
+        justify: on which side its cells begin.
+        least: characters that a text keeps at least where room is short; None: its cells are never shortened.
+        middle: whether a text is shortened in its middle, as names are that differ at the end, and not at its end.
+        spare: columns with a number here are left out where room is short, the largest number first.
+    """
+
+    header: str
+    justify: Literal["left", "right"] = "right"
+    least: int | None = None
+    middle: bool = False
+    spare: int = 0
+
+
+class FittedTable:
+    """A table without lines that is never wider than the terminal.
+
+    Where room is short, texts are shortened first; then spare columns are left out, and a line below says which.
+    Numbers are not cut, unless not even the columns that must stay fit.
+    """
+
+    def __init__(self, *columns: Column, title: str = "", caption: str = "") -> None:
+        self.columns = columns
+        self.title = title
+        self.caption = caption
+        self._rows: list[Sequence[str | Text]] = []
+
+    def add(self, *cells: str | Text) -> None:
+        """Add a row. Strings are made printable; a Text keeps its style."""
+        self._rows.append([cell if isinstance(cell, Text) else printable(cell) for cell in cells])
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        widths = _fitted(
+            self.columns, [self._natural(number) for number in range(len(self.columns))], options.max_width
+        )
+        table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
+        for number, width in widths.items():
+            column = self.columns[number]
+            table.add_column(column.header, justify=column.justify, width=width, no_wrap=True)
+        for row in self._rows:
+            table.add_row(*(_shortened(row[number], width, self.columns[number]) for number, width in widths.items()))
+        if self.title:
+            yield line(self.title, style="italic")
+        yield table
+        missing = [c.header.replace("\n", " ") for number, c in enumerate(self.columns) if number not in widths]
+        if missing:
+            yield line(f"left out at this width: {', '.join(missing)}", style="dim")
+        if self.caption:
+            yield line(self.caption, style="dim")
+
+    def _natural(self, number: int) -> int:
+        """The width that a column wants."""
+        texts = [*self.columns[number].header.split("\n"), *(str(row[number]) for row in self._rows)]
+        return max(cell_len(text) for text in texts)
+
+
+def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> dict[int, int]:
+    """Number of each column that is shown → its width. What is left of the room goes to the narrowest texts."""
+    least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
+    kept = list(range(len(columns)))
+
+    def room() -> int:
+        return width - sum(least[number] for number in kept) - (len(kept) - 1)
+
+    for number in sorted(kept, key=lambda n: -columns[n].spare):
+        if room() < 0 and columns[number].spare:
+            kept.remove(number)
+    widths = {number: least[number] for number in kept}
+    for _ in range(room()):
+        short = [number for number in kept if widths[number] < natural[number]]
+        if not short:
+            break
+        widths[min(short, key=lambda number: widths[number])] += 1
+    return widths
+
+
+def _shortened(cell: str | Text, width: int, column: Column) -> Text:
+    text = cell if isinstance(cell, Text) else Text(cell)
+    if column.least is None or cell_len(text.plain) <= width:
+        return text
+    tail = Text("")
+    if column.middle:
+        tail = text[len(text) - _fits(reversed(text.plain), (width - 1) // 2) :]
+    head = text[: _fits(text.plain, width - 1 - cell_len(tail.plain))]
+    return Text.assemble(head, "…", tail)
+
+
+def _fits(text: Iterable[str], width: int) -> int:
+    """How many characters, from the first, take no more than a width; Chinese ones are two wide."""
+    return sum(used <= width for used in accumulate(map(cell_len, text)))
+
+
+def line(text: str, style: str = "") -> Text:
+    """A line of its own, or a long text in a cell, which is broken where it must be."""
+    return Text(printable(text), style=style, overflow="fold")
+
+
+def print_each(renderables: Iterable[RenderableType], console: Console) -> None:
+    """Print tables and lines. Long lines are left to the terminal: a path stays whole when it is copied."""
+    for each in renderables:
+        console.print(each, soft_wrap=isinstance(each, Text))
+
+
+def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:
+    """A number times a factor, with its unit; "-" where there is none.
+
+    Args:
+        form: a format as of ``format``; None: as many digits as ``three_digits`` gives.
+        sign: without a form: whether a positive number has a sign too.
+    """
+    if pd.isna(value):
+        return "-"
+    scaled = factor * float(value)
+    return (three_digits(scaled, sign) if form is None else format(scaled, form)) + unit
+
+
+def percent(share: Any) -> str:
+    """A share as "12.3 %"; "-" where there is none."""
+    return number(share, ".1f", " %", 100.0)

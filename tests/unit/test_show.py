@@ -1,0 +1,291 @@
+"""What is shown: tables fit the terminal, numbers stay whole, and nothing from a file reaches it raw."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.cells import cell_len
+from rich.console import Console, RenderableType
+from support.outcomes import dropped_outcome, make_outcome, make_plan
+
+from petmjx.plans.plan import Skipped
+from petmjx.results.compare import compare_runs
+from petmjx.results.reader import load_run
+from petmjx.results.writer import RunWriter
+from petmjx.show.compare_tables import comparison_tables
+from petmjx.show.layout import Column, FittedTable, number, percent, print_each
+from petmjx.show.progress import ProgressLines, progress
+from petmjx.show.sweep_tables import FEW_ROWS, MAX_VALUES, sweep_tables
+from petmjx.show.tables import SHOWN_SKIPPED, notes, run_tables, summary_table, worlds_table
+from petmjx.text import counted, printable, three_digits, time_left
+from petmjx.verdict import Outcome
+
+LONG = "x" * 80 + "end"
+CHINESE = "纸箱托盘计划" * 8
+
+
+def lines_of(renderables: RenderableType | Sequence[RenderableType], width: int = 200) -> list[str]:
+    """What is printed on a terminal of so many columns, without spaces at the end of lines."""
+    file = io.StringIO()
+    several = [*renderables] if isinstance(renderables, list) else [renderables]
+    print_each(several, Console(file=file, width=width))
+    return [line.rstrip() for line in file.getvalue().splitlines()]
+
+
+def words_of(renderables: RenderableType | Sequence[RenderableType], width: int = 200) -> list[str]:
+    """The same with one space between words and no table lines."""
+    return [" ".join(line.replace("│", " ").split()) for line in lines_of(renderables, width)]
+
+
+def written(folder: Path, outcomes: dict[str, Outcome], command: str = "score") -> Path:
+    with RunWriter(folder, {"command": command}) as run:
+        for plan_id, outcome in outcomes.items():
+            run.add(make_plan(plan_id, outcome.n_boxes), 0, "mujoco", "fixed", outcome)
+    return folder
+
+
+# Texts.
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("plain [bold] ü 纸", "plain [bold] ü 纸"),
+        ("ü\x1b[2J", "ü\\u001b[2J"),
+        ("\x7f\x9b\r\n", "\\u007f\\u009b\\r\\n"),
+        ("a\u202eb\u2028", "a\\u202eb\\u2028"),
+        ("\udc80", "\\udc80"),
+    ],
+)
+def test_printable(text: str, expected: str) -> None:
+    assert printable(text) == expected
+    assert printable(text).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (0, "0"), (0.00123456, "0.00123"), (12.345, "12.3"), (99.94, "99.9"), (99.96, "100"), (1234.5, "1,234"),
+        (-15379.0, "-15,379"), (999_999.4, "999,999"), (1234567.0, "1.23e+06"), (5.6e-17, "5.6e-17"),
+    ],
+)  # fmt: skip
+def test_three_digits(value: float, expected: str) -> None:
+    assert three_digits(value) == expected
+
+
+def test_values_in_cells() -> None:
+    assert [number(value) for value in (None, np.nan, pd.NA, 2)] == ["-", "-", "-", "2"]
+    assert number(0.02, ".1f", " mm", 1000.0) == "20.0 mm"
+    assert [number(value, sign=True) for value in (4.0, -4.0)] == ["+4", "-4"]
+    assert percent(0.1234) == "12.3 %"
+    assert [counted(n, "world") for n in (0, 1, 1000)] == ["0 worlds", "1 world", "1,000 worlds"]
+    assert [time_left(seconds) for seconds in (0.2, 59.4, 105, 7500)] == ["0 s", "59 s", "1 min 45 s", "2 h 5 min"]
+
+
+# The table that fits.
+
+
+def example() -> FittedTable:
+    table = FittedTable(
+        Column("plan", "left", least=8, middle=True),
+        Column("note", "left", least=4),
+        Column("rest\nN", spare=2),
+        Column("at s", spare=1),
+        Column("shift mm"),
+    )
+    table.add(LONG, "a note of some length", "111.1", "0.40", "1,234,567.8")
+    table.add("[red]m[/red]", "a\x1b[2Jb", "-", "-", "0.0")
+    table.add(CHINESE, "", "-", "-", "0.0")
+    return table
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80, 120, 200])
+def test_a_table_fits_and_cuts_no_number(width: int) -> None:
+    lines = lines_of(example(), width)
+    assert max(cell_len(line) for line in lines) <= width
+    assert any("1,234,567.8" in line for line in lines)
+
+
+def test_what_gives_way_when() -> None:
+    wide = lines_of(example(), 200)
+    assert LONG in wide[2]
+    assert "a\\u001b[2Jb" in wide[3]
+    assert "[red]m[/red]" in wide[3]
+    assert CHINESE in wide[4]
+    assert lines_of(example(), 60)[2] == "xxxxxxxxx…xxxxxend a note of some le… 111.1 0.40 1,234,567.8"
+    assert lines_of(example(), 30)[1:] == [
+        "xxxx…end a n… 0.40 1,234,567.8",
+        "[red…ed] a\\u…    -         0.0",
+        "纸箱…划          -         0.0",
+        "left out at this width: rest N",
+    ]
+
+
+# Runs.
+
+
+def test_summary_table(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {"command": "score"}, expected_worlds=4) as run:
+        run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
+        run.add(make_plan("b"), 0, "mujoco", "fixed", dropped_outcome())
+        run.skip(Skipped("plans.json", "c", "bad"))
+    info = load_run(tmp_path).info
+    info["timings"]["wall_s"] = 4.0
+    lines = words_of(summary_table(info))
+    for line in ("plans 2", "stable 1 50.0 %", "unstable 1 50.0 %", "drop 1 50.0 %", "invalid 0 0.0 %"):
+        assert line in lines
+    assert "skipped plans 1" in lines
+    assert "not simulated 2 finished" in lines
+    assert "plans/s 0.5 4.0 s" in lines
+
+
+def test_summary_table_of_an_empty_run() -> None:
+    assert "plans 0" in words_of(summary_table({}))
+
+
+def test_worlds_table(tmp_path: Path) -> None:
+    run = load_run(written(tmp_path, {"[x]a": make_outcome(), "b": dropped_outcome()}))
+    lines = words_of(worlds_table(run.worlds, run.boxes))
+    assert "[x]a 3 stable - 6.0 3.0 150.0" in lines
+    assert "b 2 of 3 unstable drop 1 article-1 0.40 4.0 2.0 -" in lines
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_long_id_ruins_no_table(width: int, tmp_path: Path) -> None:
+    path = written(tmp_path / "a", {LONG: dropped_outcome(), CHINESE: make_outcome()})
+    run = load_run(path)
+    lines = lines_of([worlds_table(run.worlds, run.boxes)], width)
+    assert max(cell_len(line) for line in lines) <= width
+    [row] = [line.split() for line in lines if "xend" in line]
+    assert row[1:7] == ["2", "of", "3", "unstable", "drop", "1"]
+    assert row[8:11] == ["0.40", "4.0", "2.0"]
+    other = written(tmp_path / "b", {LONG: make_outcome(), CHINESE: dropped_outcome()})
+    tables = [each for each in comparison_tables(compare_runs(path, other)) if isinstance(each, FittedTable)]
+    lines = lines_of(tables, width)
+    assert len(tables) >= 2
+    assert max(cell_len(line) for line in lines) <= width
+    assert any("unstable drop" in line for line in lines)
+
+
+def test_the_report_of_a_run(tmp_path: Path) -> None:
+    path = written(tmp_path / ("folder-" * 20), {"a": make_outcome()})
+    lines = lines_of(list(run_tables(load_run(path))), 80)
+    assert f"results in {path}" in lines  # whole, though it is longer than a line
+
+
+def test_notes_are_counted() -> None:
+    skipped = [{"error": f"plans.json: plan {k}\x1b: bad"} for k in range(SHOWN_SKIPPED + 2)]
+    lines = lines_of(list(notes({"skipped": skipped, "warnings": ["odd"]})))
+    assert lines[0] == "skipped: plans.json: plan 0\\u001b: bad"
+    assert lines[-2] == "skipped: 2 more, in run.json"
+    assert lines[-1].startswith("1 plan with overlapping")
+
+
+# Comparisons and sweeps.
+
+
+def test_comparison(tmp_path: Path) -> None:
+    moved = make_outcome()
+    moved.boxes.shift_m[2, 0] += 0.004
+    moved.boxes.pos[2, 0] += 0.004
+    a = written(tmp_path / "a", {"[bold]s": make_outcome(), "d": make_outcome(), "only": make_outcome()})
+    b = written(tmp_path / "b", {"[bold]s": moved, "d": dropped_outcome()})
+    lines = words_of(list(comparison_tables(compare_runs(a, b))), 80)
+    assert "1 world only in a: only/0" in lines
+    assert "verdicts: 1 of 2 worlds agree (50.00 %)" in lines
+    assert "stable 1 1 0" in lines
+    assert any(line.startswith("d 0 a stable - ") for line in lines)
+    assert any(line.startswith("b unstable drop 1 ") for line in lines)
+    assert "differences |b - a| of boxes, both stable" in lines
+    assert any(line.startswith("shift_x_m 3 0 0.0036 0.004 [bold]s/0/2 ") for line in lines)
+    assert any(line.startswith("max_lin_acc m/s² ") for line in lines)
+    assert any(line.startswith("max_top_force_n % ") for line in lines)
+
+
+def shares(n_values: int) -> pd.DataFrame:
+    row = {"plan_id": "*", "n_worlds": 123456, "n_standing": 61728, "share": 0.5, "low": 0.4, "high": 1.0}
+    row |= {"eumos_share": 0.25, "smallest_fail_angle_deg": np.nan}
+    axes = [("", "")] + [("placement_error_direction_deg", f"a-profile-of-mine-{k}") for k in range(n_values)]
+    return pd.DataFrame([{**row, "axis": axis, "value": value} for axis, value in axes])
+
+
+def levels(n_plans: int) -> pd.DataFrame:
+    row = {"profile": "eumos-40509", "direction_deg": 270.0, "largest_level_g": 0.53, "stands_at_rest": True}
+    row |= {"monotone": False, "mode": "slide", "box": 4, "article": LONG}
+    fallen = {**row, "plan_id": LONG, "stands_at_rest": False, "mode": "drop", "largest_level_g": np.nan, "box": np.nan}
+    frame = pd.DataFrame([fallen, *({**row, "plan_id": f"plan-{k}"} for k in range(n_plans - 1))])
+    return frame.astype({"box": "Int64"})
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_tables_of_sweeps_fit(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.show.sweep_tables.ALL_PLANS", "*")
+    for summary in (shares(3), levels(3)):
+        for line in lines_of(list(sweep_tables(summary)), width):
+            assert cell_len(line) <= width
+    lines = words_of(list(sweep_tables(shares(3))), 80)
+    assert "all 123,456 61,728 50.0 % 40.0 % to 100.0 % 25.0 % -" in lines
+    lines = words_of(list(sweep_tables(levels(3))), 120)
+    assert "largest level, g survived" in lines
+    assert "eumos-40509 270 3 2 0 0.265 0.53 0.53 0.53" in lines
+    assert any(line.startswith("plan-0 eumos-40509 270 0.53 * slide 4 xxx") for line in lines)
+    assert "* a level above the smallest that failed was survived" in lines
+
+
+def test_long_answers_are_left_to_the_summary(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.show.sweep_tables.ALL_PLANS", "*")
+    assert len(list(sweep_tables(levels(FEW_ROWS + 1)))) == 1
+    assert lines_of(list(sweep_tables(shares(MAX_VALUES + 4))))[-1] == "5 more in summary"
+
+
+# Progress.
+
+
+def test_a_terminal_gets_a_bar() -> None:
+    console = Console(file=io.StringIO(), width=80, force_terminal=True)
+    with progress(4, "plan", console) as shown:
+        shown.update(1, "compiling [8 boxes]\x1b[2J")
+        shown.update(4)
+    text = console.file.getvalue()  # type: ignore[attr-defined]  # it is the StringIO of the first line
+    assert "4 of 4 plans" in text
+    assert "plans/s" in text
+
+
+def test_what_is_no_terminal_gets_lines() -> None:
+    now = 0.0
+    said: list[str] = []
+    lines = ProgressLines(10_003, "plan", said.append, clock=lambda: now)
+    for now, done, message in (  # noqa: B007  # the clock reads it
+        (1.0, 0, "compiling"), (9.9, 100, ""), (10.1, 0, "compiling\x1b"), (15.0, 1240, ""), (20.2, 2020, ""),
+    ):  # fmt: skip
+        lines.update(done, message)
+    lines.end()
+    assert said == [
+        "0 of 10,003 plans, compiling\\u001b\n",
+        "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
+        "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
+    ]
+
+
+def test_lines_of_an_unknown_total() -> None:
+    said: list[str] = []
+    console = Console(file=io.StringIO(), width=80)
+    with progress(None, "world", console) as shown:
+        shown.update(1)
+    said = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert len(said) == 1
+    assert said[0].startswith("1 world, ")
+
+
+def test_lines_that_nobody_reads_stop_nothing() -> None:
+    def broken(text: str) -> None:
+        raise BrokenPipeError
+
+    lines = ProgressLines(3, "plan", broken)
+    lines.update(1)
+    lines.end()
