@@ -7,8 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.metrics.spec import DIMENSIONLESS, TEXT
+from petmjx.results.schema import Param
 from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
+
+EUMOS_PROFILE = "eumos-40509"
+"""The profile whose worlds are also held against the standard's own limits."""
 
 EUMOS_ELASTIC_SHARE = 0.10
 """Largest displacement during the test as a share of the load's height."""
@@ -17,6 +22,14 @@ EUMOS_PERMANENT_SHARE = 0.05
 EUMOS_FOOT_HEIGHT_M = 0.20
 EUMOS_FOOT_PERMANENT_M = 0.04
 """Largest displacement left after the test in the lowest 20 cm."""
+
+EUMOS_COLUMNS = (
+    Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
+    Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement left after it / load height"),
+    Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
+    Param("eumos_passed", TEXT, "whether all limits of EUMOS 40509 hold and nothing fell", bool),
+)
+"""Columns that its worlds have in addition."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +65,9 @@ class EumosAssessment:
         return self.elastic_ok and self.permanent_ok and not self.dropped
 
     def columns(self) -> dict[str, Any]:
-        """As columns of a result table, units in the names."""
-        return {
-            "eumos_elastic_share": self.elastic_share,
-            "eumos_permanent_share": self.permanent_share,
-            "eumos_foot_permanent_m": self.foot_permanent_m,
-            "eumos_passed": self.passed,
-        }
+        """The values of ``EUMOS_COLUMNS``."""
+        values = (self.elastic_share, self.permanent_share, self.foot_permanent_m, self.passed)
+        return dict(zip((column.name for column in EUMOS_COLUMNS), values, strict=True))
 
 
 def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> EumosAssessment:

@@ -14,7 +14,7 @@ import pyarrow.dataset as ds
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.results.schema import Param
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
-from petmjx.sweeps.eumos import eumos_assessment
+from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.run import Answer, SweptWorld
 from petmjx.sweeps.search import failure_mode
@@ -22,21 +22,12 @@ from petmjx.sweeps.shares import SUMMARY_UNITS, share_standing
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.registry import Tilt
 
-EUMOS_PROFILE = "eumos-40509"
-"""The profile whose worlds are also judged by the standard's own limits."""
-
 RANGE_BINS = 8
 """Equal parts into which the summary divides an axis whose values were drawn from a range."""
 
 MODE = Param("mode", TEXT, "what became of the box that went first: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
-EUMOS = (
-    Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
-    Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement left after it / load height"),
-    Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
-    Param("eumos_passed", TEXT, "whether all limits of EUMOS 40509 hold and nothing fell", bool),
-)
 
 _STRENGTHS = ("level_g", "scale")
 
@@ -62,7 +53,7 @@ class SweepColumns:
         columns = [*self.parameters, MODE]
         columns += [SIGN] if self.has_drives else []
         columns += [FAIL_ANGLE] if self.has_tilt else []
-        columns += EUMOS if self.has_eumos else ()
+        columns += EUMOS_COLUMNS if self.has_eumos else ()
         return columns
 
     @property
@@ -200,7 +191,7 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
         row[SIGN.name] = columns.during_drive(answer.at_failure).get(SIGN.name)
     if columns.has_eumos:
         seen = columns.during_drive(answer.at_largest) if answer.at_largest is not None else {}
-        row |= {param.name: seen.get(param.name) for param in EUMOS}
+        row |= {param.name: seen.get(param.name) for param in EUMOS_COLUMNS}
     return row
 
 
