@@ -9,7 +9,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +198,7 @@ class Bench:
         threads, sim = _threads(engine), case.sim
         if case.boxes:
             copies = case.count or (4 * threads if threads else self.lanes or STACK_LANES)
-            jobs = [Job(build_scene(_stack(case.boxes), sim))] * copies
+            jobs = [Job(build_scene(_stack(case), sim))] * copies
         else:
             jobs = [Job(build_scene(plan, sim)) for plan in self._plans(case)]
         self.say(f"{case.name} on {engine_name}: {len(jobs)} worlds")
@@ -353,13 +353,22 @@ def _threads(engine: Engine) -> int | None:
     return threads
 
 
-def _stack(boxes: int) -> Plan:
-    """The first boxes of the sample plan that stacks are cut from."""
-    plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
+def _stack(case: Case) -> Plan:
+    """The first boxes of the plan that a case's stacks are cut from."""
     with tempfile.TemporaryDirectory(prefix="petmjx-") as folder:
-        path = Path(folder) / "stack.json"
-        write_plans(path, [(plan_id, placements[:boxes])])
-        return load_plans(path).plans[0]
+        path = Path(case.source or Path(folder) / "stack.json")
+        if not case.source:
+            write_plans(path, [generate_one(STACK_PLAN, SEED, loose_share=0.0)])
+        found = load_plans(path).plans
+    n = case.boxes
+    plan = next((plan for plan in found if plan.n_boxes >= n), None)
+    if plan is None:
+        raise InputError(f"{case.source or 'sample plan'}: no plan with {n} boxes for {case.name}")
+    rows = {
+        name: getattr(plan, name)[:n]
+        for name in ("size_mm", "corner_mm", "mass_kg", "item_ids", "articles", "sequence")
+    }
+    return replace(plan, **rows)
 
 
 def spread_over_sizes(plans: Sequence[Plan]) -> list[Plan]:
