@@ -19,7 +19,7 @@ from petmjx.sweeps.run import Answer, SweptWorld
 from petmjx.sweeps.search import failure_mode
 from petmjx.sweeps.shares import SUMMARY_UNITS, share_standing
 from petmjx.verdict import Outcome, Verdict
-from petmjx.world.profiles.registry import Tilt
+from petmjx.world.profiles.acceleration import Tilt
 
 EUMOS_PROFILE = "eumos-40509"
 """The profile whose worlds are also held against the standard's own limits."""
