@@ -9,7 +9,7 @@ import inspect
 import tempfile
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -145,7 +145,7 @@ def _simulate(
     """Plans → worlds → engine → results; every run of petmjx goes this way."""
     sim = asked.simulation
     found = usable_plans(plans, sim, options)
-    plan = SweepPlan(asked, found.plans, options.allow_large)
+    plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
     engine, choice = resolve_engine(options, plan.work())
     columns = SweepColumns(plan) if command == "sweep" else None
     total = plan.n_worlds if plan.search is None else None
@@ -178,7 +178,7 @@ def _simulate(
             expected_worlds=total,
             overwrite=options.overwrite,
         ) as writer:
-            _note_input(writer, found)
+            _note_input(writer, replace(found, skipped=[*found.skipped, *plan.skipped]))
             if watcher is not None:
                 what = "plan" if command == "score" else "world"
                 watcher.begin(RunStart(what, total, plan.size(choice.seconds), choice, progress))

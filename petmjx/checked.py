@@ -1,15 +1,20 @@
-"""Records that check themselves, and the one place where pydantic's complaints become a line of petmjx's."""
+"""Records that check themselves, and the one place where what is wrong with a value becomes a line of text."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Self
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
 from pydantic._internal._model_construction import ModelMetaclass  # has no public name
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.errors import InputError
-from petmjx.text import shortened
+from petmjx.text import counted, printable, shortened, shown
 
 _SIGNS = {
     "greater_than": (">", "gt"),
@@ -17,6 +22,24 @@ _SIGNS = {
     "less_than": ("<", "lt"),
     "less_than_equal": ("≤", "le"),
 }
+
+_WANTED = {
+    "a finite number": ("float_type", "float_parsing", "finite_number"),
+    "a whole number": ("int_type", "int_parsing", "int_parsing_size", "int_from_float"),
+    "true or false": ("bool_type", "bool_parsing"),
+    "text": ("string_type",),
+    "a list": ("list_type", "tuple_type"),
+    "a table": ("dict_type", "model_type", "model_attributes_type"),
+}
+_WANTED_BY_KIND = {kind: wanted for wanted, kinds in _WANTED.items() for kind in kinds}
+
+_COMPLAINT: Final = "complaint"
+
+TABLE: Final = "<a table>"
+LIST: Final = "<a list>"
+VALUE: Final = "<a single value>"
+"""Tags of the members of a union that are told apart by shape. Tags stand in angle brackets: pydantic puts them into
+the path of an error, and `describe` takes them out again."""
 
 
 class _OneLine(ModelMetaclass):
@@ -42,12 +65,12 @@ class Checked(BaseModel, metaclass=_OneLine):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     @classmethod
-    def read(cls, values: Mapping[str, Any], where: str = "") -> Self:
-        """A record from plain values, of a file for instance; ``where`` comes before the field in an error's line."""
+    def read(cls, values: Mapping[str, Any], context: Any = None) -> Self:
+        """A record from plain values, of a file for instance; ``context`` is for the validators."""
         try:
-            return cls.model_validate(dict(values))
+            return cls.model_validate(dict(values), context=context)
         except ValidationError as error:
-            raise InputError(describe(error, where)) from None
+            raise InputError(describe(error)) from None
 
     def changed(self, **values: Any) -> Self:
         """A checked copy with other values for some fields. A table changes the record that it stands for, if that is
@@ -65,35 +88,155 @@ def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:
         fields[name] = value
     return fields
 
+    @model_validator(mode="before")
+    @classmethod
+    def _has_its_fields(cls, values: Any) -> Any:
+        """Refuse unknown and missing fields, as pydantic does too, but say which there are and what they are for."""
+        if not isinstance(values, Mapping):
+            return values
+        fields = {info.alias or name: info for name, info in cls.model_fields.items()}
+        for name in values:
+            if name not in fields:
+                raise complaint(f": unknown field; {hint(str(name), fields)}", str(name))
+        for name, info in fields.items():
+            if info.is_required() and name not in values:
+                raise complaint(f"is missing: {info.description}" if info.description else "is missing", name)
+        return values
 
-def describe(error: ValidationError, where: str = "") -> str:
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """What was probably meant by a name that is not known: "did you mean scale?", or else the names there are."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean {close[0]}?" if close else f"there are {', '.join(names)}"
+
+
+def complaint(text: str, *path: str | int) -> ValidationError:
+    """For a validator to raise: what is wrong with a field somewhere below the value that it validates.
+
+    Args:
+        text: goes on after the field's path, as in "must be > 0"; with a colon as in ": unknown field".
+        path: from the value that is being validated to the field.
+    """
+    kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
+    return ValidationError.from_exception_data("value", [InitErrorDetails(type=kind, loc=path, input=None)])
+
+
+def shape(value: object) -> str:
+    """`TABLE`, `LIST` or `VALUE`: by this a union of such members is told apart, ``Discriminator(shape)``."""
+    if isinstance(value, Mapping | BaseModel):
+        return TABLE
+    return LIST if isinstance(value, list | tuple) else VALUE
+
+
+def by_entry(key: str) -> Discriminator:
+    """Tells records in a union apart by an entry of their table; each is tagged with the entry's value in <…>."""
+
+    def tag(value: object) -> str | None:
+        if not isinstance(value, Mapping):
+            return None
+        entry = value.get(key)
+        return f"<{entry}>" if isinstance(entry, str) else "<>"
+
+    # pydantic names the function in its errors, and `describe` reads the entry's name from there
+    tag.__name__ = key
+    return Discriminator(tag)
+
+
+def got(value: object) -> str:
+    """The end of a message: which value it was, in a bounded length."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):
+        # a whole number of more digits than Python writes out, or tables within tables without end
+        return f"got {type(value).__name__} too large to be shown"
+    return f"got {shortened(text)}"
+
+
+def describe(error: ValidationError) -> str:
     """The first of pydantic's complaints as a line: "simulation.interval_s must be > 0, got -1"."""
-    first = error.errors()[0]
-    place = ".".join([*([where] if where else []), *_path(first["loc"])]) or "value"
-    kind, context, value = first["type"], first.get("ctx", {}), first.get("input")
-    got = f"got {shortened(repr(value))}"
-    if kind == "extra_forbidden":
-        return f"{place}: unknown field"
-    if kind == "missing":
-        return f"{place} is missing"
-    if kind in _SIGNS:
-        sign, key = _SIGNS[kind]
-        return f"{place} must be {sign} {context[key]:g}, {got}"
-    if kind in ("literal_error", "enum"):
-        return f"{place} must be {context['expected']}, {got}"
+    first = error.errors(include_url=False)[0]
+    place = _path(first["loc"])
+    text = _said(first["type"], first.get("ctx", {}), first.get("input"), first["msg"])
+    if not place:
+        return text.removeprefix(": ")
+    return f"{place}{text}" if text.startswith((":", ".")) else f"{place} {text}"
+
+
+def _said(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
+    """What comes after the field's path."""
+    if kind == _COMPLAINT:
+        return str(context["text"])
     if kind == "value_error":
         # raised by a validator of petmjx's own, whose text says everything after the place
-        return f"{place} {context['error']}" if first["loc"] else str(context["error"])
-    message = first["msg"].removeprefix("Input ").replace("\n", " ")
-    return f"{place}: {message}, {got}"
+        return str(context["error"])
+    if kind == "extra_forbidden":
+        return ": unknown field"
+    if kind == "missing":
+        return "is missing"
+    if kind in _SIGNS:
+        sign, key = _SIGNS[kind]
+        return f"must be {sign} {context[key]:g}, {got(value)}"
+    if kind in _WANTED_BY_KIND:
+        return f"must be {_WANTED_BY_KIND[kind]}, {got(value)}"
+    if kind in ("literal_error", "enum"):
+        return f"must be {context['expected']}, {got(value)}"
+    if kind in ("too_short", "too_long"):
+        most, key = ("most", "max_length") if kind == "too_long" else ("least", "min_length")
+        found = context.get("actual_length")  # None where pydantic stopped counting
+        limit = counted(context[key], "entry", "entries")
+        return f"must have at {most} {limit}, got {'more' if found is None else found}"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        return _no_member(context, value)
+    return f": {message.removeprefix('Input ')}, {got(value)}".replace("\n", " ")
 
 
-def _path(location: tuple[int | str, ...]) -> list[str]:
-    """Fields by name and list entries as [i], as a path is written in TOML or Python."""
-    parts: list[str] = []
+def _no_member(context: Mapping[str, str], value: Any) -> str:
+    """A value that is none of a union's members."""
+    key = context["discriminator"].removesuffix("()")
+    known = re.findall("<(.*?)>", context.get("expected_tags", ""))
+    if key == shape.__name__:
+        return f"must be {' or '.join(known)}, {got(value)}"
+    if not isinstance(value, Mapping):
+        return f"must be a table, {got(value)}"
+    if key not in value:
+        return f".{key} is missing: it must be one of {', '.join(known)}"
+    return f".{key} must be one of {', '.join(known)}, {got(value[key])}"
+
+
+def _path(location: tuple[int | str, ...]) -> str:
+    """Fields by name and list entries as [i], as a path is written in TOML or Python; tags of unions are left out."""
+    path = ""
     for part in location:
-        if isinstance(part, int) and parts:
-            parts[-1] += f"[{part}]"
-        else:
-            parts.append(str(part))
-    return parts
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif not (part.startswith("<") and part.endswith(">")):
+            path += f".{shown(part)}" if path else shown(part)
+    return path
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        InputError: "x.toml: not valid TOML: …", or that it cannot be read.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise InputError(f"{printable(str(path))}: cannot be read: {reason(error)}") from None
+    try:
+        return tomllib.loads(data.decode())
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
+    except RecursionError:
+        raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
+    except ValueError as error:  # also a whole number of too many digits
+        raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
+
+
+def reason(error: Exception) -> str:
+    """Why a file cannot be used, in one line."""
+    return " ".join(printable(getattr(error, "strerror", None) or str(error)).split())

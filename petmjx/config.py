@@ -6,7 +6,6 @@ the ``[simulation]`` table of sweep files are made from these records, and they 
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -15,7 +14,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
-from petmjx.checked import Checked
+from petmjx.checked import Checked, complaint, hint
 from petmjx.errors import InputError
 
 SOFT_START_STEPS: Final = 100
@@ -269,9 +268,9 @@ class Simulation(Checked):
     def _whole_run(self) -> Self:
         if self.total_time_factor is not None:
             if self.check is not Check.ONE_BY_ONE or self.schedule is not Schedule.FIXED:
-                raise ValueError("total_time_factor needs check one-by-one and schedule fixed")
+                raise complaint("needs check one-by-one and schedule fixed", "total_time_factor")
             if self.rest_s != type(self).model_fields["rest_s"].default:
-                raise ValueError("rest_s contradicts total_time_factor: drop one of them")
+                raise complaint("contradicts total_time_factor: drop one of them", "rest_s")
         return self
 
     @property
@@ -329,8 +328,6 @@ def sorted_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
         home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
         if home is None:
             known = [field for record in records for field in record.model_fields]
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
-            raise InputError(f"unknown option {name}; {hint}")
+            raise InputError(f"unknown option {name}; {hint(name, known)}")
         ours[home][name] = value
     return ours

@@ -3,63 +3,268 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum, auto
-from typing import Any
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
-from petmjx.errors import InputError
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, StrictFloat, StrictInt, Tag, model_validator
+
+from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, shape
 from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, Shape
 
-MAX_AXIS_VALUES = 100_000
+MAX_AXIS_VALUES: Final = 100_000
 """Values one axis may have; a range with a mistyped step must not fill the memory."""
+
+MAX_STRENGTH: Final = 10_000.0
+"""Largest level (g), scale or factor. More is a slip of the pen, and would end as an infinity in the engines."""
+MAX_ERROR: Final = 10_000.0
+"""Largest error of a size or a place, mm or degrees."""
+
+DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
 
 Value = float | str | Distribution
 
 
-class Kind(Enum):
-    """What the values of an axis are."""
-
-    PROFILE = auto()
-    POSITIVE = auto()
-    DIRECTION = auto()
-    ERROR = auto()
-    """A distribution; a plain number is the standard deviation of a normal one around 0."""
-    HEIGHT = auto()
-    """A distribution; a plain number is that height itself."""
-
-
 @dataclass(frozen=True)
 class AxisKind:
-    """One axis: its values, its column in the results with unit, and whether it needs a new placement."""
+    """One axis as the results have it.
 
-    kind: Kind
+    Attributes:
+        column: its column in the results.
+        unit: of that column; "1" for factors, "" for names.
+        placement: whether another value needs a new placement.
+        plain: of an axis of errors, the distribution that a plain number stands for: the standard deviation of a
+            normal one around 0, or the fixed value itself.
+    """
+
     column: str
     unit: str
     placement: bool
+    plain: Shape = Shape.NORMAL
 
 
-AXIS_KINDS: dict[str, AxisKind] = {
-    "profile": AxisKind(Kind.PROFILE, "profile", "", False),
-    "direction": AxisKind(Kind.DIRECTION, "direction_deg", "deg", False),
-    "scale": AxisKind(Kind.POSITIVE, "scale", "1", False),
-    "level": AxisKind(Kind.POSITIVE, "level_g", "g", False),
-    "friction_factor": AxisKind(Kind.POSITIVE, "friction_factor", "1", True),
-    "box_friction_factor": AxisKind(Kind.POSITIVE, "box_friction_factor", "1", True),
-    "carrier_friction_factor": AxisKind(Kind.POSITIVE, "carrier_friction_factor", "1", True),
-    "mass_factor": AxisKind(Kind.POSITIVE, "mass_factor", "1", True),
-    "size_tolerance_mm": AxisKind(Kind.ERROR, "size_tolerance_mm", "mm", True),
-    "size_tolerance_rel": AxisKind(Kind.ERROR, "size_tolerance_rel", "1", True),
-    "placement_error_mm": AxisKind(Kind.ERROR, "placement_error_mm", "mm", True),
-    "placement_error_x_mm": AxisKind(Kind.ERROR, "placement_error_x_mm", "mm", True),
-    "placement_error_y_mm": AxisKind(Kind.ERROR, "placement_error_y_mm", "mm", True),
-    "yaw_error_deg": AxisKind(Kind.ERROR, "yaw_error_deg", "deg", True),
-    "drop_height_mm": AxisKind(Kind.HEIGHT, "drop_height_mm", "mm", True),
+# Numbers, ranges of them, and lists.
+
+T = TypeVar("T")
+
+
+def _each_once(values: tuple[T, ...]) -> tuple[T, ...]:
+    if not values:
+        raise ValueError("is empty: give at least one value, or leave the axis out")
+    if len(values) > MAX_AXIS_VALUES:
+        raise ValueError(f"has {len(values):,} values, more than {MAX_AXIS_VALUES:,}")
+    seen = set()
+    for value in values:
+        if value in seen:
+            raise ValueError(f"holds {_shown(value)} twice")
+        seen.add(value)
+    return values
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, Distribution):
+        return value.label()
+    return f"{value:g}" if isinstance(value, float) else repr(value)
+
+
+def _is_table(value: object) -> str:
+    return TABLE if shape(value) == TABLE else VALUE
+
+
+def _is_list(value: object) -> str:
+    return LIST if shape(value) == LIST else VALUE
+
+
+OneOrMore = Annotated[
+    Annotated[tuple[T, ...], AfterValidator(_each_once), Tag(LIST)] | Annotated[T, Tag(VALUE)],
+    Discriminator(_is_list),
+]
+"""A value or a list of values."""
+
+
+def _degrees(value: object) -> object:
+    if isinstance(value, str):
+        if value not in DIRECTIONS_DEG:
+            raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, got {value!r}")
+        return DIRECTIONS_DEG[value]
+    return value
+
+
+Positive = Annotated[StrictFloat, Field(gt=0, le=MAX_STRENGTH)]
+Direction = Annotated[StrictFloat, Field(ge=-3600, le=3600), BeforeValidator(_degrees)]
+
+
+class Range(Checked):
+    """Numbers from one to another: by a step, so many, or, where a sweep draws samples, any."""
+
+    low: float = Field(alias="from", description="the first value")
+    high: float = Field(alias="to", description="the last value, where the step leads there")
+    step: Annotated[StrictFloat, Field(gt=0)] | None = Field(None, description="from one value to the next")
+    count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="how many values")
+
+    @model_validator(mode="after")
+    def _rises_in_steps(self) -> Self:
+        if self.high <= self.low:
+            raise complaint(f"must be > from = {self.low:g}, got {self.high:g}", "to")
+        if self.step is not None and self.count is not None:
+            raise ValueError("has both step and count: give one of them")
+        if self.step is not None and (self.high - self.low) / self.step >= MAX_AXIS_VALUES:
+            raise complaint(f"{self.step:g} makes more than {MAX_AXIS_VALUES:,} values", "step")
+        return self
+
+    @property
+    def continuous(self) -> bool:
+        return self.step is None and self.count is None
+
+    def values(self) -> tuple[float, ...]:
+        """Rounded, so that 0.1 + 2 × 0.1 is 0.3."""
+        if self.step is not None:
+            # A hair more than the quotient, so that 0.1 … 1.6 by 0.1 includes 1.6.
+            step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
+        else:
+            count = self.count or 2
+            step = (self.high - self.low) / (count - 1)
+        return tuple(round(self.low + index * step, 12) for index in range(count))
+
+
+class PositiveRange(Range):
+    """Of factors and strengths."""
+
+    low: Positive = Field(alias="from", description="the first value")
+    high: Positive = Field(alias="to", description="the last value, where the step leads there")
+
+
+class DirectionRange(Range):
+    """Of directions."""
+
+    low: Direction = Field(alias="from", description="the first direction")
+    high: Direction = Field(alias="to", description="the last direction, where the step leads there")
+
+
+Positives = Annotated[
+    Annotated[PositiveRange, Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], Discriminator(_is_table)
+]
+Directions = Annotated[
+    Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], Discriminator(_is_table)
+]
+
+# Errors, each a distribution.
+
+Error = Annotated[StrictFloat, Field(ge=-MAX_ERROR, le=MAX_ERROR)]
+Spread = Annotated[StrictFloat, Field(ge=0, le=MAX_ERROR)]
+
+
+class _Normal(Checked):
+    distribution: Literal["normal"]
+    mean: Error = Field(0.0, description="mean")
+    sd: Spread = Field(description="standard deviation")
+
+    def made(self) -> Distribution:
+        return Distribution(Shape.NORMAL, self.mean, self.sd)
+
+
+class _Uniform(Checked):
+    distribution: Literal["uniform"]
+    low: Error = Field(description="smallest value")
+    high: Error = Field(description="largest value")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.high < self.low:
+            raise complaint(f"must be ≥ low = {self.low:g}, got {self.high:g}", "high")
+        return self
+
+    def made(self) -> Distribution:
+        return Distribution(Shape.UNIFORM, (self.low + self.high) / 2, (self.high - self.low) / 2)
+
+
+class _Fixed(Checked):
+    distribution: Literal["fixed"]
+    value: Error = Field(description="the error itself")
+
+    def made(self) -> Distribution:
+        return Distribution(Shape.FIXED, self.value)
+
+
+_Table = Annotated[
+    Annotated[_Normal, Tag("<normal>")] | Annotated[_Uniform, Tag("<uniform>")] | Annotated[_Fixed, Tag("<fixed>")],
+    by_entry("distribution"),
+    AfterValidator(lambda table: table.made()),
+    Tag(TABLE),
+]
+
+Errors = OneOrMore[
+    Annotated[
+        _Table | Annotated[Spread, AfterValidator(lambda sd: Distribution(Shape.NORMAL, 0.0, sd)), Tag(VALUE)],
+        Discriminator(shape),
+    ]
+]
+"""Distributions; a plain number is the standard deviation of a normal one around 0."""
+
+Heights = OneOrMore[
+    Annotated[
+        _Table | Annotated[Spread, AfterValidator(lambda height: Distribution(Shape.FIXED, height)), Tag(VALUE)],
+        Discriminator(shape),
+    ]
+]
+"""Distributions; a plain number is that height itself."""
+
+
+class Axes(Checked):
+    """``[axes]``. Order is the order of nesting: the last axis varies fastest among its half."""
+
+    profile: Annotated[OneOrMore[str] | None, AxisKind("profile", "", placement=False)] = Field(
+        None, description="names of profiles"
+    )
+    direction: Annotated[Directions | None, AxisKind("direction_deg", "deg", placement=False)] = Field(
+        None, description="degrees from +x towards +y, by which the profile is turned; or +x, -x, +y, -y"
+    )
+    scale: Annotated[Positives | None, AxisKind("scale", "1", placement=False)] = Field(
+        None, description="factor on the profile"
+    )
+    level: Annotated[Positives | None, AxisKind("level_g", "g", placement=False)] = Field(
+        None, description="level of the profile, g"
+    )
+    friction_factor: Annotated[Positives | None, AxisKind("friction_factor", "1", placement=True)] = Field(
+        None, description="factor on the friction of boxes and carrier"
+    )
+    box_friction_factor: Annotated[Positives | None, AxisKind("box_friction_factor", "1", placement=True)] = Field(
+        None, description="factor on the friction of boxes alone"
+    )
+    carrier_friction_factor: Annotated[Positives | None, AxisKind("carrier_friction_factor", "1", placement=True)] = (
+        Field(None, description="factor on the friction of the carrier alone")
+    )
+    mass_factor: Annotated[Positives | None, AxisKind("mass_factor", "1", placement=True)] = Field(
+        None, description="factor on the mass of boxes"
+    )
+    size_tolerance_mm: Annotated[Errors | None, AxisKind("size_tolerance_mm", "mm", placement=True)] = Field(
+        None, description="error of each dimension of each box, mm"
+    )
+    size_tolerance_rel: Annotated[Errors | None, AxisKind("size_tolerance_rel", "1", placement=True)] = Field(
+        None, description="the same as a share of the dimension"
+    )
+    placement_error_mm: Annotated[Errors | None, AxisKind("placement_error_mm", "mm", placement=True)] = Field(
+        None, description="error of each box's place in x and in y, mm"
+    )
+    placement_error_x_mm: Annotated[Errors | None, AxisKind("placement_error_x_mm", "mm", placement=True)] = Field(
+        None, description="the same in x alone, mm"
+    )
+    placement_error_y_mm: Annotated[Errors | None, AxisKind("placement_error_y_mm", "mm", placement=True)] = Field(
+        None, description="the same in y alone, mm"
+    )
+    yaw_error_deg: Annotated[Errors | None, AxisKind("yaw_error_deg", "deg", placement=True)] = Field(
+        None, description="turn of each box about the vertical, degrees"
+    )
+    drop_height_mm: Annotated[Heights | None, AxisKind("drop_height_mm", "mm", True, Shape.FIXED)] = Field(
+        None, description="height of release above the place, mm"
+    )
+
+
+AXIS_KINDS: Final[dict[str, AxisKind]] = {
+    name: next(entry for entry in info.metadata if isinstance(entry, AxisKind))
+    for name, info in Axes.model_fields.items()
 }
-"""Every axis a sweep file may have. Order is the order of nesting: the last varies fastest among its half."""
-
-DIRECTIONS_DEG = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
+"""Every axis a sweep file may have, in the order of `Axes`."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +284,11 @@ class Axis:
     def kind(self) -> AxisKind:
         return AXIS_KINDS[self.name]
 
+    @property
+    def random(self) -> bool:
+        """Whether two replicates differ on it."""
+        return any(isinstance(value, Distribution) and value.random for value in self.values)
+
     def pick(self, key: WorldKey) -> Value:
         """One value at random, depending on the key and the axis alone."""
         rng = key.rng(f"design:{self.name}")
@@ -91,147 +301,45 @@ class Axis:
         around zero, else written out."""
         if not isinstance(value, Distribution):
             return value
-        plain = Shape.FIXED if self.kind.kind is Kind.HEIGHT else Shape.NORMAL
-        numbers = [_plain_number(entry, plain) for entry in self.values]
+        numbers = [self._plain_number(entry) for entry in self.values]
         if any(number is None for number in numbers):
             return value.label()
-        number = _plain_number(value, plain)
+        number = self._plain_number(value)
         return value.label() if number is None else number
 
+    def _plain_number(self, value: Value) -> float | None:
+        """The plain number that stands for a value in a sweep file; None where it takes a table."""
+        if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
+            return None
+        if value.shape is Shape.FIXED:
+            return value.centre
+        return value.spread if value.centre == 0 else None
 
-def _plain_number(value: Value, plain: Shape) -> float | None:
-    if not isinstance(value, Distribution) or value.shape is not plain:
-        return None
-    if plain is Shape.FIXED:
-        return value.centre
-    return value.spread if value.centre == 0 else None
+    def described(self) -> object:
+        """The axis as plain JSON values."""
+        if self.continuous:
+            return {"from": self.low, "to": self.high}
+        return [value.label() if isinstance(value, Distribution) else value for value in self.values]
 
 
-def read_axis(name: str, raw: object, continuous_allowed: bool) -> Axis:
-    """One entry of ``[axes]``: a value, a list of them, or a range {from, to, step} or {from, to, count}.
+def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
+    """``[axes]`` as axes by name, in the order of the file; for a validator.
 
     Args:
-        continuous_allowed: whether {from, to} alone is meant, as it is when a sweep samples.
+        sampled: whether values are drawn from the axes, so that {from, to} alone is a continuous range.
 
     Raises:
-        InputError: "axes.scale must be > 0, got -1"; the caller adds the file.
+        ValidationError: names the axis and what it should be.
     """
-    where = f"axes.{name}"
-    if name not in AXIS_KINDS:
-        raise InputError(f"{where}: unknown axis (known: {', '.join(AXIS_KINDS)})")
-    kind = AXIS_KINDS[name].kind
-    if isinstance(raw, dict) and "from" in raw:
-        if kind is not Kind.POSITIVE and kind is not Kind.DIRECTION:
-            raise InputError(f"{where}: a range {{from, to}} is only for numbers, not for {kind.name.lower()} values")
-        return _read_range(name, raw, continuous_allowed)
-    entries = raw if isinstance(raw, list) else [raw]
-    if not entries:
-        raise InputError(f"{where} is empty: give at least one value, or leave the axis out")
-    values = tuple(_read_value(where, kind, entry) for entry in entries)
-    if len(set(values)) != len(values):
-        twice = next(entry for index, entry in enumerate(values) if entry in values[:index])
-        raise InputError(f"{where} holds {_shown(twice)} twice")
-    return Axis(name, values)
+    checked = Axes.model_validate(tables)
+    return {name: _axis(name, getattr(checked, name), sampled) for name in tables}
 
 
-def _read_range(name: str, raw: Mapping[str, Any], continuous_allowed: bool) -> Axis:
-    where = f"axes.{name}"
-    for key in raw:
-        if key not in ("from", "to", "step", "count"):
-            raise InputError(f"{where}.{key}: unknown field of a range (known: from, to, step, count)")
-    low = _number(f"{where}.from", raw["from"])
-    if "to" not in raw:
-        raise InputError(f"{where}.to is missing")
-    high = _number(f"{where}.to", raw["to"])
-    if AXIS_KINDS[name].kind is Kind.POSITIVE and low <= 0:
-        raise InputError(f"{where}.from must be > 0, got {low:g}")
-    if high <= low:
-        raise InputError(f"{where}.to must be > from = {low:g}, got {high:g}")
-    if "step" in raw and "count" in raw:
-        raise InputError(f"{where} has both step and count: give one of them")
-    if "step" in raw:
-        step = _number(f"{where}.step", raw["step"])
-        if step <= 0:
-            raise InputError(f"{where}.step must be > 0, got {step:g}")
-        # A hair more than the quotient, so that 0.1 … 1.6 by 0.1 includes 1.6.
-        count = math.floor((high - low) / step + 1e-9) + 1
-    elif "count" in raw:
-        if not isinstance(raw["count"], int) or isinstance(raw["count"], bool) or raw["count"] < 2:
-            raise InputError(f"{where}.count must be a whole number ≥ 2, got {raw['count']!r}")
-        count = raw["count"]
-        step = (high - low) / (count - 1)
-    elif continuous_allowed:
-        return Axis(name, (), low, high)
-    else:
-        raise InputError(f"{where} needs step or count: a grid has no continuous axes")
-    if count > MAX_AXIS_VALUES:
-        raise InputError(f"{where} has {count:,} values, more than {MAX_AXIS_VALUES:,}")
-    return Axis(name, tuple(round(low + index * step, 12) for index in range(count)))
-
-
-def _read_value(where: str, kind: Kind, raw: object) -> Value:
-    if kind is Kind.PROFILE:
-        if not isinstance(raw, str):
-            raise InputError(f"{where} must hold names of profiles, got {raw!r}")
-        return raw
-    if kind is Kind.POSITIVE:
-        number = _number(where, raw)
-        if number <= 0:
-            raise InputError(f"{where} must be > 0, got {number:g}")
-        return number
-    if kind is Kind.DIRECTION:
-        if isinstance(raw, str):
-            if raw not in DIRECTIONS_DEG:
-                raise InputError(f"{where} must be degrees or one of {', '.join(DIRECTIONS_DEG)}, got {raw!r}")
-            return DIRECTIONS_DEG[raw]
-        return _number(where, raw)
-    return _read_distribution(where, kind, raw)
-
-
-def _read_distribution(where: str, kind: Kind, raw: object) -> Distribution:
-    if not isinstance(raw, dict):
-        number = _number(where, raw)
-        if number < 0:
-            raise InputError(f"{where} must be ≥ 0, got {number:g}")
-        if kind is Kind.HEIGHT:
-            return Distribution(Shape.FIXED, number)
-        return Distribution(Shape.NORMAL, 0.0, number)
-    table = dict(raw)
-    shape = table.pop("distribution", None)
-    fields = {"normal": ("mean", "sd"), "uniform": ("low", "high"), "fixed": ("value",)}
-    if shape not in fields:
-        raise InputError(f"{where}.distribution must be one of normal, uniform, fixed, got {shape!r}")
-    for key in table:
-        if key not in fields[shape]:
-            raise InputError(f"{where}.{key}: unknown field of a {shape} distribution (known: {fields[shape]})")
-    if shape == "normal":
-        spread = _field(where, table, "sd")
-        if spread < 0:
-            raise InputError(f"{where}.sd must be ≥ 0, got {spread:g}")
-        return Distribution(Shape.NORMAL, _field(where, table, "mean", 0.0), spread)
-    if shape == "uniform":
-        low, high = _field(where, table, "low"), _field(where, table, "high")
-        if high < low:
-            raise InputError(f"{where}.high must be ≥ low = {low:g}, got {high:g}")
-        return Distribution(Shape.UNIFORM, (low + high) / 2, (high - low) / 2)
-    return Distribution(Shape.FIXED, _field(where, table, "value"))
-
-
-def _field(where: str, table: Mapping[str, object], key: str, default: float | None = None) -> float:
-    if key not in table:
-        if default is None:
-            raise InputError(f"{where}.{key} is missing")
-        return default
-    return _number(f"{where}.{key}", table[key])
-
-
-def _number(where: str, raw: object) -> float:
-    if not isinstance(raw, int | float) or isinstance(raw, bool) or not math.isfinite(raw):
-        raise InputError(f"{where} must be a finite number, got {raw!r}")
-    return float(raw)
-
-
-def _shown(value: Value) -> str:
-    if isinstance(value, Distribution):
-        return value.label()
-    return repr(value) if isinstance(value, str) else f"{value:g}"
+def _axis(name: str, given: Any, sampled: bool) -> Axis:
+    if not isinstance(given, Range):
+        return Axis(name, given if isinstance(given, tuple) else (given,))
+    if not given.continuous:
+        return Axis(name, given.values())
+    if not sampled:
+        raise complaint("needs step or count: a grid has no continuous axes", name)
+    return Axis(name, (), given.low, given.high)

@@ -2,108 +2,258 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    PlainValidator,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
 
-from petmjx.checked import describe
+from petmjx.checked import LIST, VALUE, Checked, complaint, read_toml, shape
 from petmjx.config import Simulation
 from petmjx.errors import InputError
-from petmjx.sweeps.axes import Axis, read_axis
-from petmjx.world.profiles.registry import Profile, Strength, define_profile, resolve
-from petmjx.world.variants import Distribution
+from petmjx.sweeps.axes import MAX_STRENGTH, Axis, read_axes
+from petmjx.units import FloatArray
+from petmjx.world.profiles.base import Profile, Strength
+from petmjx.world.profiles.registry import resolve
+from petmjx.world.profiles.tables import define_profiles
 
-SAMPLES = "samples"
+SAMPLES: Final = "samples"
 """Value of ``plans`` that stands for the samples petmjx brings along."""
 
-DEFAULT_TOLERANCE = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
+DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
 """To what a search narrows the largest level survived (g) or scale."""
 
-MAX_SEARCH_LEVELS = 1_000_000
+MAX_SEARCH_LEVELS: Final = 1_000_000
+MAX_REPEATS: Final = 2**31 - 1
+"""Largest number of samples or replicates; the results hold it in 32 bits."""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Search(_Table):
+class Search(Checked):
     """``[search]``: instead of an axis ``level`` or ``scale``, find the largest one survived."""
 
-    lower: float = Field(0.0, ge=0)
-    upper: float = Field(2.0, gt=0)
-    tolerance: float | None = Field(None, gt=0)
-    sections: int = Field(3, ge=1, le=1000)
+    lower: StrictFloat = Field(0.0, ge=0, description="lowest level (g) or scale")
+    upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
+    tolerance: StrictFloat | None = Field(
+        None, gt=0, description="to what the largest one survived is narrowed; by default 0.01 g, or a scale of 0.02"
+    )
+    sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested per round")
+
+    @model_validator(mode="after")
+    def _upper_above_lower(self) -> Self:
+        if self.upper <= self.lower:
+            raise complaint(f"must be > lower = {self.lower:g}, got {self.upper:g}", "upper")
+        return self
+
+    def levels(self, tolerance: float) -> FloatArray:
+        """(n,) the levels that can be tested, from ``lower`` on."""
+        count = round((self.upper - self.lower) / tolerance) + 1
+        return np.round(self.lower + np.arange(count) * tolerance, 12)
+
+    def tests(self, n_levels: int) -> int:
+        """Worlds that one question needs, at most: rounds × levels a round."""
+        tests = 0
+        while n_levels > 0:
+            tests += min(self.sections, n_levels)
+            n_levels = -(-(n_levels - min(self.sections, n_levels)) // (self.sections + 1))
+        return tests
 
 
-class _File(_Table):
-    """The whole file; ``axes`` and ``profiles`` are read by hand, because their keys are data."""
-
-    name: str | None = None
-    description: str = ""
-    plans: str | list[str] | None = None
-    mode: Literal["grid", "sample"] = "grid"
-    sample: int | None = Field(None, ge=1)
-    seed: int = Field(0, ge=0)
-    replicates: int = Field(1, ge=1)
-    nominal: bool = False
-    shifts_from: Literal["plan", "release"] = "plan"
-    simulation: Simulation = Simulation()
-    search: Search | None = None
-    axes: dict[str, Any] = {}
-    profiles: dict[str, Any] = {}
+def _plan_paths(plans: str) -> str | tuple[Path, ...]:
+    return plans if plans == SAMPLES else (Path(plans),)
 
 
-class Sweep(BaseModel):
-    """A checked sweep.
+def _own_profiles(tables: Any, info: ValidationInfo) -> dict[str, Profile]:
+    return define_profiles(tables, info.context.parent if isinstance(info.context, Path) else Path())
 
-    Attributes:
-        file: as the user named it, for messages.
-        plans: paths of plan files, ``"samples"``, or None where the file names none.
-        n_sample: number of variants drawn at random; None for the full grid.
-        seed: with plan id and replicate it determines every random number.
-        replicates: repetitions with random numbers of their own.
-        nominal: whether variant 0, the unchanged world without a drive, is simulated too.
-        axes: by name, in the order of `petmjx.sweepaxes.AXIS_KINDS`.
-        profiles: those the sweep uses, by name.
-    """
 
-    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
+def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
+    """Axes by name, with profiles instead of families of them."""
+    axes = read_axes(tables, info.data.get("mode") == "sample")
+    if "profile" in axes:
+        names: list[str] = []
+        for value in axes["profile"].values:
+            try:
+                found = resolve(str(value), info.data.get("own_profiles"))
+            except InputError as error:
+                raise complaint(f": {error}", "profile") from None
+            names += [profile.name for profile in found]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise complaint(f"holds {twice[0]!r} twice", "profile")
+        axes["profile"] = Axis("profile", tuple(names))
+    return axes
 
-    file: str
-    name: str
-    description: str
-    plans: Literal["samples"] | tuple[Path, ...] | None
-    n_sample: int | None
-    seed: int
-    replicates: int
-    nominal: bool
-    shifts_from_release: bool
-    simulation: Simulation
-    search: Search | None
-    axes: dict[str, Axis]
-    profiles: dict[str, Any]
+
+class Sweep(Checked):
+    """A checked sweep file."""
+
+    name: str = Field("", description="name of the sweep; by default the file's")
+    description: str = Field("", description="what it asks")
+    plans: (
+        Annotated[
+            Annotated[tuple[Path, ...], Tag(LIST)] | Annotated[str, AfterValidator(_plan_paths), Tag(VALUE)],
+            Discriminator(shape),
+        ]
+        | None
+    ) = Field(None, description='a path, a list of paths (from the file\'s folder), or "samples"')
+    mode: Literal["grid", "sample"] = Field("grid", description="every combination, or random ones")
+    sample: StrictInt | None = Field(None, ge=1, le=MAX_REPEATS, description="number of random combinations")
+    seed: StrictInt = Field(
+        0, ge=0, lt=2**63, description="with plan id and replicate it determines every random number"
+    )
+    replicates: StrictInt = Field(1, ge=1, le=MAX_REPEATS, description="repetitions of everything random")
+    nominal: StrictBool = Field(
+        False, description="whether variant 0, the unchanged world without a drive, is simulated too"
+    )
+    shifts_from: Literal["plan", "release"] = Field("plan", description="from where shifts are measured")
+    simulation: Simulation = Field(Simulation(), description="how worlds are simulated")
+    search: Search | None = Field(None, description="what to search for instead of an axis level or scale")
+    own_profiles: Annotated[dict[str, Any], PlainValidator(_own_profiles)] = Field(
+        {}, alias="profiles", description="the file's own profiles, by name"
+    )
+    axes: Annotated[dict[str, Axis], PlainValidator(_named_axes)] = Field(
+        {}, description="what is varied: axes by name, in the order of the file"
+    )
+
+    _file: Path | None = None
+
+    def model_post_init(self, context: Any) -> None:
+        """The context of reading is the file's path."""
+        self._file = context
+
+    @property
+    def file(self) -> str:
+        """The file as the user named it, for messages."""
+        return str(self._file or self.name)
+
+    @cached_property
+    def profiles(self) -> dict[str, Profile]:
+        """The profiles the sweep uses, by name."""
+        names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
+        return {name: resolve(name, self.own_profiles)[0] for name in names}
 
     def profile(self, name: str) -> Profile:
         """A profile the sweep uses."""
-        found: Profile = self.profiles[name]
-        return found
+        return self.profiles[name]
+
+    @property
+    def strength(self) -> Strength:
+        """What a search looks for: a level, or a scale. Its value is the name of the axis."""
+        levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
+        return Strength.LEVEL if levels else Strength.SCALE
+
+    @cached_property
+    def search_levels(self) -> FloatArray:
+        """(n,) the levels a search can test: from lower to upper by its tolerance. Index 0 is `lower`."""
+        return np.zeros(0) if self.search is None else self.search.levels(self._tolerance)
+
+    @property
+    def _tolerance(self) -> float:
+        given = self.search.tolerance if self.search is not None else None
+        return given or DEFAULT_TOLERANCE[self.strength]
 
     def resolved(self) -> dict[str, Any]:
         """What is written beside the results: every setting, defaults included, as plain JSON values."""
-        record = self.model_dump(mode="json", exclude={"axes", "profiles"})
-        record["axes"] = {
-            name: {"from": axis.low, "to": axis.high} if axis.continuous else [_plain(value) for value in axis.values]
-            for name, axis in self.axes.items()
-        }
+        record = {"file": self.file, **self.model_dump(mode="json", exclude={"axes", "own_profiles"})}
+        if self.search is not None:
+            record["search"]["tolerance"] = self._tolerance
+        record["axes"] = {name: axis.described() for name, axis in self.axes.items()}
         record["profiles"] = {name: {"kind": p.kind, "source": p.source} for name, p in self.profiles.items()}
         return record
 
+    # What contradicts what.
 
-def _plain(value: float | str | Distribution) -> float | str:
-    return value.label() if isinstance(value, Distribution) else value
+    @model_validator(mode="after")
+    def _mode(self) -> Self:
+        if self.mode == "grid":
+            if self.sample is not None:
+                raise complaint('contradicts mode = "grid": set mode = "sample"', "sample")
+            return self
+        if self.sample is None:
+            raise complaint('is missing: mode = "sample" needs the number of variants to draw', "sample")
+        if self.search is not None:
+            raise ValueError('[search] contradicts mode = "sample": a search needs the full grid of the other axes')
+        if self.replicates > 1:
+            raise complaint('contradicts mode = "sample": every sample has random numbers of its own', "replicates")
+        return self
+
+    @model_validator(mode="after")
+    def _search_has_one_strength(self) -> Self:
+        if self.search is None:
+            return self
+        for axis in (Strength.LEVEL, Strength.SCALE):
+            if axis in self.axes:
+                raise _contradiction(axis, f"[search], which looks for the largest {axis}: drop one of them")
+        if not self.profiles:
+            raise ValueError("[search] needs axes.profile: without a profile there is no level to search for")
+        for name, profile in self.profiles.items():
+            if profile.strength is Strength.ANGLE:
+                raise ValueError(
+                    f"[search] cannot be used with profile {name!r}, which itself passes through all its angles"
+                )
+            if profile.strength is not self.strength:
+                raise ValueError("[search] needs profiles of one kind: some of these have a level in g, others a scale")
+        if (self.search.upper - self.search.lower) / self._tolerance > MAX_SEARCH_LEVELS:
+            raise complaint(f"{self._tolerance:g} makes more than {MAX_SEARCH_LEVELS:,} levels", "search", "tolerance")
+        return self
+
+    @model_validator(mode="after")
+    def _strengths_fit_profiles(self) -> Self:
+        axes = self.axes
+        for name in ("scale", "level", "direction"):
+            if name in axes and not self.profiles:
+                raise complaint("needs axes.profile: without a profile there is nothing to apply it to", "axes", name)
+        if "scale" in axes and "level" in axes:
+            raise _contradiction("scale", "axes.level: both set how strong the profile is; drop one of them")
+        for name, profile in self.profiles.items():
+            wrong = next((other for other in ("scale", "level") if other in axes and other != profile.strength), None)
+            if wrong is None:
+                continue
+            why = {
+                Strength.ANGLE: "whose strength is its angle",
+                Strength.LEVEL: "whose strength is a level in g: use axes.level",
+                Strength.SCALE: "which has no level in g: use axes.scale",
+            }
+            raise _contradiction(wrong, f"profile {name!r}, {why[profile.strength]}")
+        return self
+
+    @model_validator(mode="after")
+    def _axes_do_not_overlap(self) -> Self:
+        for general, parts in (
+            ("friction_factor", ("box_friction_factor", "carrier_friction_factor")),
+            ("placement_error_mm", ("placement_error_x_mm", "placement_error_y_mm")),
+        ):
+            for part in parts:
+                if general in self.axes and part in self.axes:
+                    raise _contradiction(general, f"axes.{part}: drop one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _something_varies(self) -> Self:
+        if not self.axes and not self.nominal:
+            text = "is empty: nothing is varied (nominal = true simulates the unchanged plans)"
+            raise complaint(text, "axes")
+        varies = [axis.random for axis in self.axes.values()] + [each.random for each in self.profiles.values()]
+        if self.replicates > 1 and not any(varies):
+            raise ValueError(f"replicates = {self.replicates} needs something random: no axis and no profile is")
+        return self
+
+
+def _contradiction(axis: str, other: str) -> ValueError:
+    return complaint(f"contradicts {other}", "axes", axis)
 
 
 def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None) -> Sweep:
@@ -119,164 +269,37 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
             "sweeps/x.toml: axes.scale must be > 0, got -1".
     """
     path = Path(path)
+    tables = read_toml(path)
     try:
-        with path.open("rb") as stream:
-            raw = tomllib.load(stream)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such sweep file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        sweep = _check(raw, path, plans_given)
+        sweep = Sweep.read({"name": path.stem, **tables}, context=path)
+        changes: dict[str, Any] = {"plans": None if plans_given else _existing(sweep.plans, path.parent)}
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    if not simulation:
-        return sweep
-    return sweep.model_copy(update={"simulation": sweep.simulation.changed(**simulation)})
+    if simulation:
+        changes["simulation"] = sweep.simulation.changed(**simulation)
+    return sweep.model_copy(update=changes)
 
 
-def nominal_sweep(sim: Simulation) -> Sweep:
-    """The sweep with one variant, the unchanged plan: a score."""
-    return Sweep(
-        file="",
-        name="nominal",
-        description="",
-        plans=None,
-        n_sample=None,
-        seed=0,
-        replicates=1,
-        nominal=True,
-        shifts_from_release=False,
-        simulation=sim,
-        search=None,
-        axes={},
-        profiles={},
-    )
-
-
-def _check(raw: Mapping[str, Any], path: Path, plans_given: bool) -> Sweep:
-    try:
-        file = _File.model_validate(raw)
-    except ValidationError as error:
-        raise InputError(describe(error)) from None
-    if file.mode == "sample" and file.sample is None:
-        raise InputError('sample is missing: mode = "sample" needs the number of variants to draw')
-    if file.mode == "grid" and file.sample is not None:
-        raise InputError('sample contradicts mode = "grid": set mode = "sample"')
-    defined: dict[str, Profile] = {}
-    for name, table in file.profiles.items():
-        if not isinstance(table, dict):
-            raise InputError(f"profiles.{name} must be a table, got {table!r}")
-        defined[name] = define_profile(name, table, path.parent, defined)
-    axes = {name: read_axis(name, value, file.mode == "sample") for name, value in file.axes.items()}
-    profiles: dict[str, Profile] = {}
-    if "profile" in axes:
-        for value in axes["profile"].values:
-            try:
-                found = resolve(str(value), defined)
-            except InputError as error:
-                raise InputError(f"axes.profile: {error}") from None
-            for profile in found:
-                if profile.name in profiles:
-                    raise InputError(f"axes.profile holds {profile.name!r} twice")
-                profiles[profile.name] = profile
-        axes["profile"] = Axis("profile", tuple(profiles))
-    sweep = Sweep(
-        file=str(path),
-        name=file.name or path.stem,
-        description=file.description,
-        plans=_find_plans(file.plans, path.parent, plans_given),
-        n_sample=file.sample,
-        seed=file.seed,
-        replicates=file.replicates,
-        nominal=file.nominal,
-        shifts_from_release=file.shifts_from == "release",
-        simulation=file.simulation,
-        search=_check_search(file, axes, profiles),
-        axes=axes,
-        profiles=profiles,
-    )
-    _refuse_contradictions(sweep)
-    return sweep
-
-
-def _find_plans(
-    plans: str | list[str] | None, folder: Path, plans_given: bool
-) -> Literal["samples"] | tuple[Path, ...] | None:
-    if plans_given:
-        return None
+def _existing(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
+    """Plan files from the sweep file's folder on."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip
-    if plans == SAMPLES:
-        return "samples"
-    names = [plans] if isinstance(plans, str) else plans
-    if not names:
+    if isinstance(plans, str):
+        return plans
+    if not plans:
         raise InputError("plans is empty: name at least one plan file")
-    paths = tuple(folder / name for name in names)
+    paths = tuple(folder / plan for plan in plans)
     for path in paths:
-        if not path.exists():
+        try:
+            there = path.exists()
+        except OSError:  # a name that is too long, for instance
+            there = False
+        if not there:
             raise InputError(f"plans: no such file or folder: {path}")
     return paths
 
 
-def _check_search(file: _File, axes: Mapping[str, Axis], profiles: Mapping[str, Profile]) -> Search | None:
-    search = file.search
-    if search is None:
-        return None
-    for name in ("level", "scale"):
-        if name in axes:
-            raise InputError(f"axes.{name} contradicts [search], which looks for the largest {name}: drop one of them")
-    if file.mode == "sample":
-        raise InputError('[search] contradicts mode = "sample": a search needs the full grid of the other axes')
-    if not profiles:
-        raise InputError("[search] needs axes.profile: without a profile there is no level to search for")
-    strengths = {profile.strength for profile in profiles.values()}
-    if Strength.ANGLE in strengths:
-        name = next(name for name, profile in profiles.items() if profile.strength is Strength.ANGLE)
-        raise InputError(f"[search] cannot be used with profile {name!r}, which itself passes through all its angles")
-    if len(strengths) > 1:
-        raise InputError("[search] needs profiles of one kind: some of these have a level in g, others a scale")
-    strength = strengths.pop()
-    if search.upper <= search.lower:
-        raise InputError(f"search.upper must be > lower = {search.lower:g}, got {search.upper:g}")
-    tolerance = search.tolerance or DEFAULT_TOLERANCE[strength]
-    if (search.upper - search.lower) / tolerance > MAX_SEARCH_LEVELS:
-        raise InputError(f"search.tolerance {tolerance:g} makes more than {MAX_SEARCH_LEVELS:,} levels")
-    return search.model_copy(update={"tolerance": tolerance})
-
-
-def _refuse_contradictions(sweep: Sweep) -> None:
-    axes, profiles = sweep.axes, sweep.profiles
-    for name in ("scale", "level", "direction"):
-        if name in axes and not profiles:
-            raise InputError(f"axes.{name} needs axes.profile: without a profile there is nothing to apply it to")
-    if "scale" in axes and "level" in axes:
-        raise InputError("axes.scale contradicts axes.level: both set how strong the profile is; drop one of them")
-    for name, profile in profiles.items():
-        if profile.strength is Strength.ANGLE:
-            for axis in ("scale", "level"):
-                if axis in axes:
-                    raise InputError(f"axes.{axis} contradicts profile {name!r}, whose strength is its angle")
-        elif "level" in axes and profile.strength is not Strength.LEVEL:
-            raise InputError(f"axes.level contradicts profile {name!r}, which has no level in g: use axes.scale")
-        elif "scale" in axes and profile.strength is Strength.LEVEL:
-            raise InputError(f"axes.scale contradicts profile {name!r}, whose strength is a level in g: use axes.level")
-    for general, parts in (
-        ("friction_factor", ("box_friction_factor", "carrier_friction_factor")),
-        ("placement_error_mm", ("placement_error_x_mm", "placement_error_y_mm")),
-    ):
-        for part in parts:
-            if general in axes and part in axes:
-                raise InputError(f"axes.{general} contradicts axes.{part}: drop one of them")
-    errors = any(isinstance(v, Distribution) and v.random for axis in axes.values() for v in axis.values)
-    if sweep.replicates > 1 and sweep.n_sample is not None:
-        raise InputError('replicates contradicts mode = "sample": every sample has random numbers of its own')
-    if sweep.replicates > 1 and not errors and not any(profile.random for profile in profiles.values()):
-        raise InputError(f"replicates = {sweep.replicates} needs something random: no axis and no profile is")
-    if not axes and not sweep.nominal:
-        raise InputError("axes is empty: nothing is varied (nominal = true simulates the unchanged plans)")
+def nominal_sweep(sim: Simulation) -> Sweep:
+    """The sweep with one variant, the unchanged plan: a score."""
+    return Sweep(name="nominal", nominal=True, simulation=sim)

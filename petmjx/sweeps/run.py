@@ -15,7 +15,8 @@ from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, World, WorldResult, score_worlds
 from petmjx.plans.plan import Plan
-from petmjx.sweeps.grid import PlacementGroup, SearchItem, SweepPlan
+from petmjx.sweeps.design import SearchItem
+from petmjx.sweeps.grid import PlacementGroup, SweepPlan
 from petmjx.sweeps.search import Bisection
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.job import Job

@@ -20,7 +20,7 @@ from petmjx.sweeps.run import Answer, SweptWorld
 from petmjx.sweeps.search import failure_mode
 from petmjx.sweeps.shares import SUMMARY_UNITS, share_standing
 from petmjx.verdict import Outcome, Verdict
-from petmjx.world.profiles.registry import Tilt
+from petmjx.world.profiles.acceleration import Tilt
 
 RANGE_BINS = 8
 """Equal parts into which the summary divides an axis whose values were drawn from a range."""

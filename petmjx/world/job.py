@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-from petmjx.units import FloatArray
+from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.scene import Scene
+
+FORCE: Final = "force"
+ACCELERATION: Final = "acceleration"
+"""Kinds of excitations, and of the profiles that they are made from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,7 +19,7 @@ class Excitation:
 
     Attributes:
         name: for messages.
-        kind: "force" (on the carrier, samples in units of scale × total mass × g) or "acceleration"
+        kind: "force" (on the carrier, samples in units of total mass × 9.81 m/s²) or "acceleration"
             (of the carrier, samples in m/s²; simulated as gravity − a with the carrier held fast).
         samples: (n_steps, 3); row i acts during step i + 1 of the profile; zero beyond its end.
     """
@@ -34,6 +38,14 @@ class Drive:
     yaw_rad: float = 0.0
     rest_s: float = 1.0
     """Time to come to rest after the last sample of the excitation."""
+
+    def unit(self, total_mass: float) -> float:
+        """The unit of the excitation's samples: N for forces, m/s² for accelerations.
+
+        That of a force is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², whatever gravity the physics has: it is
+        the reference implementation's unit, and a force does not become weaker where things weigh less.
+        """
+        return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 
 
 @dataclass(frozen=True, eq=False)

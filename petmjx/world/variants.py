@@ -20,9 +20,6 @@ from petmjx.units import FloatArray, mm_to_m
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene
 
-NOMINAL_INDEX = 0
-"""The variant index of the plan's unchanged world."""
-
 MIN_SIZE_FRACTION = 0.1
 """No drawn size falls below this fraction of the planned one: a box must keep a positive extent."""
 
@@ -153,13 +150,6 @@ class Variant:
         """Equal for variants of one plan that share a placement. Replicates share it unless something random
         happens while boxes are placed."""
         return (self.placement, self.replicate if self.placement.random else 0)
-
-    def apply(self, scene: Scene, plan_id: str, seed: int) -> Scene:
-        """The scene of this variant; see `apply`."""
-        return apply(scene, plan_id, self, seed)
-
-
-NOMINAL = Variant(NOMINAL_INDEX)
 
 
 def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from petmjx.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import NOMINAL, Distribution, DriveSpec, PlacementChange, Shape, Variant, apply
+from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, Shape, Variant, apply
 
 NORMAL_5 = Distribution(Shape.NORMAL, 0.0, 5.0)
 
@@ -58,8 +59,7 @@ def deepest_vertical_overlap(scene: Scene) -> float:
 
 def test_the_nominal_variant_changes_nothing() -> None:
     scene = stack()
-    assert NOMINAL.index == 0
-    assert NOMINAL.apply(scene, "plan", 0) is scene
+    assert apply(scene, "plan", Variant(0), 0) is scene
     driven = Variant(5, drive=DriveSpec("radial", 2.0, 90.0))
     assert apply(scene, "plan", driven, 0) is scene
 
@@ -175,7 +175,7 @@ def test_random_numbers_depend_on_seed_plan_and_replicate_alone() -> None:
     assert len(set(forwards.values())) == len(keys)
     one = Variant(3, PlacementChange(x_mm=NORMAL_5))
     other = Variant(77, PlacementChange(x_mm=NORMAL_5), DriveSpec("radial"))
-    np.testing.assert_array_equal(one.apply(scene, "a", 0).start_pos, other.apply(scene, "a", 0).start_pos)
+    np.testing.assert_array_equal(apply(scene, "a", one, 0).start_pos, apply(scene, "a", other, 0).start_pos)
 
 
 def test_levels_of_an_error_share_their_draws_and_axes_do_not_disturb_each_other() -> None:

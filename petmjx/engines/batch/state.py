@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.units import STANDARD_GRAVITY
 from petmjx.world.job import Job
 from petmjx.world.scene import IDENTITY_QUAT
 
@@ -203,12 +202,8 @@ def _direction(job: Job) -> tuple[float, float]:
 
 
 def _drive_factor(job: Job) -> float:
-    """What a profile's samples are multiplied by: newtons for forces, the bare scale for accelerations."""
-    if job.drive is None:
-        return 0.0
-    if job.drive.excitation.kind == "force":
-        return job.drive.scale * job.scene.total_mass * STANDARD_GRAVITY
-    return job.drive.scale
+    """What a profile's samples are multiplied by."""
+    return job.drive.scale * job.drive.unit(job.scene.total_mass) if job.drive is not None else 0.0
 
 
 @partial(jax.jit, static_argnames=("all_placed", "rest_steps"))

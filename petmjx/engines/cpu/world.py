@@ -290,9 +290,7 @@ class WorldRun:
             return
         cos, sin = np.cos(drive.yaw_rad), np.sin(drive.yaw_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        rows = drive.scale * drive.excitation.samples @ turn.T
-        if drive.excitation.kind == "force":
-            rows = rows * (self._scene.total_mass * self._sim.physics.gravity_m_s2)
+        rows = (drive.scale * drive.excitation.samples @ turn.T) * drive.unit(self._scene.total_mass)
         # One more row than the excitation: what acts after it.
         self._rows: FloatArray = np.vstack((rows, np.zeros((1, 3))))
         changes = np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from petmjx.units import STANDARD_GRAVITY, FloatArray
-from petmjx.world.job import Excitation
-from petmjx.world.profiles.base import ACCELERATION, Strength, step_averages, steps_to_cover
+from petmjx.world.job import ACCELERATION, Excitation
+from petmjx.world.profiles.base import Profile, Strength, step_averages, steps_to_cover
 from petmjx.world.random import WorldKey
 
 EUMOS_RAMP_S = 0.05
@@ -129,15 +129,6 @@ class Tilt:
     def n_steps(self, timestep_s: float) -> int:
         return steps_to_cover(self.rise_s + self.hold_s + self.return_s, timestep_s)
 
-    def angle_at(self, step: int, timestep_s: float) -> float:
-        """Tilt in degrees that acts during step ``step`` of the profile (1 is the first; 0 gives 0°).
-
-        A world that shows its first sign at time t after the drive's start fails at
-        ``angle_at(round(t / timestep_s), timestep_s)``, give or take one sample interval.
-        """
-        times_s = np.array([step * timestep_s])
-        return float(self._angles_deg(times_s)[0])
-
     def _angles_deg(self, time_s: FloatArray) -> FloatArray:
         corners_s = np.cumsum([0.0, self.rise_s, self.hold_s, self.return_s])
         return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
@@ -180,3 +171,7 @@ class HalfSine:
         magnitude = STANDARD_GRAVITY * step_averages(covered, timestep_s)
         axis = np.asarray(self.axis)
         return Excitation(self.name, self.kind, magnitude[:, None] * (axis / np.linalg.norm(axis)))
+
+
+BUILT_IN_ACCELERATIONS: tuple[Profile, ...] = (eumos_40509(), *en_12195_1(), Tilt(), HalfSine())
+"""A new acceleration of petmjx's own is defined above, listed here, and described in docs/profiles.md."""

@@ -11,8 +11,8 @@ from petmjx.units import FloatArray
 from petmjx.world.job import Excitation
 from petmjx.world.random import WorldKey
 
-FORCE = "force"
-ACCELERATION = "acceleration"
+MAX_PROFILE_S = 3600.0
+"""No profile is longer: its samples are held in memory, 24 bytes a step."""
 
 
 class Strength(StrEnum):
@@ -74,5 +74,5 @@ def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> Flo
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Steps needed to cover a duration; a billionth of a step of rounding does not add one."""
-    return int(np.ceil(duration_s / timestep_s - 1e-9))
+    """Steps needed to cover a duration, at least one; a billionth of a step of rounding does not add one."""
+    return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)

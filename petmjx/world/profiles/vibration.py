@@ -2,64 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from petmjx.errors import InputError
 from petmjx.units import STANDARD_GRAVITY, FloatArray
-from petmjx.world.job import Excitation
-from petmjx.world.profiles.base import ACCELERATION, Strength, steps_to_cover
+from petmjx.world.job import ACCELERATION, Excitation
+from petmjx.world.profiles.base import Strength, steps_to_cover
 from petmjx.world.random import WorldKey
 
 PsdTable = tuple[tuple[float, float], ...]
-
-
-def check_psd(rows: PsdTable, where: str) -> PsdTable:
-    """Refuse tables that are no PSD: fewer than two rows, frequencies not rising, values not > 0."""
-    if len(rows) < 2:
-        raise InputError(f"{where} needs at least two rows (frequency in Hz, g²/Hz), got {len(rows)}")
-    for number, (frequency_hz, density) in enumerate(rows):
-        for label, value in (("frequency", frequency_hz), ("density", density)):
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{where}, row {number}: {label} must be finite and > 0, got {value:g}")
-        if number and frequency_hz <= rows[number - 1][0]:
-            raise InputError(f"{where}, row {number}: frequencies must rise, got {frequency_hz:g} Hz after "
-                             f"{rows[number - 1][0]:g} Hz")  # fmt: skip
-    return rows
-
-
-def read_psd_csv(path: Path) -> PsdTable:
-    """Two columns, Hz and g²/Hz, with or without a header line; lines that begin with # are comments.
-
-    Raises:
-        InputError: the file cannot be read, or a row is not two numbers.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            lines = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a PSD table: {error}") from None
-    if lines and not _is_number(lines[0][0]):
-        lines = lines[1:]
-    rows = []
-    for number, line in enumerate(lines):
-        if len(line) != 2 or not all(_is_number(cell) for cell in line):
-            raise InputError(f"{path}, row {number}: expected two numbers (Hz, g²/Hz), got {','.join(line)!r}")
-        rows.append((float(line[0]), float(line[1])))
-    return check_psd(tuple(rows), str(path))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+"""Rows of (Hz, g²/Hz), frequencies rising."""
 
 
 def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:

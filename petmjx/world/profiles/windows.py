@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from petmjx.units import seconds_to_steps
-from petmjx.world.job import Excitation
-from petmjx.world.profiles.base import FORCE, Strength
+from petmjx.world.job import FORCE, Excitation
+from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.random import WorldKey
 
 Vector = tuple[float, float, float]
@@ -60,8 +60,13 @@ class WindowProfile:
     strength: Strength = Strength.SCALE
     random: bool = False
 
+    @property
+    def end_s(self) -> float:
+        """When its last window ends, s."""
+        return max(window.absolute_s(0.0)[1] for window in self.windows)
+
     def n_steps(self, timestep_s: float) -> int:
-        return max(seconds_to_steps(window.absolute_s(0.0)[1], timestep_s) for window in self.windows)
+        return max(seconds_to_steps(self.end_s, timestep_s), 1)
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
         """Windows act from step int(begin/dt) to step int(end/dt) of absolute time.
@@ -75,7 +80,7 @@ class WindowProfile:
             begin = seconds_to_steps(begin_s, timestep_s) - first_step
             end = seconds_to_steps(end_s, timestep_s) - first_step
             spans.append((begin, end, window.vector))
-        samples = np.zeros((max(end for _, end, _ in spans), 3))
+        samples = np.zeros((max(1, *(end for _, end, _ in spans)), 3))
         if self.replaces:
             spans = _one_at_a_time(spans)
         for begin, end, vector in spans:
@@ -184,3 +189,6 @@ RADIAL_CHAIN = chain(
 (``settle_s``) after the nominal end of placement, n × interval, so its first push comes another 2 s later.
 From the third profile on, the last two pushes of each coincide with two of the next (at 10.1 and 10.4 s first);
 the reference then applies one push only, and so does this profile."""
+
+BUILT_IN_FORCES: tuple[Profile, ...] = (RADIAL, JOLTS, SINE, RADIAL_CHAIN)
+"""A new force profile of petmjx's own is defined above, listed here, and described in docs/profiles.md."""

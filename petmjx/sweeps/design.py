@@ -1,0 +1,221 @@
+"""What a sweep varies: its variants, the same for every plan, counted and enumerated."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from petmjx.sweeps.axes import AXIS_KINDS, Axis, Value
+from petmjx.sweeps.file import Sweep
+from petmjx.world.profiles.base import Profile
+from petmjx.world.random import WorldKey
+from petmjx.world.variants import ZERO, Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
+
+Point = Mapping[str, Value]
+"""A value on each axis, by the axis's name."""
+
+
+@dataclass(frozen=True)
+class SearchItem:
+    """One question of a search: how much of this profile in this direction does a placement survive?"""
+
+    profile: str
+    direction_deg: float
+
+
+@dataclass(eq=False)
+class Design:
+    """The variants of a sweep.
+
+    They are numbered from 1 in the order of the axes; 0 is the nominal world, which is simulated only where the sweep
+    asks for it. Counting never enumerates a grid, so that one that is too large is refused at once.
+    """
+
+    sweep: Sweep
+
+    @property
+    def parameter_columns(self) -> dict[str, str]:
+        """Result column → unit ("1" for factors, "" for names)."""
+        columns = {axis.kind.column: axis.kind.unit for axis in self.sweep.axes.values()}
+        if self.sweep.search is not None:
+            strength = AXIS_KINDS[self.sweep.strength]
+            columns[strength.column] = strength.unit
+        if self._has_replicates:
+            columns["replicate"] = ""
+        return columns
+
+    @property
+    def _has_replicates(self) -> bool:
+        return self.sweep.replicates > 1 or self.sweep.sample is not None
+
+    # Counting.
+
+    @property
+    def n_variants(self) -> int:
+        """Variants a plan, nominal included; in a search: at most, were every item to test all its rounds."""
+        sweep = self.sweep
+        nominal = int(sweep.nominal)
+        if sweep.sample is not None:
+            return sweep.sample + nominal
+        per_profile = _n_points(axis for axis in self._drive_axes if axis.name != "profile")
+        profiles: list[Profile | None] = [*sweep.profiles.values()] or [None]
+        total = 0
+        for points, repeats in self._placement_counts():
+            for profile in profiles:
+                again = sweep.replicates if repeats == 1 and profile is not None and profile.random else 1
+                total += points * repeats * again * per_profile
+        if sweep.search is not None:
+            total *= sweep.search.tests(len(sweep.search_levels))
+        return total + nominal
+
+    @property
+    def n_placements(self) -> int:
+        """Placements a plan, without the nominal world."""
+        if self.sweep.sample is not None:
+            return len({variant.placement_key for variant in self._sampled()})
+        return sum(points * repeats for points, repeats in self._placement_counts())
+
+    def _placement_counts(self) -> tuple[tuple[int, int], ...]:
+        """(points, replicates of each): points with a random error are repeated, the others are not."""
+        if not self.sweep.axes:
+            return ()
+        everything = _n_points(self._placement_axes)
+        calm = math.prod(
+            sum(not (isinstance(value, Distribution) and value.random) for value in axis.values)
+            for axis in self._placement_axes
+        )
+        return (calm, 1), (everything - calm, self.sweep.replicates)
+
+    @property
+    def _placement_axes(self) -> list[Axis]:
+        return self._axes(placement=True)
+
+    @property
+    def _drive_axes(self) -> list[Axis]:
+        return self._axes(placement=False)
+
+    def _axes(self, placement: bool) -> list[Axis]:
+        """In the order of nesting, which is not the file's."""
+        axes = self.sweep.axes
+        return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
+
+    # Enumeration.
+
+    def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
+        """Each placement with the worlds that share it; none of a search, which makes them level by level."""
+        sweep = self.sweep
+        if sweep.nominal:
+            nominal = Variant(0, self._change({}))
+            yield nominal, (nominal,)
+        if not sweep.axes:
+            return
+        if sweep.sample is not None:
+            grouped: dict[PlacementKey, list[Variant]] = {}
+            for variant in self._sampled():
+                grouped.setdefault(variant.placement_key, []).append(variant)
+            for members in grouped.values():
+                yield replace(members[0], drive=None), tuple(members)
+            return
+        index = itertools.count(1)
+        for point in _points(self._placement_axes):
+            change = self._change(point)
+            for replicate in range(sweep.replicates if change.random else 1):
+                placement = self._variant(0, point, replicate, change)
+                if sweep.search is not None:
+                    yield placement, ()
+                    continue
+                variants = tuple(
+                    self._variant(next(index), {**point, **drive_point}, again, change)
+                    for drive_point in _points(self._drive_axes)
+                    for again in self._drive_replicates(drive_point, replicate, change)
+                )
+                yield placement, variants
+
+    def search_items(self) -> tuple[SearchItem, ...]:
+        """What a search asks of each placement: every profile in every direction."""
+        directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)
+        return tuple(
+            SearchItem(name, direction)
+            for name in self.sweep.profiles
+            for direction in directions
+            if isinstance(direction, float)
+        )
+
+    def search_world(self, placement: Variant, number: int, item: int, level_index: int) -> Variant:
+        """The world that tests one level of one item of a search. Its index says which, in any order.
+
+        Args:
+            number: the running number of the placement within its plan.
+        """
+        items, levels = self.search_items(), self.sweep.search_levels
+        asked, level = items[item], float(levels[level_index])
+        index = 1 + (number * len(items) + item) * len(levels) + level_index
+        drive = DriveSpec(asked.profile, level, asked.direction_deg)
+        column = AXIS_KINDS[self.sweep.strength].column
+        parameters = {**placement.parameters, "profile": asked.profile, column: level}
+        if "direction" in self.sweep.axes:
+            parameters["direction_deg"] = asked.direction_deg
+        return replace(placement, index=index, drive=drive, parameters=parameters)
+
+    def _drive_replicates(self, point: Point, replicate: int, change: PlacementChange) -> Sequence[int]:
+        name = point.get("profile")
+        if not change.random and isinstance(name, str) and self.sweep.profile(name).random:
+            return range(self.sweep.replicates)
+        return (replicate,)
+
+    def _sampled(self) -> Iterator[Variant]:
+        """Variants drawn from the axes; each is a replicate of its own and the same for every plan."""
+        axes = [*self._placement_axes, *self._drive_axes]
+        for number in range(1, (self.sweep.sample or 0) + 1):
+            key = WorldKey(self.sweep.seed, "", number)
+            point = {axis.name: axis.pick(key) for axis in axes}
+            yield self._variant(number, point, number, self._change(point))
+
+    def _variant(self, index: int, point: Point, replicate: int, change: PlacementChange) -> Variant:
+        parameters: dict[str, float | int | str] = {
+            AXIS_KINDS[name].column: self.sweep.axes[name].cell(value) for name, value in point.items()
+        }
+        if self._has_replicates:
+            parameters["replicate"] = replicate
+        drive = None
+        if "profile" in point:
+            strength = point.get("level", point.get("scale", 1.0))
+            direction = point.get("direction", 0.0)
+            assert isinstance(strength, float)
+            assert isinstance(direction, float)
+            drive = DriveSpec(str(point["profile"]), strength, direction)
+        return Variant(index, change, drive, replicate, parameters)
+
+    def _change(self, point: Point) -> PlacementChange:
+        def factor(*names: str) -> float:
+            return math.prod(value for name in names if isinstance(value := point.get(name, 1.0), float))
+
+        def error(*names: str) -> Distribution:
+            found = (point.get(name) for name in names)
+            return next((value for value in found if isinstance(value, Distribution)), ZERO)
+
+        return PlacementChange(
+            box_friction_factor=factor("friction_factor", "box_friction_factor"),
+            carrier_friction_factor=factor("friction_factor", "carrier_friction_factor"),
+            mass_factor=factor("mass_factor"),
+            size_mm=error("size_tolerance_mm"),
+            size_rel=error("size_tolerance_rel"),
+            x_mm=error("placement_error_mm", "placement_error_x_mm"),
+            y_mm=error("placement_error_mm", "placement_error_y_mm"),
+            yaw_deg=error("yaw_error_deg"),
+            drop_height_mm=error("drop_height_mm"),
+            shifts_from_release=self.sweep.shifts_from == "release",
+        )
+
+
+def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
+    """The full grid, the last axis varying fastest; one empty point where there is no axis."""
+    names = [axis.name for axis in axes]
+    for values in itertools.product(*(axis.values for axis in axes)):
+        yield dict(zip(names, values, strict=True))
+
+
+def _n_points(axes: Iterable[Axis]) -> int:
+    return math.prod(len(axis.values) for axis in axes)
