@@ -29,7 +29,8 @@ from support.worlds import boxes_by_plan, make_plan, simulate
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.step import PalletStepper, StepResult, lane_bytes
+from petmjx.engines.warp.records import lane_bytes
+from petmjx.engines.warp.step import PalletStepper, StepResult
 
 SAME_PLACE_M = 1e-3
 """Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""

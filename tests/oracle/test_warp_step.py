@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from importlib import resources
 from typing import Any
 
 import jax
@@ -11,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from petmjx.config import PHYSICS, Physics, Solver
+from petmjx.config import PHYSICS, Physics, Simulation, Solver
 from petmjx.world.model import build_spec
 from petmjx.world.scene import Scene, build_scene
 
@@ -21,6 +23,7 @@ from support.worlds import make_plan
 
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.template import override_fields, padded_template
+from petmjx.engines.warp import newton
 from petmjx.engines.warp.step import PalletStepper
 
 set_up_warp()
@@ -85,7 +88,7 @@ def stepper_of(physics: Physics) -> PalletStepper:
 @pytest.mark.parametrize("preset", ["pallet", "reference"])
 def test_accelerations_velocities_and_iterations_as_in_c(preset: str) -> None:
     physics = PHYSICS[preset]
-    scene = build_scene(make_plan("bricks", BRICKS), physics)
+    scene = build_scene(make_plan("bricks", BRICKS), Simulation(physics=preset))
     model, data = exact(scene, physics)
     stepper = stepper_of(physics)
 
@@ -126,6 +129,32 @@ def test_accelerations_velocities_and_iterations_as_in_c(preset: str) -> None:
         # A bound on what is left to gain replaces MuJoCo's two tests, so that counts may differ by a little.
         assert abs(int(found.iterations[0]) - int(data.solver_niter[0])) <= 2
     assert compared >= 3
+
+
+def test_compiler_errors_name_the_line_of_the_file() -> None:
+    """Every line of C++ is there once, under the name and number that its file has."""
+    seen: dict[str, list[tuple[int, str]]] = {}
+    name, number = "", 0
+    for line in newton.source("newton.cu").splitlines():
+        if match := re.fullmatch(r'#line (\d+) "(.+)"', line):
+            number, name = int(match[1]), match[2]
+        else:
+            seen.setdefault(name, []).append((number, line))
+            number += 1
+    assert set(seen) == {"newton.cu", "block.cuh", "cholesky.cuh", "contact.cuh"}
+    for name, lines in seen.items():
+        text = resources.files("petmjx.engines.warp").joinpath(name).read_text(encoding="utf-8")
+        whole = [(n, line) for n, line in enumerate(text.splitlines(), 1) if not line.startswith("#include")]
+        assert [pair for pair in lines if pair in whole] == whole, name
+        assert all(line == "" for pair in lines if pair not in whole for line in pair[1:]), name
+
+
+def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = newton.solver.__wrapped__(1, 1).module.get_module_hash(1)
+    assert newton.solver.__wrapped__(1, 1).module.get_module_hash(1) == plain
+    text = newton.source("newton.cu")
+    monkeypatch.setattr(newton, "source", lambda _: text + "// one more line\n")
+    assert newton.solver.__wrapped__(1, 1).module.get_module_hash(1) != plain
 
 
 def test_more_bodies_than_the_solver_has_room_for_are_refused() -> None:

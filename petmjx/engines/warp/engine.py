@@ -12,7 +12,8 @@ from petmjx.engines.batch.engine import MIN_LANES, MjxEngine
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
-from petmjx.engines.warp.step import PalletStepper, lane_bytes
+from petmjx.engines.warp.records import lane_bytes
+from petmjx.engines.warp.step import PalletStepper
 from petmjx.engines.warp.stock import StockStepper
 from petmjx.errors import EngineUnavailable
 from petmjx.machine import why_no_warp

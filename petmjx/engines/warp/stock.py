@@ -1,4 +1,4 @@
-"""MJX's own Warp step, with the solver that MJX has: for conjugate gradients, and as a twin of ``warp_step``."""
+"""MJX's own Warp step, with the solver that MJX has: for conjugate gradients, and as a twin of ``PalletStepper``."""
 
 from __future__ import annotations
 

@@ -1,0 +1,297 @@
+// The constraint solver of mjx-warp for one world: MuJoCo's Newton method. newton.py says what it does and why so.
+//
+// Every sum has a fixed order. The list of pairs alone comes in no fixed order, and no sum runs over it.
+
+#include "block.cuh"
+#include "cholesky.cuh"
+#include "contact.cuh"
+
+namespace petmjx {
+
+// Views of one world's arrays. Names and shapes are those of the records that the kernels share (records.py).
+struct World {
+    int contacts, bodies, n;
+    const float* row;      // (contact, ROW)
+    const int* block;      // (contact, 2)
+    const int* begin_of;   // (body + 1,) where each body's links begin
+    const int* link;       // 2·contact + side, body after body
+    const float* mass;     // (n,) diagonal of M
+    const float* idle;     // (n,) accelerations without contacts
+    double* a;             // (n,)
+    double* step;          // (n,)
+    double* g;             // (n,)
+    double* jar;           // (contact, 3) J·a − r
+    double* jv;            // (contact, 3) J·step
+    double* f;             // (contact, 3)
+    float* curve;          // (contact, 6)
+    int* pair;             // (pair,) contacts at which a pair of moving bodies begins
+};
+
+const int ROW = 32;  // numbers of a contact
+
+// Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads a body. Returns this thread's part of gᵀM⁻¹g.
+inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
+    double bound = 0.0;
+    for (int base = 0; base < world.bodies * SHARE; base += threads) {
+        const int b = (base + thread) / SHARE, share_of = thread % SHARE;
+        double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+        if (b < world.bodies) {
+            for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
+                const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
+                const float* c = world.row + ROW * k;
+                for (int r = 0; r < 3; ++r) {
+                    const double push = side ? -world.f[3 * k + r] : world.f[3 * k + r];
+                    #pragma unroll
+                    for (int i = 0; i < 3; ++i) {
+                        value[i] += c[3 * r + i] * push;
+                        value[3 + i] += c[9 + 9 * side + 3 * r + i] * push;
+                    }
+                }
+            }
+        }
+        #pragma unroll
+        for (int i = 0; i < 6; ++i) {
+            sum_over_share(value[i]);
+            if (b >= world.bodies || i % SHARE != share_of) continue;
+            const int at = 6 * b + i;
+            const double whole = value[i] + world.mass[at] * (world.a[at] - world.idle[at]);
+            world.g[at] = whole;
+            rhs[at] = (float)whole;
+            bound += whole * whole / world.mass[at];
+        }
+    }
+    return bound;
+}
+
+// A body's own block of the Hessian: 21 entries, summed over its contacts by SHARE threads.
+inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, int thread, int threads) {
+    for (int base = 0; base < world.bodies * SHARE; base += threads) {
+        const int b = (base + thread) / SHARE, share_of = thread % SHARE;
+        float own[21];
+        #pragma unroll
+        for (int e = 0; e < 21; ++e) own[e] = 0.0f;
+        if (b < world.bodies) {
+            for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
+                const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
+                const float* c = world.row + ROW * k;
+                const float* s = world.curve + 6 * k;
+                const float s0 = s[0], s1 = s[1], s2 = s[2], s3 = s[3], s4 = s[4], s5 = s[5];
+                float x[6], y[6], z[6];
+                #pragma unroll
+                for (int i = 0; i < 3; ++i) {
+                    x[i] = c[i], y[i] = c[3 + i], z[i] = c[6 + i];
+                    const float* arm = c + 9 + 9 * side + i;
+                    x[3 + i] = arm[0], y[3 + i] = arm[3], z[3 + i] = arm[6];
+                }
+                int e = 0;
+                #pragma unroll
+                for (int q = 0; q < 6; ++q) {
+                    const float bx = s0 * x[q] + s1 * y[q] + s2 * z[q];
+                    const float by = s1 * x[q] + s3 * y[q] + s4 * z[q];
+                    const float bz = s2 * x[q] + s4 * y[q] + s5 * z[q];
+                    #pragma unroll
+                    for (int p = 0; p <= q; ++p) own[e++] += x[p] * bx + y[p] * by + z[p] * bz;
+                }
+            }
+        }
+        int e = 0;
+        #pragma unroll
+        for (int q = 0; q < 6; ++q) {
+            #pragma unroll
+            for (int p = 0; p <= q; ++p) {
+                float value = own[e];
+                sum_over_share(value);
+                if (b < world.bodies && e % SHARE == share_of)
+                    system.A[(size_t)(6 * b + p) * system.ld + 6 * b + q]
+                        = value + (p == q ? world.mass[6 * b + p] : 0.0f);
+                ++e;
+            }
+        }
+    }
+}
+
+// The block of two bodies that touch: a row to a thread, summed over their contacts.
+inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, int pairs, int thread, int threads) {
+    const int* block = world.block;
+    for (int item = thread; item < 6 * pairs; item += threads) {
+        const int p = item % 6;
+        int k = world.pair[item / 6];
+        const int one = block[2 * k], two = block[2 * k + 1];
+        float shared[6] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+        do {
+            const float* c = world.row + ROW * k;
+            const float* s = world.curve + 6 * k;
+            const float* mine = c + (p < 3 ? p : 6 + p);
+            const float x = mine[0], y = mine[3], z = mine[6];
+            const float bx = s[0] * x + s[1] * y + s[2] * z;
+            const float by = s[1] * x + s[3] * y + s[4] * z;
+            const float bz = s[2] * x + s[4] * y + s[5] * z;
+            #pragma unroll
+            for (int i = 0; i < 3; ++i) {
+                shared[i] -= c[i] * bx + c[3 + i] * by + c[6 + i] * bz;
+                shared[3 + i] -= c[18 + i] * bx + c[21 + i] * by + c[24 + i] * bz;
+            }
+            ++k;
+        } while (k < world.contacts && block[2 * k] == one && block[2 * k + 1] == two);
+        #pragma unroll
+        for (int i = 0; i < 6; ++i) system.A[(size_t)(6 * one + p) * system.ld + 6 * two + i] = shared[i];
+    }
+}
+
+// H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles; beyond its end the identity.
+inline CUDA_CALLABLE void hessian(const World& world, const System& system, int pairs, int thread, int threads) {
+    for (int J = 0; J < system.panels; ++J) {
+        float* corner = system.A + (size_t)system.top[J] * B * system.ld + J * B;
+        const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+        for (int i = thread; i < (J + 1 - system.top[J]) * B * 4; i += threads)
+            store_four(corner + (size_t)(i / 4) * system.ld + i % 4 * 4, nothing);
+    }
+    wait_for_all();
+    for (int c = world.n + thread; c < system.panels * B; c += threads) {
+        system.A[(size_t)c * system.ld + c] = 1.0f;
+        system.rhs[c] = 0.0f;
+    }
+    own_blocks(world, system, thread, threads);
+    pair_blocks(world, system, pairs, thread, threads);
+}
+
+// Accelerations and contact forces of a world, from its warm start on. `thread` of `threads` runs it; all of a block
+// do, since they wait for one another. PANELS: most panels that a system may have; PANEL, ROW_WORDS: sizes as the
+// Python side knows them.
+template <int PANELS, int PANEL, int ROW_WORDS, class Model, class State, class Workspace, class Out>
+inline CUDA_CALLABLE void newton(
+    int w, int thread, int threads, const Model& model, const State& state, const Workspace& work, const Out& out
+) {
+    static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
+    PETMJX_SHARED Factoring<PANELS> factoring;
+    PETMJX_SHARED float rhs[PANELS * B];
+    PETMJX_SHARED int top[PANELS];
+    PETMJX_SHARED int pairs;
+    PETMJX_SHARED double partial[2 * 32];
+
+    const int pyramidal = model.pyramidal;
+    const int room = model.room;
+    World world;
+    world.contacts = out.contacts.data[w] < room ? out.contacts.data[w] : room;
+    world.bodies = work.n_blocks.data[w];
+    world.n = 6 * world.bodies;
+    const size_t at = w;
+    world.row = work.rows.data + at * room * ROW;
+    world.block = work.blocks.data + at * room * 2;
+    world.begin_of = work.link_begin.data + at * work.link_begin.shape[1];
+    world.link = work.links.data + at * work.links.shape[1];
+    world.mass = work.inertia.data + at * work.inertia.shape[1];
+    world.idle = work.smooth.data + at * work.smooth.shape[1];
+    world.a = work.acceleration.data + at * work.acceleration.shape[1];
+    world.step = work.direction.data + at * work.direction.shape[1];
+    world.g = work.gradient.data + at * work.gradient.shape[1];
+    world.jar = work.residual.data + at * room * 3;
+    world.jv = work.slope.data + at * room * 3;
+    world.f = work.force.data + at * room * 3;
+    world.curve = work.curvature.data + at * room * 6;
+    world.pair = work.pair_begin.data + at * room;
+    const int* low = work.lowest.data + at * work.lowest.shape[1];
+    const float* warm = state.warmstart.data + at * state.warmstart.shape[1];
+    const int contacts = world.contacts, bodies = world.bodies, n = world.n;
+    const float* row = world.row;
+    const int* block = world.block;
+    double* a = world.a;
+    double* step = world.step;
+    double* jar = world.jar;
+    double* jv = world.jv;
+    System system;
+    system.ld = work.hessian.shape[2];
+    system.A = work.hessian.data + at * work.hessian.shape[1] * system.ld;
+    system.panels = (n + B - 1) / B;
+    system.top = top;
+    system.rhs = rhs;
+
+    if (thread == 0) out.iterations.data[w] = 0;
+    if (bodies == 0) return;
+    double trace = 0.0, unused = 0.0;
+    for (int i = thread; i < n; i += threads) {
+        trace += world.mass[i];
+        a[i] = warm[i];
+    }
+    for (int K = thread; K < system.panels; K += threads) {
+        int first = low[K * B / 6];
+        const int last = (K * B + B - 1) / 6 < bodies - 1 ? (K * B + B - 1) / 6 : bodies - 1;
+        for (int b = K * B / 6 + 1; b <= last; ++b) first = low[b] < first ? low[b] : first;
+        top[K] = 6 * first / B;
+    }
+    if (thread == 0) pairs = 0;
+    sum_over_block(thread, threads, partial, trace, unused);
+    // Contacts at which a pair of moving bodies begins: theirs lie one after the other.
+    for (int k = thread; k < contacts; k += threads) {
+        const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
+        if (begins && block[2 * k] >= 0) world.pair[take_number(pairs)] = k;
+    }
+    // MuJoCo measures costs in units of the inertia's trace.
+    const double enough = model.tolerance * trace;
+    for (int k = thread; k < contacts; k += threads) {
+        relative(row + ROW * k, block + 2 * k, a, jar + 3 * k);
+        for (int r = 0; r < 3; ++r) jar[3 * k + r] -= row[ROW * k + 27 + r];
+    }
+    bool last = false;
+    for (int iteration = 0;; ++iteration) {
+        for (int k = thread; k < contacts; k += threads) {
+            double push[3], bend[6];
+            respond(pyramidal, jar + 3 * k, row + ROW * k, push, bend);
+            for (int i = 0; i < 3; ++i) world.f[3 * k + i] = push[i];
+            for (int i = 0; i < 6; ++i) world.curve[6 * k + i] = (float)bend[i];
+        }
+        wait_for_all();
+        if (last || iteration >= model.limit) break;
+        double bound = gradient(world, rhs, thread, threads);
+        sum_over_block(thread, threads, partial, bound, unused);
+        // Since H ≥ M, the cost can fall by no more than this.
+        if (!(0.5 * bound > enough)) break;
+        if (thread == 0) out.iterations.data[w] = iteration + 1;
+        hessian(world, system, pairs, thread, threads);
+        factor_and_solve(system, factoring, thread, threads);
+
+        // A step along −x, its length by safeguarded Newton on the cost's derivative.
+        double start = 0.0, pull = 0.0, stiff = 0.0;
+        for (int i = thread; i < n; i += threads) {
+            const double s = -(double)rhs[i];
+            step[i] = s;
+            start += world.g[i] * s;
+            pull += s * world.mass[i] * (a[i] - world.idle[i]);
+            stiff += s * world.mass[i] * s;
+        }
+        sum_over_block(thread, threads, partial, start, unused);
+        sum_over_block(thread, threads, partial, pull, stiff);
+        if (!(start < 0.0)) break;
+        for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
+        double length = 1.0, shortest = 0.0, longest = -1.0, first = start, second = 0.0;
+        for (int trial = 0; trial < model.trials; ++trial) {
+            first = 0.0;
+            second = 0.0;
+            for (int k = thread; k < contacts; k += threads) {
+                const double* v = jv + 3 * k;
+                double j[3], push[3], bend[6];
+                for (int r = 0; r < 3; ++r) j[r] = jar[3 * k + r] + length * v[r];
+                respond(pyramidal, j, row + ROW * k, push, bend);
+                first -= push[0] * v[0] + push[1] * v[1] + push[2] * v[2];
+                second += bend[0] * v[0] * v[0] + bend[3] * v[1] * v[1] + bend[5] * v[2] * v[2]
+                        + 2.0 * (bend[1] * v[0] * v[1] + bend[2] * v[0] * v[2] + bend[4] * v[1] * v[2]);
+            }
+            sum_over_block(thread, threads, partial, first, second);
+            first += pull + length * stiff;
+            second += stiff;
+            if (fabs(first) <= 0.01 * -start || trial + 1 == model.trials) break;
+            if (first < 0.0) shortest = length; else longest = length;
+            double next = length - first / second;
+            if (!(next > shortest)) next = longest > 0.0 ? 0.5 * (shortest + longest) : 2.0 * length;
+            if (longest > 0.0 && !(next < longest)) next = 0.5 * (shortest + longest);
+            length = next;
+        }
+        for (int i = thread; i < n; i += threads) a[i] += length * step[i];
+        for (int i = thread; i < 3 * contacts; i += threads) jar[i] += length * jv[i];
+        wait_for_all();
+        // Between the two derivatives the cost fell by about their mean times the length.
+        last = !(-0.5 * length * (start + first) > enough);
+    }
+}
+
+}  // namespace petmjx

@@ -1,0 +1,211 @@
+"""What the step's kernels share, as records: model, state, workspace, what comes out, and collisions.
+
+Each array is named here and nowhere else, with its element type and its axes. Kernels and C++ take whole records; the
+arrays that JAX hands over are those of ``State``, ``Model`` and ``Out``, in this order; the workspace is one buffer
+that is divided by these shapes.
+
+Axes: ``world`` is a lane; ``block`` a body that moves, ``dof`` one of its six rows and ``pose`` one of its seven
+coordinates; ``slot`` one of the contacts that a lane has room for, ``contact`` one of the pool that all lanes share;
+``body``, ``geom`` and ``box`` count from MuJoCo's first. Units are SI.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Annotated, Any, get_args
+
+import warp as wp
+from mujoco.mjx.third_party.mujoco_warp._src.types import vec5
+
+from petmjx.engines.batch.capacities import round_up
+
+PANEL = 16
+"""Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
+
+MAX_PANELS = 104
+"""Panels of the largest system: its right-hand side is kept in shared memory."""
+
+ROW_WORDS = 32
+"""Numbers kept of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness
+of a row (1), friction (1)."""
+
+
+def record(cls: type) -> Any:
+    """A Warp struct whose arrays say their axes: ``Annotated[type, "axis axis"]``; an axis is a name or a number."""
+    shapes = {}
+    for name, kind in inspect.get_annotations(cls, eval_str=True).items():
+        if hasattr(kind, "__metadata__"):
+            cls.__annotations__[name], axes = get_args(kind)
+            shapes[name] = tuple(int(axis) if axis.isdigit() else axis for axis in axes.split())
+    made: Any = wp.struct(cls)
+    made.shapes = shapes
+    return made
+
+
+@record
+class Model:
+    """What no step changes: numbers of the template, then arrays in which worlds differ, named as MJX's fields."""
+
+    held: int  # 1 where the carrier is held fast: its body then is no block
+    pyramidal: int  # 1 with pyramidal friction cones
+    timestep: float
+    floor_z: float
+    n_geoms: int
+    pool: int  # contacts of all worlds together, at most
+    room: int  # contacts of a world, at most
+    limit: int  # iterations of the solver, at most
+    trials: int  # of its line search
+    tolerance: wp.float64  # of the solver, as MuJoCo's
+
+    body_mass: Annotated[wp.array2d[float], "world body"]
+    body_inertia: Annotated[wp.array3d[float], "world body 3"]
+    body_invweight0: Annotated[wp.array3d[float], "world body 2"]
+    geom_size: Annotated[wp.array2d[wp.vec3], "world geom"]
+    geom_rbound: Annotated[wp.array2d[float], "world geom"]
+    geom_aabb: Annotated[wp.array3d[wp.vec3], "world geom 2"]
+    geom_friction: Annotated[wp.array2d[wp.vec3], "world geom"]
+
+
+@record
+class State:
+    """What a step starts from."""
+
+    qpos: Annotated[wp.array2d[float], "world pose"]
+    qvel: Annotated[wp.array2d[float], "world dof"]
+    warmstart: Annotated[wp.array2d[float], "world dof"]  # accelerations that the solver starts from
+    carrier_force: Annotated[wp.array2d[float], "world 3"]
+    gravity: Annotated[wp.array2d[float], "world 3"]
+    carrier_pose: Annotated[wp.array2d[float], "world 7"]  # read where the carrier is held
+
+
+@record
+class Workspace:
+    """What lives for one step. Elements of eight bytes come first, so that every array is aligned."""
+
+    acceleration: Annotated[wp.array2d[wp.float64], "world dof"]
+    direction: Annotated[wp.array2d[wp.float64], "world dof"]
+    gradient: Annotated[wp.array2d[wp.float64], "world dof"]
+    residual: Annotated[wp.array3d[wp.float64], "world slot 3"]  # J·a − r
+    slope: Annotated[wp.array3d[wp.float64], "world slot 3"]  # J·direction
+    force: Annotated[wp.array3d[wp.float64], "world slot 3"]  # of a contact, in its frame
+    contact_key: Annotated[wp.array2d[wp.int64], "world slot"]
+    hessian: Annotated[wp.array3d[float], "world padded_dof padded_dof"]
+    rows: Annotated[wp.array3d[float], "world slot row_word"]
+    curvature: Annotated[wp.array3d[float], "world slot 6"]
+    inertia: Annotated[wp.array2d[float], "world dof"]  # diagonal of the inertia matrix
+    smooth: Annotated[wp.array2d[float], "world dof"]  # accelerations without contacts
+    blocks: Annotated[wp.array3d[int], "world slot 2"]  # of a contact, lower first; negative where it does not move
+    links: Annotated[wp.array2d[int], "world link"]  # 2 × slot + side, block after block
+    link_begin: Annotated[wp.array2d[int], "world block_end"]
+    lowest: Annotated[wp.array2d[int], "world block"]  # the lowest block that each one touches, or itself
+    pair_begin: Annotated[wp.array2d[int], "world slot"]  # contacts at which a pair of blocks begins, in no order
+    n_blocks: Annotated[wp.array[int], "world"]  # up to the highest that touches anything
+
+
+@record
+class Out:
+    """What a step gives."""
+
+    next_qpos: Annotated[wp.array2d[float], "world pose"]
+    next_qvel: Annotated[wp.array2d[float], "world dof"]
+    qacc: Annotated[wp.array2d[float], "world dof"]
+    top_force: Annotated[wp.array2d[float], "world box"]
+    overflow: Annotated[wp.array[int], "world"]  # flag bits
+    contacts: Annotated[wp.array[int], "world"]  # found; there may be more than fit
+    iterations: Annotated[wp.array[int], "world"]  # of the solver
+
+
+@record
+class Collisions:
+    """mujoco_warp's arrays: poses of geoms, which go into its collision pipeline, and the pool that comes out."""
+
+    geom_xpos: Annotated[wp.array2d[wp.vec3], "world geom"]
+    geom_xmat: Annotated[wp.array2d[wp.mat33], "world geom"]
+    nacon: Annotated[wp.array[int], "1"]  # contacts found
+    ncollision: Annotated[wp.array[int], "1"]  # pairs of geoms that were looked at
+    worldid: Annotated[wp.array[int], "contact"]
+    geom: Annotated[wp.array[wp.vec2i], "contact"]
+    dist: Annotated[wp.array[float], "contact"]
+    pos: Annotated[wp.array[wp.vec3], "contact"]
+    frame: Annotated[wp.array[wp.mat33], "contact"]
+    friction: Annotated[wp.array[vec5], "contact"]
+    solref: Annotated[wp.array[wp.vec2], "contact"]
+    solimp: Annotated[wp.array[vec5], "contact"]
+
+
+def axes(lanes: int, n_blocks: int, room: int, n_boxes: int) -> dict[str, int]:
+    """Sizes of the axes that belong to the step alone.
+
+    Args:
+        n_blocks: bodies of a lane that move.
+        room: contacts of a lane, at most.
+    """
+    return {
+        "world": lanes,
+        "block": n_blocks,
+        "block_end": n_blocks + 1,
+        "box": n_boxes,
+        "pose": 7 * n_blocks,
+        "dof": 6 * n_blocks,
+        "padded_dof": round_up(6 * n_blocks, PANEL),
+        "slot": room,
+        "link": 2 * room,
+        "row_word": ROW_WORDS,
+    }
+
+
+def array_types(kind: Any) -> dict[str, Any]:
+    """Name → type of a record's arrays, in their order."""
+    return {name: kind.vars[name].type for name in kind.shapes}
+
+
+def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Name → shape of a record's arrays, for axes of these sizes."""
+    return {
+        name: tuple(axis if isinstance(axis, int) else sizes[axis] for axis in shape)
+        for name, shape in kind.shapes.items()
+    }
+
+
+def filled(kind: Any, values: Mapping[str, Any]) -> Any:
+    """A record whose fields are taken from ``values``; there may be more in these."""
+    instance = kind()
+    for name in kind.vars:
+        setattr(instance, name, values[name])
+    return instance
+
+
+class Layout:
+    """Where the arrays of ``Workspace`` lie in one buffer of 32-bit words, lane after lane within each array.
+
+    Args:
+        sizes: of the axes, by name.
+    """
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        self._shapes = array_shapes(Workspace, sizes)
+        self._types = {name: kind.dtype for name, kind in array_types(Workspace).items()}
+        self.shape = sizes["world"], -(-sum(map(self._words, self._shapes)) // sizes["world"])
+        """(world, word) of the buffer."""
+
+    def _words(self, name: str) -> int:
+        words: int = wp.types.type_size_in_bytes(self._types[name]) // 4
+        for extent in self._shapes[name]:
+            words *= extent
+        return words + words % 2
+
+    def arrays(self, buffer: Any) -> dict[str, Any]:
+        """The arrays, as views of a buffer of this ``shape``."""
+        views: dict[str, Any] = {}
+        offset = 0
+        for name, shape in self._shapes.items():
+            pointer = buffer.ptr + 4 * offset
+            views[name] = wp.array(ptr=pointer, dtype=self._types[name], shape=shape, device=buffer.device)
+            offset += self._words(name)
+        return views
+
+
+def lane_bytes(n_blocks: int, room: int) -> int:
+    """Device memory that a lane takes, bytes: nearly all of it is the workspace."""
+    return 4 * Layout(axes(1, n_blocks, room, 0)).shape[1]
