@@ -8,12 +8,17 @@ import importlib.metadata
 import importlib.util
 import os
 import platform
+import threading
 from pathlib import Path
+from typing import Any
 
 PACKAGES = ("petmjx", "mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
 """Packages whose versions are written beside every result."""
 
 _NAME_BYTES = 128
+
+_PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
+_STARTING_JAX = threading.Lock()
 
 
 def cpu_threads() -> int:
@@ -53,6 +58,32 @@ def cuda_devices() -> tuple[str, ...]:
     return tuple(names)
 
 
+def jax_devices(platform: str | None = None) -> list[Any]:
+    """JAX's devices, started so that XLA leaves device memory to Warp.
+
+    XLA would take three quarters of a GPU's memory when JAX first asks for its devices, unless the environment says
+    otherwise at that moment. It does for that moment alone; what the user has set stays.
+
+    Args:
+        platform: such as "cuda"; None: JAX's default.
+
+    Raises:
+        RuntimeError: JAX has no such devices.
+    """
+    import jax
+
+    with _STARTING_JAX:
+        unset = _PREALLOCATE not in os.environ
+        if unset:
+            os.environ[_PREALLOCATE] = "false"
+        try:
+            devices: list[Any] = jax.devices(platform)
+        finally:
+            if unset:
+                del os.environ[_PREALLOCATE]
+    return devices
+
+
 def package_versions() -> dict[str, str]:
     """Package → version of what results depend on; packages that are not installed are left out."""
     versions = {}
@@ -73,9 +104,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
     if engine == "mjx-warp" and cuda_devices():
         return cuda_devices()[0]
     if engine == "mjx-jax":
-        import jax
-
-        device = jax.devices()[0]
+        device = jax_devices()[0]
         return device.device_kind if device.platform != "cpu" else f"{cpu_name()} (jax on {device.platform})"
     return f"{cpu_name()}, {threads or cpu_threads()} threads"
 
@@ -89,10 +118,8 @@ def why_no_warp() -> str | None:
         return "no CUDA device (or no driver) on this machine"
     if importlib.util.find_spec("warp") is None:
         return "Warp is not installed: pip install 'petmjx[cuda]'"
-    import jax
-
     try:
-        jax.devices("cuda")
+        jax_devices("cuda")
     except RuntimeError as error:
         return f"jax sees no CUDA device: {' '.join(str(error).split())}; pip install 'petmjx[cuda]'"
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -22,8 +23,37 @@ class Progress:
     extra: dict[str, float] = field(default_factory=dict)
 
 
+class RunLock:
+    """One run at a time of an engine that keeps things between runs, such as compiled programs.
+
+    Runs are generators: a run is on from its first outcome asked for to its last, or until it is closed.
+    """
+
+    def __init__(self, engine: str) -> None:
+        self._engine = engine
+        self._lock = threading.Lock()
+        self._thread: int | None = None
+
+    def __enter__(self) -> None:
+        if self._thread == threading.get_ident():
+            raise RuntimeError(
+                f"engine {self._engine} is in the middle of a run of this thread: take its outcomes to the end, or "
+                "close it, or build another engine"
+            )
+        self._lock.acquire()
+        self._thread = threading.get_ident()
+
+    def __exit__(self, *_: object) -> None:
+        self._thread = None
+        self._lock.release()
+
+
 class Engine(Protocol):
-    """Simulates worlds. Outcomes come in any order, as they finish; ``Outcome.job`` says whose they are."""
+    """Simulates worlds. Outcomes come in any order, as they finish; ``Outcome.job`` says whose they are.
+
+    An engine may be used by several threads. Those that can only do one run at a time, such as the MJX engines, let the
+    others wait (``RunLock``).
+    """
 
     name: str
 

@@ -157,6 +157,18 @@ def test_too_many_lanes_are_halved_until_they_fit(healthy: list[Outcome]) -> Non
         assert_same(found, expected)
 
 
+def test_a_run_that_found_little_memory_does_not_bind_the_next(healthy: list[Outcome]) -> None:
+    engine = SmallDevice(16, 64, group_size=20, capacities=(3,))
+    run_all(engine, JOBS, SHORT)
+    assert engine.tried == [32, 16]  # the second group of 20 knows what the first one found
+    engine.holds = 64
+    engine.tried.clear()
+    outcomes = run_all(engine, JOBS, SHORT)
+    assert engine.tried[0] == 32
+    for found, expected in zip(outcomes, healthy, strict=True):
+        assert_same(found, expected)
+
+
 def test_memory_that_runs_out_midway_loses_nothing(healthy: list[Outcome], monkeypatch: pytest.MonkeyPatch) -> None:
     class FailingStage(Stage):
         def __init__(self, *args: Any, **options: Any) -> None:

@@ -220,14 +220,13 @@ def test_one_program_a_shape() -> None:
     fresh = FakeEngine(16, capacities=(5,))
     for masses in (MASSES[:32], [m[::-1] for m in MASSES[:25]]):
         run_all(fresh, [Job(fake_scene(*m)) for m in masses], SHORT)
-    (stage,) = fresh._stages.values()
-    for program in (stage.run_chunk, stage.refill, stage.unload):
-        assert program._cache_size() == 1
+    (stage,) = fresh.stages.values()
+    assert stage.compiled == {"refill": 1, "run_chunk": 1, "unload": 1}
 
 
 def test_one_placement_program_whatever_drives_follow() -> None:
     fresh = FakeEngine(16, capacities=(2,))
     for steps in (30, 61):
         run_all(fresh, [Job(fake_scene(1.0), pushes("force", steps, 0.01))], SHORT)
-    (stage,) = [stage for key, stage in fresh._stages.items() if not key.drive]
-    assert stage.run_chunk._cache_size() == 1
+    (stage,) = [stage for key, stage in fresh.stages.items() if not key.drive]
+    assert stage.compiled["run_chunk"] == 1

@@ -52,6 +52,6 @@ def test_standing_plans_agree_in_place_tilt_and_load(name: str) -> None:
 def test_each_program_was_compiled_once() -> None:
     jax_outcomes()
     # other tests share the engine, and other configurations are programs of their own
-    stages = list(jax_engine()._stages.values())
+    stages = list(jax_engine().stages.values())
     assert {stage.rules.capacity for stage in stages} == {2, 4}
-    assert all(stage.run_chunk._cache_size() == 1 for stage in stages)
+    assert all(stage.compiled["run_chunk"] == 1 for stage in stages)

@@ -16,6 +16,7 @@ import pytest
 
 import petmjx
 from petmjx.config import Simulation
+from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one, write_plans
@@ -132,8 +133,10 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes() -> None:
         while (free := free_bytes()) > left + piece:
             ballast.append(jax.block_until_ready(jnp.zeros(piece, jnp.uint8)))
     assert free < left + piece
-    found = simulate(crowded, some, SHORT)
-    assert crowded._lane_limit < lanes
+    progress, names = Progress(), list(some)
+    jobs = [Job(scene) for scene in some.values()]
+    found = {names[outcome.job]: outcome for outcome in crowded.run(jobs, SHORT, progress)}
+    assert progress.extra["place capacity 80 lanes"] < lanes
     del ballast
     alone = simulate(MjxWarpEngine(lanes, capacities=(80,)), some, SHORT)
     for name, outcome in alone.items():

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Check, Cone, Schedule, Simulation
-from petmjx.engines.base import Progress
+from petmjx.engines.base import Progress, RunLock
 from petmjx.engines.batch.capacities import class_capacities, growing_capacities
 from petmjx.engines.batch.outcomes import handed_on, outcomes, started_states
 from petmjx.engines.batch.rules import Rules
@@ -48,17 +49,30 @@ class StageKey:
 
 
 @dataclass
+class _Run:
+    """One run: what its groups have in common.
+
+    ``capacities`` are those of the placement stages ("") and of each kind of drive; ``lane_limit`` is what device
+    memory was found to hold.
+    """
+
+    sim: Simulation
+    timetable: Timetable
+    capacities: dict[str, list[int]]
+    progress: Progress
+    lane_limit: int = MAX_LANES
+
+
+@dataclass
 class _Group:
     """Worlds that go through the stages together."""
 
+    run: _Run
     jobs: Sequence[Job]
     first_job: int
-    sim: Simulation
-    timetable: Timetable
     worlds: Worlds
     table: State
     profiles: jax.Array
-    progress: Progress
 
     def status(self) -> NDArray[np.int32]:
         """Statuses of the jobs' rows, on the host."""
@@ -119,24 +133,32 @@ class MjxEngine(ABC):
         self._stages: dict[StageKey, Stage] = {}
         self._warm: set[Stage] = set()
         self._growth: dict[tuple[Cone, int], int] = {}
-        self._lane_limit = MAX_LANES
+        self._running = RunLock(self.name)
+
+    @property
+    def stages(self) -> Mapping[StageKey, Stage]:
+        """The stages that are compiled and kept."""
+        return MappingProxyType(self._stages)
 
     @abstractmethod
     def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
         """The implementation's stepper for a shape; ``growth`` multiplies its contact and constraint buffers."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes come stage by stage, as worlds reach their end."""
-        progress = progress or Progress()
-        sizes = [job.scene.n_boxes for job in jobs]
-        if not sizes:
+        """Simulate each job once. Outcomes come stage by stage, as worlds reach their end.
+
+        Raises:
+            RuntimeError: an earlier run of the same thread is not at its end. Other threads wait for theirs.
+        """
+        if not jobs:
             return
-        plan = self._choose_capacities(jobs, sim)
-        timetable = build_timetable(sim, max(sizes))
+        timetable = build_timetable(sim, max(job.scene.n_boxes for job in jobs))
+        run = _Run(sim, timetable, self._choose_capacities(jobs, sim), progress or Progress())
         n_groups = math.ceil(len(jobs) / self.group_size)
         size = math.ceil(len(jobs) / n_groups)
-        for first in range(0, len(jobs), size):
-            yield from self._run_group(jobs[first : first + size], first, sim, timetable, plan, progress)
+        with self._running:
+            for first in range(0, len(jobs), size):
+                yield from self._run_group(run, jobs[first : first + size], first)
 
     def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
         """Capacities of the placement stages ("") and of the stages of each kind of drive."""
@@ -154,16 +176,8 @@ class MjxEngine(ABC):
                 choice[kind] = class_capacities(sizes, self.max_stages)
         return choice
 
-    def _run_group(
-        self,
-        jobs: Sequence[Job],
-        first_job: int,
-        sim: Simulation,
-        timetable: Timetable,
-        capacities: dict[str, list[int]],
-        progress: Progress,
-    ) -> Iterator[Outcome]:
-        group = self._load_group(jobs, first_job, sim, timetable, max(max(c) for c in capacities.values()), progress)
+    def _run_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
+        group = self._load_group(run, jobs, first_job)
         emitted = np.zeros(len(jobs), bool)
 
         def finished() -> Iterator[Outcome]:
@@ -171,25 +185,20 @@ class MjxEngine(ABC):
             rows = [row for row in np.flatnonzero(~emitted) if handed_on(int(status[row]), jobs[int(row)])]
             if rows:
                 emitted[rows] = True
-                yield from outcomes(np.array(rows), jobs, first_job, group.table, group.worlds, timetable, sim)
+                yield from outcomes(np.array(rows), jobs, first_job, group.table, group.worlds, run.timetable, run.sim)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
-        if "" in capacities:
-            yield from self._run_stages(group, capacities[""], "", n_boxes, finished)
+        if "" in run.capacities:
+            yield from self._run_stages(group, run.capacities[""], "", n_boxes, finished)
         for kind in ("force", "acceleration"):
             mine = np.array([job.drive is not None and job.drive.excitation.kind == kind for job in jobs])
             if mine.any():
-                yield from self._run_stages(group, capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
+                mine_alone = np.where(mine, n_boxes, NEVER)
+                yield from self._run_stages(group, run.capacities[kind], kind, mine_alone, finished)
 
-    def _load_group(
-        self,
-        jobs: Sequence[Job],
-        first_job: int,
-        sim: Simulation,
-        timetable: Timetable,
-        width: int,
-        progress: Progress,
-    ) -> _Group:
+    def _load_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> _Group:
+        sim, timetable = run.sim, run.timetable
+        width = max(max(capacities) for capacities in run.capacities.values())
         excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
         steps = max([len(e.samples) for e in excitations.values()], default=1)
         profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
@@ -207,7 +216,7 @@ class MjxEngine(ABC):
                     ends[row] = timetable.static_end if static else timetable.one_by_one_end[n]
         fresh = fresh_state(worlds, all_placed=static, ends=jnp.asarray(ends), rest_steps=timetable.rest_steps)
         table = started_states(jobs, fresh)
-        return _Group(jobs, first_job, sim, timetable, worlds, table, jnp.asarray(profiles), progress)
+        return _Group(run, jobs, first_job, worlds, table, jnp.asarray(profiles))
 
     def _run_stages(
         self,
@@ -218,7 +227,7 @@ class MjxEngine(ABC):
         finished: Callable[[], Iterator[Outcome]],
     ) -> Iterator[Outcome]:
         """All worlds of a stage before the next. ``n_boxes`` is NEVER for worlds that are none of these stages'."""
-        grows = drive == "" and group.sim.check is Check.ONE_BY_ONE
+        grows = drive == "" and group.run.sim.check is Check.ONE_BY_ONE
         waiting = (Status.SETTLED, Status.RUNNING) if drive else (Status.READY, Status.RUNNING)
         for capacity in capacities:
             last = capacity == capacities[-1]
@@ -231,9 +240,10 @@ class MjxEngine(ABC):
 
     def _run_stage(self, group: _Group, capacity: int, drive: str, rows: NDArray[np.int64], *, may_drain: bool) -> None:
         """Run a stage over some worlds; again with larger buffers for those that overflowed."""
-        growth = self._growth.get((group.sim.physics.cone, capacity), 1)
+        run = group.run
+        growth = self._growth.get((run.sim.physics.cone, capacity), 1)
         while len(rows):
-            lanes = self._lane_count(capacity, len(rows))
+            lanes = self._lane_count(run, capacity, len(rows))
             entered = group.table
             try:
                 stage = self._stage(group, capacity, lanes, drive, growth)
@@ -248,8 +258,8 @@ class MjxEngine(ABC):
                 if lanes <= MIN_LANES:
                     group.give_up(rows, Flag.OUT_OF_MEMORY)
                     return
-                self._lane_limit = lanes // 2
-                group.progress.message = f"out of device memory with {lanes} lanes, again with {self._lane_limit}"
+                run.lane_limit = lanes // 2
+                run.progress.message = f"out of device memory with {lanes} lanes, again with {run.lane_limit}"
                 continue
             rows = group.overflowed()
             self.release()
@@ -259,17 +269,17 @@ class MjxEngine(ABC):
                 group.give_up(rows, Flag.NONE)
                 return
             growth *= 2
-            self._growth[group.sim.physics.cone, capacity] = growth
-            group.progress.message = f"{len(rows)} worlds overflowed their buffers, again with {growth}× as large ones"
+            self._growth[run.sim.physics.cone, capacity] = growth
+            run.progress.message = f"{len(rows)} worlds overflowed their buffers, again with {growth}× as large ones"
             group.retry(rows)
 
     def release(self) -> None:  # noqa: B027 (most implementations hold nothing)
         """Give back device memory that an implementation holds between stages. Called when nothing runs."""
 
-    def _lane_count(self, capacity: int, n_worlds: int) -> int:
+    def _lane_count(self, run: _Run, capacity: int, n_worlds: int) -> int:
         """Lanes for a stage: a power of two, so that few shapes are compiled."""
         wanted = max(MIN_LANES, 1 << (n_worlds - 1).bit_length())
-        limit: int = min(self.lanes or self.default_lanes(capacity), self._lane_limit)
+        limit: int = min(self.lanes or self.default_lanes(capacity), run.lane_limit)
         return min(wanted, limit)
 
     def default_lanes(self, capacity: int) -> int:
@@ -277,15 +287,15 @@ class MjxEngine(ABC):
         return 256
 
     def _stage(self, group: _Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
-        key = StageKey(group.sim, capacity, lanes, drive, growth, len(group.timetable.clock))
+        sim, timetable = group.run.sim, group.run.timetable
+        key = StageKey(sim, capacity, lanes, drive, growth, len(timetable.clock))
         if key not in self._stages:
             held = drive == "acceleration"
-            sim = group.sim
             begin = time.perf_counter()
             stepper = self.make_stepper(capacity, lanes, sim, held=held, growth=growth)
-            rules = Rules(sim, group.timetable, capacity, driven=bool(drive))
+            rules = Rules(sim, timetable, capacity, driven=bool(drive))
             self._stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
-            group.progress.compile_s += time.perf_counter() - begin
+            group.run.progress.compile_s += time.perf_counter() - begin
         return self._stages[key]
 
     def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
@@ -294,7 +304,7 @@ class MjxEngine(ABC):
         The counters that decide are those of the chunk before: the host asks for the next chunk first, so that the
         device never waits for it.
         """
-        progress, capacity = group.progress, stage.rules.capacity
+        progress, capacity = group.run.progress, stage.rules.capacity
         padded = np.zeros(len(group.table.step), np.int32)
         padded[: len(rows)] = rows
         queue = Queue(jnp.asarray(padded), jnp.int32(len(rows)), jnp.int32(0))

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float, Int
-from mujoco import mjx
 
 from petmjx.config import Cone, Physics, Simulation
 from petmjx.engines.batch.engine import MjxEngine
+from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 

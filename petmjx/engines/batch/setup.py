@@ -1,7 +1,9 @@
 """Sets up JAX and Warp for petmjx: device memory shared between the two, compiled programs kept between runs.
 
 XLA's programs go to JAX's persistent cache, Warp's kernels to Warp's own. Both live under ``$PETMJX_CACHE_DIR``
-(default: ``~/.cache/petmjx``); a user's own JAX or Warp setting wins.
+(default: ``~/.cache/petmjx``). Where caches are, and that Warp is silent, are settings of the process: the first engine
+that is built makes them, they stay, and they also hold for the caller's own JAX and Warp programs. What the caller has
+set before wins.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import jax
+
+from petmjx.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
 """Programs that compile faster than this are not kept. A run has some hundred small ones: seconds, together."""
@@ -28,9 +32,8 @@ def cache_dir() -> Path:
 
 
 def set_up_jax() -> None:
-    """Turn on JAX's persistent compilation cache, unless the user has set one. Call before the first computation."""
-    # Warp takes device memory beside XLA: the pool that XLA would grab at its start has to be left to both.
-    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    """Start JAX's devices and turn on its persistent compilation cache, unless the user has set one."""
+    jax_devices()
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None:
         config.update("jax_compilation_cache_dir", str(cache_dir() / "jax"))
@@ -54,9 +57,13 @@ def compiler_options() -> dict[str, bool]:
 
 
 def set_up_warp() -> None:
-    """Point Warp's kernel cache beside JAX's, and keep Warp from printing into what petmjx prints."""
+    """Point Warp's kernel cache beside JAX's, and keep Warp from printing into what petmjx prints.
+
+    Each only where it is as Warp has it: a folder is set when the user sets one or Warp has started.
+    """
     import warp
 
-    if "WARP_CACHE_PATH" not in os.environ:
+    if warp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ:
         warp.config.kernel_cache_dir = str(cache_dir() / "warp")
-    warp.config.log_level = warp.LOG_ERROR
+    if warp.config.log_level == warp.LOG_INFO:
+        warp.config.log_level = warp.LOG_ERROR

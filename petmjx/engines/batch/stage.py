@@ -108,6 +108,12 @@ class Stage:
         """What the stage does, for messages."""
         return "drive" if self.rules.driven else "place"
 
+    @property
+    def compiled(self) -> dict[str, int]:
+        """Program → how often it was compiled: once, whatever worlds have run."""
+        programs: dict[str, Any] = {"refill": self.refill, "run_chunk": self.run_chunk, "unload": self.unload}
+        return {name: program._cache_size() for name, program in programs.items()}
+
     def _empty(self, worlds: Worlds, table: State) -> Lanes:
         nowhere = jnp.full(self.lanes, len(table.step), jnp.int32)
         narrow_worlds = take_rows(narrow(worlds, self.rules.capacity), nowhere)

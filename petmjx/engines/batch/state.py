@@ -16,13 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from petmjx.config import SOFT_START_STEPS
 from petmjx.world.job import Job
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
 """A step that is never reached: an end that is not known yet."""
 
-SOFT_START_BEGIN = -200
+SOFT_START_BEGIN = -2 * SOFT_START_STEPS
 """Step counter of a fresh world: the soft start's steps come before step 0."""
 
 

@@ -2,19 +2,50 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 
 import mujoco
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.world import WorldRun
+from petmjx.machine import cpu_threads
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
+
+
+class _QuietMujoco:
+    """Keeps MuJoCo from printing, and from writing MUJOCO_LOG.TXT where the user stands, while any run is on.
+
+    What it would say (bad numbers, full buffers) is read from the data and reaches the results as flags. The setting
+    is the process's: the first run makes it and the last one puts back what was there before.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._runs = 0
+        self._before: mujoco.MjLogConfig | None = None
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._runs == 0:
+                self._before = mujoco.MjLogConfig.get()
+                silent = mujoco.MjLogConfig.get()
+                silent.logto_console = False
+                silent.logto_file = False
+                mujoco.MjLogConfig.set(silent)
+            self._runs += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._runs -= 1
+            if self._runs == 0:
+                mujoco.MjLogConfig.set(self._before)
+
+
+_QUIET_MUJOCO = _QuietMujoco()
 
 
 class MujocoEngine:
@@ -24,7 +55,7 @@ class MujocoEngine:
     cores. A world's outcome does not depend on the number of threads.
 
     Args:
-        threads: worlds at a time; all CPU cores when None.
+        threads: worlds at a time; None: as many CPU threads as this process may use.
     """
 
     name = "mujoco"
@@ -32,7 +63,7 @@ class MujocoEngine:
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
-        self.threads = threads if threads is not None else os.cpu_count() or 1
+        self.threads = threads if threads is not None else cpu_threads()
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
@@ -44,7 +75,7 @@ class MujocoEngine:
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
         pending: set[Future[Outcome]] = set()
-        with _quiet_mujoco(), ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
+        with _QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
                 for index, job in enumerate(jobs):
                     pending.add(pool.submit(_simulate, index, job, sim, stop))
@@ -69,20 +100,3 @@ def _collect(finished: set[Future[Outcome]], progress: Progress) -> Iterator[Out
         progress.worlds_done += 1
         progress.world_steps += outcome.n_steps
         yield outcome
-
-
-@contextmanager
-def _quiet_mujoco() -> Iterator[None]:
-    """Keep MuJoCo from printing, and from writing MUJOCO_LOG.TXT where the user stands.
-
-    What it would say (bad numbers, full buffers) is read from the data and reaches the results as flags.
-    """
-    before = mujoco.MjLogConfig.get()
-    silent = mujoco.MjLogConfig.get()
-    silent.logto_console = False
-    silent.logto_file = False
-    mujoco.MjLogConfig.set(silent)
-    try:
-        yield
-    finally:
-        mujoco.MjLogConfig.set(before)

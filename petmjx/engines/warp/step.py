@@ -131,8 +131,8 @@ class PalletStepper:
 
     def scratch(self) -> StepResult:
         types = array_types(Out)
-        blank = {name: np.zeros(shape, wp.dtype_to_numpy(types[name].dtype)) for name, shape in self.out_shapes.items()}
-        return StepResult(*jax.device_put(blank).values())
+        blank = [np.zeros(shape, wp.dtype_to_numpy(types[name].dtype)) for name, shape in self.out_shapes.items()]
+        return StepResult(*jax.device_put(blank))
 
     def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: StepResult) -> StepResult:
         carrier = inputs["qpos"][:, :7]

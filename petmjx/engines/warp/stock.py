@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float, Int
-from mujoco import mjx
 
 from petmjx.config import Cone, Physics
+from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.template import FIRST_BOX_GEOM, ROWS_PER_CONTACT
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 from petmjx.verdict import Flag

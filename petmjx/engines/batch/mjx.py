@@ -1,0 +1,53 @@
+"""``mujoco.mjx``, imported without a word.
+
+Where Warp is not installed, MJX says so on stdout (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine mjx-jax needs
+no Warp, and what petmjx prints may be a table that a program reads.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from types import ModuleType
+from typing import Any
+
+_PRINTS = "mujoco.mjx.warp"
+
+
+class _SilentLoader(SourceFileLoader):
+    """Runs a module in which ``print`` does nothing while it is imported."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__dict__["print"] = lambda *_, **__: None
+        try:
+            super().exec_module(module)
+        finally:
+            del module.__dict__["print"]
+
+
+class _SilentFinder(MetaPathFinder):
+    """Finds the module that prints, and no other."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(fullname, path) if fullname == _PRINTS else None
+        if spec is None or not isinstance(spec.loader, SourceFileLoader):
+            return None
+        spec.loader = _SilentLoader(fullname, spec.loader.path)
+        return spec
+
+
+def _import_mjx() -> Any:
+    finder = _SilentFinder()
+    sys.meta_path.insert(0, finder)
+    try:
+        return importlib.import_module("mujoco.mjx")
+    finally:
+        sys.meta_path.remove(finder)
+
+
+mjx = _import_mjx()
