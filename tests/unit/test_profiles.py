@@ -238,7 +238,10 @@ def test_windows_from_parquet_and_toml_agree(tmp_path: Path) -> None:
         ("[[window]]\nstart_s = 1\nduration_s = 1\nx = 1\ny = 0\n", "window[0].z is missing: force along z"),
         ("[[window]]\nstart_s = 1\nduration_s = 0\nx = 1\ny = 0\nz = 0\n", "window[0].duration_s must be > 0, got 0"),
         ("[[window]]\nstart_s = -1\nduration_s = 1\nx = 1\ny = 0\nz = 0\n", "window[0].start_s must be ≥ 0, got -1"),
-        ("[[window]]\nstart_s = 1\nduration_s = 1\nx = 'a'\ny = 0\nz = 0\n", "window[0].x must be a finite number, got 'a'"),
+        (
+            "[[window]]\nstart_s = 1\nduration_s = 1\nx = 'a'\ny = 0\nz = 0\n",
+            "window[0].x must be a finite number, got 'a'",
+        ),
         ("[[window]]\nstart_s = 1\nduration_s = 1\nx = 1\ny = 0\nz = 0\nw = 0\n", "window[0].w: unknown field"),
         ("", "window is missing: [[window]] tables"),
         ("window = []", "window must have at least 1 entry, got 0"),

@@ -168,8 +168,14 @@ BAD = {
     "range without step": ("[axes]\nmass_factor = {from = 1, to = 2}", "axes.mass_factor needs step or count"),
     "range backwards": ("[axes]\nmass_factor = {from = 2, to = 1, step = 1}", "axes.mass_factor.to must be > from = 2"),
     "range step": ("[axes]\nmass_factor = {from = 1, to = 2, step = 0}", "axes.mass_factor.step must be > 0, got 0"),
-    "range too fine": ("[axes]\nmass_factor = {from = 1, to = 2, step = 1e-9}", "axes.mass_factor.step 1e-09 makes more than 100,000 values"),
-    "range of errors": ("[axes]\nyaw_error_deg = {from = 1, to = 2, step = 1}", "axes.yaw_error_deg.distribution is missing: it must be one of normal, uniform, fixed"),
+    "range too fine": (
+        "[axes]\nmass_factor = {from = 1, to = 2, step = 1e-9}",
+        "axes.mass_factor.step 1e-09 makes more than 100,000 values",
+    ),
+    "range of errors": (
+        "[axes]\nyaw_error_deg = {from = 1, to = 2, step = 1}",
+        "axes.yaw_error_deg.distribution is missing: it must be one of normal, uniform, fixed",
+    ),
     "distribution": ("[axes]\nyaw_error_deg = {distribution = 'beta'}", "axes.yaw_error_deg.distribution must be one"),
     "distribution field": (
         "[axes]\nyaw_error_deg = {distribution = 'normal', sigma = 1}",
@@ -433,8 +439,12 @@ HOSTILE = {
     "lists in lists": ("a = " + "[" * 5000 + "]" * 5000, "lists or tables in too many levels"),
     "tables in tables": ("[axes]\nscale." + ".".join("a" * 3000) + " = 1", "axes.scale.a: unknown field"),
     "not a number": ("[axes]\nscale = nan", "axes.scale must be a finite number, got nan"),
-    "infinite bound": ("[axes]\nprofile = 'radial'\n[search]\nupper = inf", "search.upper must be a finite number, got inf"),
+    "infinite bound": (
+        "[axes]\nprofile = 'radial'\n[search]\nupper = inf",
+        "search.upper must be a finite number, got inf",
+    ),
     "long list": (f"[axes]\nmass_factor = {[1 + k / 1e6 for k in range(100_001)]}", "has 100,001 values, more than"),
+    "no mass": ("[axes]\nmass_factor = [1.0, 1e-18]", "axes.mass_factor must be ≥ 0.001, got 1e-18"),
     "true for a number": ("[axes]\nmass_factor = true", "axes.mass_factor must be a finite number, got True"),
     "text for a truth": ("nominal = 'yes'", "nominal must be true or false, got 'yes'"),
     "line break in a name": ('[axes]\n"a\\nb" = 1', "axes.a\\nb: unknown field"),
