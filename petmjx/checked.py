@@ -28,6 +28,7 @@ _WANTED = {
     "a whole number": ("int_type", "int_parsing", "int_parsing_size", "int_from_float"),
     "true or false": ("bool_type", "bool_parsing"),
     "text": ("string_type",),
+    "a path": ("path_type",),
     "a list": ("list_type", "tuple_type"),
     "a table": ("dict_type", "model_type", "model_attributes_type"),
 }

@@ -352,7 +352,8 @@ def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
         ValidationError: names the axis and what it should be.
     """
     checked = Axes.model_validate(tables)
-    return {name: _axis(name, getattr(checked, name), sampled) for name in tables}
+    given = {name: getattr(checked, name) for name in tables}
+    return {name: _axis(name, value, sampled) for name, value in given.items() if value is not None}
 
 
 def _axis(name: str, given: Any, sampled: bool) -> Axis:
