@@ -28,6 +28,7 @@ _WANTED = {
     "a whole number": ("int_type", "int_parsing", "int_parsing_size", "int_from_float"),
     "true or false": ("bool_type", "bool_parsing"),
     "text": ("string_type",),
+    "a path": ("path_type",),
     "a list": ("list_type", "tuple_type"),
     "a table": ("dict_type", "model_type", "model_attributes_type"),
 }
@@ -77,17 +78,6 @@ class Checked(BaseModel, metaclass=_OneLine):
         not given a name of its own."""
         return self.read(_fields_with(self, values))
 
-
-def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record's fields, some replaced. Checked as a whole later, so that an error names the whole path."""
-    fields = {name: getattr(record, name) for name in type(record).model_fields}
-    for name, value in values.items():
-        old = fields.get(name)
-        if isinstance(old, Checked) and isinstance(value, Mapping) and "name" not in value:
-            value = _fields_with(old, value)
-        fields[name] = value
-    return fields
-
     @model_validator(mode="before")
     @classmethod
     def _has_its_fields(cls, values: Any) -> Any:
@@ -102,6 +92,17 @@ def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:
             if info.is_required() and name not in values:
                 raise complaint(f"is missing: {info.description}" if info.description else "is missing", name)
         return values
+
+
+def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:
+    """A record's fields, some replaced. Checked as a whole later, so that an error names the whole path."""
+    fields = {name: getattr(record, name) for name in type(record).model_fields}
+    for name, value in values.items():
+        old = fields.get(name)
+        if isinstance(old, Checked) and isinstance(value, Mapping) and "name" not in value:
+            value = _fields_with(old, value)
+        fields[name] = value
+    return fields
 
 
 def hint(name: str, known: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
-from petmjx.checked import Checked, complaint, hint
+from petmjx.checked import Checked, complaint, got, hint
 from petmjx.errors import InputError
 
 SOFT_START_STEPS: Final = 100
@@ -146,7 +146,7 @@ class Physics(Checked):
         changes = dict(values)
         name = changes.pop("name")
         if name not in (*PHYSICS, CUSTOM):
-            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, got {name!r}")
+            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {got(name)}")
         preset = {} if name == CUSTOM else PHYSICS[name].model_dump(exclude={"name"})
         return preset | changes
 

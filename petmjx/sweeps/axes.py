@@ -6,7 +6,17 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, StrictFloat, StrictInt, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    StrictFloat,
+    StrictInt,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, shape
 from petmjx.world.random import WorldKey
@@ -17,6 +27,8 @@ MAX_AXIS_VALUES: Final = 100_000
 
 MAX_STRENGTH: Final = 10_000.0
 """Largest level (g), scale or factor. More is a slip of the pen, and would end as an infinity in the engines."""
+MIN_MASS_FACTOR: Final = 0.001
+"""Smallest factor on masses: MuJoCo takes no body without mass."""
 MAX_ERROR: Final = 10_000.0
 """Largest error of a size or a place, mm or degrees."""
 
@@ -259,6 +271,14 @@ class Axes(Checked):
         None, description="height of release above the place, mm"
     )
 
+    @field_validator("mass_factor")
+    @classmethod
+    def _leaves_a_mass(cls, given: Any) -> Any:
+        lowest = given.low if isinstance(given, Range) else min(given) if isinstance(given, tuple) else given
+        if lowest < MIN_MASS_FACTOR:
+            raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
+        return given
+
 
 AXIS_KINDS: Final[dict[str, AxisKind]] = {
     name: next(entry for entry in info.metadata if isinstance(entry, AxisKind))
@@ -332,7 +352,8 @@ def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
         ValidationError: names the axis and what it should be.
     """
     checked = Axes.model_validate(tables)
-    return {name: _axis(name, getattr(checked, name), sampled) for name in tables}
+    given = {name: getattr(checked, name) for name in tables}
+    return {name: _axis(name, value, sampled) for name, value in given.items() if value is not None}
 
 
 def _axis(name: str, given: Any, sampled: bool) -> Axis:

@@ -89,13 +89,13 @@ def test_ready_made_sweeps_go_by_name(plans: Path, tmp_path: Path, capsys: pytes
 
 
 BAD = {
-    "unknown axis": ("[axes]\ncolour = [1]", "axes.colour: unknown axis (known: profile, "),
+    "unknown axis": ("[axes]\ncolour = [1]", "axes.colour: unknown field; there are profile, "),
     "empty axis": ("[axes]\nfriction_factor = []", "axes.friction_factor is empty: give at least one value"),
     "contradicting axes": (
         '[axes]\nprofile = "radial"\nscale = [1]\nlevel = [1]',
         "axes.scale contradicts axes.level",
     ),
-    "negative scale": ('[axes]\nprofile = "radial"\nscale = [1, -1]', "axes.scale must be > 0, got -1"),
+    "negative scale": ('[axes]\nprofile = "radial"\nscale = [1, -1]', "axes.scale[1] must be > 0, got -1"),
     "too many worlds": (
         '[axes]\nprofile = "radial"\nscale = { from = 0.001, to = 2, step = 0.001 }\n'
         "direction = { from = 0, to = 359.5, step = 0.5 }",

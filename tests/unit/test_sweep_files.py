@@ -444,6 +444,7 @@ HOSTILE = {
         "search.upper must be a finite number, got inf",
     ),
     "long list": (f"[axes]\nmass_factor = {[1 + k / 1e6 for k in range(100_001)]}", "has 100,001 values, more than"),
+    "no mass": ("[axes]\nmass_factor = [1.0, 1e-18]", "axes.mass_factor must be ≥ 0.001, got 1e-18"),
     "true for a number": ("[axes]\nmass_factor = true", "axes.mass_factor must be a finite number, got True"),
     "text for a truth": ("nominal = 'yes'", "nominal must be true or false, got 'yes'"),
     "line break in a name": ('[axes]\n"a\\nb" = 1', "axes.a\\nb: unknown field"),
