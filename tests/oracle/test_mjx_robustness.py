@@ -90,7 +90,7 @@ def test_overflowed_worlds_run_again_in_larger_buffers(healthy: list[Outcome]) -
         assert bool(found.flags & Flag.RERUN_AFTER_OVERFLOW) == (job is MARKED)
         assert not found.flags & Flag.CONTACT_OVERFLOW
         assert_same(found, expected)
-    # Whoever comes next begins with buffers that are large enough.
+    # The next run begins with buffers that are large enough.
     again = run_all(engine, JOBS, SHORT)
     assert engine.growths == [1, 2, 4]
     assert not any(outcome.flags & Flag.RERUN_AFTER_OVERFLOW for outcome in again)

@@ -36,7 +36,7 @@ from petmjx.engines.warp.step import PalletStepper, StepResult
 SAME_PLACE_M = 1e-3
 """Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
 SAME_FORCE = 0.05
-"""The spec measured 3 % for single boxes."""
+"""For single boxes 3 % were measured."""
 SMALL_FORCE_N = 1.0
 
 TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-beside-carrier", "corner overhang of 30 %")
@@ -174,7 +174,7 @@ def test_bundled_and_generated_plans_as_in_c(tmp_path: Path) -> None:
     found = {o.job: o for o in MjxWarpEngine().run(jobs, sim)}
     assert found.keys() == expected.keys()
     differ = [plans[job].plan_id for job, o in found.items() if o.verdict is not expected[job].verdict]
-    # The spec asks for 98 % of 2,000; one of 64 is as near as a small sample can say.
+    # The goal is 98 % of 2,000; one of 64 is as near as a small sample can say.
     assert len(differ) <= 1, differ
     for job, outcome in found.items():
         assert not (outcome.verdict is Verdict.STABLE and expected[job].reason is Reason.DROP)
