@@ -266,7 +266,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 
     Raises:
         InputError: one line that names file and field, such as
-            "sweeps/x.toml: axes.scale must be > 0, got -1".
+            "x.toml: axes.scale must be > 0, got -1".
     """
     path = Path(path)
     tables = read_toml(path)

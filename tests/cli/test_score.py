@@ -120,7 +120,7 @@ def test_unusable_files(content: str, tmp_path: Path, capsys: pytest.CaptureFixt
         (["nowhere.json"], "nowhere.json: no such file"),
         (["--engine", "abacus"], "abacus"),
         (["--interval", "0"], "petmjx: --interval must be > 0, got 0"),
-        (["--interval", "nan"], "petmjx: --interval: should be a finite number, got nan"),
+        (["--interval", "nan"], "petmjx: --interval must be a finite number, got nan"),
         (["--sample-interval", "0.001"], "petmjx: --sample-interval must be at least the timestep of 0.002 s"),
         (["--interval", "soon"], "--interval"),
         (["--size-reduction-mm", "-1"], "petmjx: --size-reduction-mm must be ≥ 0"),
