@@ -112,7 +112,7 @@ def outcomes(
             max_top_force_n=doubles(m.max_top_force[i, :n]),
             rest_top_force_n=doubles(found.rest_force[i, :n]),
             dropped=np.asarray(drops >= 0),
-            drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops]),
+            drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
             max_sway_m=doubles(m.max_sway[i, :n]) if driven else np.full(n, np.nan),
             pos=doubles(host.pose[i, :n, :3]),
             quat=doubles(host.pose[i, :n, 3:]),

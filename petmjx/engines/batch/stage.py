@@ -7,7 +7,7 @@ worlds and refilled from the queue, all on the device. The host reads one small 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from petmjx.engines.batch.state import State, Status, Worlds, narrow, put_rows, 
 from petmjx.engines.batch.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fields
 
 
+@runtime_checkable
 class Stepper(Protocol):
     """What differs between the MJX implementations: stepping, reading contacts, reading overflow."""
 

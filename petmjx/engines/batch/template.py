@@ -90,9 +90,9 @@ def padded_template(
         body.iquat = (1, 0, 0, 0)
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, friction=physics.box_friction, **contact)
 
-    add_box((0.4, 0.3, physics.carrier_half_height_m), (0, 0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
+    add_box((0.4, 0.3, physics.carrier_half_height_m), (0.0, 0.0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
     for k in range(capacity):
-        add_box((0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0, PARKING_HEIGHT_M), 5.0, True)
+        add_box((0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0.0, PARKING_HEIGHT_M), 5.0, True)
     return spec.compile()
 
 
