@@ -47,7 +47,7 @@ def judge(state: State, worlds: Worlds, sim: Simulation) -> Results:
     """Verdicts (as reasons) and the metrics that need the whole run, for every world of a table."""
     limits, m = sim.thresholds, state.metrics
     box = jnp.arange(worlds.mass.shape[1])
-    placed = box < state.placed[:, None]
+    placed = box[None] < state.placed[:, None]
     shift = motion.shift(state.pose[..., :3], worlds.target, limits.shift_floor_m)
     shift = jnp.where(placed[..., None], shift, 0.0)
     flags = state.flags

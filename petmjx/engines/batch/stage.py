@@ -186,7 +186,7 @@ class Stage:
     def _park_idle(self, state: State) -> State:
         """Hang the carriers of idle lanes in the air as well: a world without contacts costs next to nothing."""
         idle = ~state.running[:, None]
-        aloft = jnp.array([0.0, 0.0, PARKING_HEIGHT_M, 1.0, 0.0, 0.0, 0.0])
+        aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, 1.0, 0.0, 0.0, 0.0]])
         return state._replace(
             carrier_pose=jnp.where(idle, aloft, state.carrier_pose),
             carrier_vel=jnp.where(idle, 0.0, state.carrier_vel),
@@ -203,7 +203,7 @@ class Stage:
         """Gravity and the force on the carrier for the step to come, (lane, 3) each."""
         state, worlds = lanes.state, lanes.worlds
         ramp = jnp.clip((state.step + SOFT_START_STEPS) / SOFT_START_STEPS, 0.0, 1.0)
-        gravity = ramp[:, None] * jnp.array([0.0, 0.0, -self.physics.gravity_m_s2])
+        gravity = ramp[:, None] * jnp.array([[0.0, 0.0, -self.physics.gravity_m_s2]])
         force = jnp.zeros_like(gravity)
         if self.rules.driven:
             at = state.step - state.driven_from
