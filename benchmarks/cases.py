@@ -46,8 +46,7 @@ class Case:
         text: what it measures, in one line.
         count: the first so many plans; with ``boxes``, so many copies (0: as many as fill the engine).
         source: file of plans; empty: generated samples of ``SEED``. ``--plans`` goes before it.
-        boxes: not many plans but copies of one stack, for ``Way.ENGINE``: the first so many boxes of the first plan of
-            ``source`` that has them, or of sample plan ``STACK_PLAN``. ``--plans`` does not matter to it.
+        boxes: not many plans but copies of one stack, for ``Way.ENGINE``: so many boxes of sample plan ``STACK_PLAN``.
         longest_first: plans with many boxes come first, so that no thread is left alone with the last one.
         simulation: fields of ``petmjx.Simulation``.
         sweep: a sweep's file or the name of a ready-made one; empty: each plan is scored once.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import make_engine
 from petmjx.errors import InputError
 from petmjx.machine import device_name
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans, write_samples
 from petmjx.results.reader import load_run
@@ -157,9 +157,10 @@ class Bench:
                 if folders and watch.time_is_up:
                     break
                 folders.append(base / f"{len(folders):04d}" if len(block) < len(plans) else base)
-                options = {"threads": _threads(engine), "lanes": self.lanes, "out": folders[-1], "watcher": watch}
+                options = {"engine": engine, "threads": _threads(engine), "lanes": self.lanes, **case.simulation}
+                simulate = partial(petmjx.sweep, case.sweep) if case.sweep else petmjx.score
                 with contextlib.suppress(_TimeIsUp):
-                    _simulate(case, PlanSet(block, found.skipped, found.warnings), engine=engine, **options)
+                    simulate(replace(found, plans=block), out=folders[-1], watcher=watch, **options)
         if not folders:
             raise InputError(f"{path}: no plans left after the first {self.skip}")
         self._folders.setdefault((case.name, engine_name), folders)
@@ -198,7 +199,7 @@ class Bench:
         threads, sim = _threads(engine), case.sim
         if case.boxes:
             copies = case.count or (4 * threads if threads else self.lanes or STACK_LANES)
-            jobs = [Job(build_scene(_stack(case), sim))] * copies
+            jobs = [Job(build_scene(self._stack(case.boxes), sim))] * copies
         else:
             jobs = [Job(build_scene(plan, sim)) for plan in self._plans(case)]
         self.say(f"{case.name} on {engine_name}: {len(jobs)} worlds")
@@ -294,31 +295,36 @@ class Bench:
         }
 
     def _engine(self, case: Case, name: str) -> tuple[Engine, float]:
-        """The engine, and the seconds it took to import and build it (0 where it was there)."""
-        threads = case.threads or self.threads
+        """The engine, and the seconds it took to import and build it."""
+        begin, threads = time.perf_counter(), case.threads or self.threads
         if (name, threads) not in self._engines:
             limits = {"threads": threads} if name == MUJOCO else {"lanes": self.lanes}
-            begin = time.perf_counter()
             self._engines[name, threads] = self.make(name, **limits)
-            return self._engines[name, threads], time.perf_counter() - begin
-        return self._engines[name, threads], 0.0
+        return self._engines[name, threads], time.perf_counter() - begin
 
     def _plans_file(self, case: Case) -> tuple[Path, int]:
         """A file with a case's plans, and how many of them are taken after those that are skipped."""
         count = min(case.count, self.limit or case.count)
         if self.plans or case.source:
             return self.plans or Path(case.source), count
-        needed = self.skip + count
-        there = sorted(self.work.glob("samples-*.json"))
-        path = next((each for each in there if int(each.stem.split("-")[1]) >= needed), None)
-        if path is None:
-            self.say(f"generating {needed} sample plans")
-            path = self.work / f"samples-{needed}.json"
+        path = self.work / f"samples-{self.skip + count}.json"
+        if not path.exists():
+            self.say(f"generating {self.skip + count} sample plans")
             part = path.with_suffix(".part")
             self.work.mkdir(parents=True, exist_ok=True)
-            write_samples(part, needed, SEED)
+            write_samples(part, self.skip + count, SEED)
             part.replace(path)
         return path, count
+
+    def _stack(self, n_boxes: int) -> Plan:
+        """The first boxes of the plan that stacks are cut from."""
+        plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
+        if len(placements) < n_boxes:
+            raise InputError(f"plan {plan_id} has no {n_boxes} boxes to stack")
+        path = self.work / f"stack-{n_boxes}.json"
+        self.work.mkdir(parents=True, exist_ok=True)
+        write_plans(path, [(plan_id, placements[:n_boxes])])
+        return load_plans(path).plans[0]
 
     def _plans(self, case: Case) -> list[Plan]:
         path, count = self._plans_file(case)
@@ -339,36 +345,10 @@ class Bench:
         return next(folder for folder in folders if not folder.exists())
 
 
-def _simulate(case: Case, plans: PlanSet, **options: Any) -> None:
-    options |= case.simulation
-    if case.sweep:
-        petmjx.sweep(case.sweep, plans, **options)
-    else:
-        petmjx.score(plans, **options)
-
-
 def _threads(engine: Engine) -> int | None:
     """CPU threads of an engine that has them."""
     threads: int | None = getattr(engine, "threads", None)
     return threads
-
-
-def _stack(case: Case) -> Plan:
-    """The first boxes of the plan that a case's stacks are cut from."""
-    with tempfile.TemporaryDirectory(prefix="petmjx-") as folder:
-        path = Path(case.source or Path(folder) / "stack.json")
-        if not case.source:
-            write_plans(path, [generate_one(STACK_PLAN, SEED, loose_share=0.0)])
-        found = load_plans(path).plans
-    n = case.boxes
-    plan = next((plan for plan in found if plan.n_boxes >= n), None)
-    if plan is None:
-        raise InputError(f"{case.source or 'sample plan'}: no plan with {n} boxes for {case.name}")
-    rows = {
-        name: getattr(plan, name)[:n]
-        for name in ("size_mm", "corner_mm", "mass_kg", "item_ids", "articles", "sequence")
-    }
-    return replace(plan, **rows)
 
 
 def spread_over_sizes(plans: Sequence[Plan]) -> list[Plan]:
