@@ -45,7 +45,7 @@ class _Pending:
     def following(self) -> _Pending:
         """The next part, once this one is written."""
         rows = self.part.rows
-        verdicts = self.verdicts + Counter((row.verdict, row.reason) for row in rows)
+        verdicts = self.verdicts + Counter((row.cells["verdict"], row.cells["reason"]) for row in rows)
         return _Pending(Part(self.part.number + 1), verdicts, self.retried + sum(bool(row.attempts) for row in rows))
 
     def counts(self) -> dict[str, Any]:
