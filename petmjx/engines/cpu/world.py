@@ -10,7 +10,7 @@ import numpy as np
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
-from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -196,9 +196,7 @@ class WorldRun:
         if not sampled:
             return True
         pos, quat = live.sampled_pose()
-        acc = live.qacc[:k]
-        sample = Sample(self._clock.time_s(step), pos, quat, acc[:, :3], acc[:, 3:], force)
-        too_fast = self._metrics.add_sample(sample)
+        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos, quat, live.qacc[:k], force)
         if not self._driving and self._explodes(too_fast):
             self._flags |= Flag.EXPLOSION
             return False
