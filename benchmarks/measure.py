@@ -78,33 +78,20 @@ class _Watch:
 
 @dataclass
 class Bench:
-    """Measures cases one after the other. Engines are kept, so that what one case compiled serves the next.
+    """Measures cases one after the other. Engines are kept, so that what one case compiled serves the next."""
 
-    Args:
-        work: folder that keeps what timed runs write.
-        plans: file of plans instead of the cases' own.
-        limit: at most so many plans; ``skip``: without the first so many.
-        lanes, threads: as for ``make_engine``; None: the engine's own choice.
-        max_seconds: a run is cut off after this (wall time), and the result says so.
-        repeat: times each case is run on an engine. Cases take turns; each further run is compared with the first.
-        oracles: schedules of engine ``mujoco`` that runs are compared with; run first.
-        against: label → folders of earlier runs to compare with.
-        say: is told what begins.
-        make: builds engines, as ``make_engine`` does.
-    """
-
-    work: Path
-    plans: Path | None = None
-    limit: int | None = None
-    skip: int = 0
-    lanes: int | None = None
-    threads: int | None = None
-    max_seconds: float | None = None
-    repeat: int = 1
-    oracles: Sequence[Schedule] = ()
-    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)
-    say: Callable[[str], None] = lambda text: None
-    make: Callable[..., Engine] = make_engine
+    work: Path  # folder that keeps what timed runs write
+    plans: Path | None = None  # file of plans instead of the cases' own
+    limit: int | None = None  # at most so many plans
+    skip: int = 0  # without the first so many
+    lanes: int | None = None  # as for ``make_engine``; None: the engine's own choice
+    threads: int | None = None  # the same
+    max_seconds: float | None = None  # a run is cut off after this (wall time), and the result says so
+    repeat: int = 1  # times each case is run. Cases take turns; each further run is compared with the first
+    oracles: Sequence[Schedule] = ()  # schedules of engine ``mujoco`` that runs are compared with; run first
+    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # label → folders of earlier runs
+    say: Callable[[str], None] = lambda text: None  # is told what begins
+    make: Callable[..., Engine] = make_engine  # builds engines
     _environment: Result = field(default_factory=environment, init=False)
     _engines: dict[tuple[str, int | None], Engine] = field(default_factory=dict, init=False)
     _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)
@@ -113,18 +100,11 @@ class Bench:
         """Results of cases on engines, as they come; an oracle's before the first that it judges."""
         asked = ((case, case.only or engine) for engine in engines for case in cases)
         turns = {(case.name, engine): (case, engine) for case, engine in asked}
+        ways = {Way.FILES: self._compared, Way.ENGINE: self._engine_alone}
         for repetition in range(1, self.repeat + 1):
             for case, engine in turns.values():
-                for result in self._measure(case, engine):
+                for result in ways.get(case.way, self._plain_loop)(case, engine):
                     yield {**result, "repetition": repetition}
-
-    def _measure(self, case: Case, engine: str) -> Iterator[Result]:
-        if case.way is Way.ENGINE:
-            yield self._engine_alone(case, engine)
-        elif case.way is not Way.FILES:
-            yield self._plain_loop(case)
-        else:
-            yield from self._compared(case, engine)
 
     def _compared(self, case: Case, engine: str) -> Iterator[Result]:
         """A run from file to Parquet, after the oracles that it is compared with."""
@@ -193,7 +173,7 @@ class Bench:
             note="; ".join(notes),
         )
 
-    def _engine_alone(self, case: Case, engine_name: str) -> Result:
+    def _engine_alone(self, case: Case, engine_name: str) -> Iterator[Result]:
         """From scenes to outcomes. MJX engines run once before, so that nothing compiles in what is timed."""
         engine, start_s = self._engine(case, engine_name)
         threads, sim = _threads(engine), case.sim
@@ -209,7 +189,7 @@ class Bench:
         with timed() as clock:
             outcomes = list(engine.run(jobs, sim, progress))
         clock.wall_s += warming.compile_s
-        return self._result(
+        yield self._result(
             case,
             engine,
             clock,
@@ -222,7 +202,7 @@ class Bench:
             note=f"soft start ({2 * SOFT_START_STEPS} steps) included",
         )
 
-    def _plain_loop(self, case: Case) -> Result:
+    def _plain_loop(self, case: Case, engine_name: str) -> Iterator[Result]:
         """One plan after the other, evenly spread over their sizes, until time is up."""
         plans, physics = self._plans(case), case.sim.physics
         max_seconds = self.max_seconds or LOOP_SECONDS
@@ -237,7 +217,7 @@ class Bench:
                 sizes.append(plan.n_boxes)
         note = f"{len(sizes)} of {case.count} plans, evenly spread over the sizes" if len(sizes) < case.count else ""
         steps = sum(fixed_steps(n, physics.timestep_s) for n in sizes)
-        return self._result(case, None, clock, sizes=sizes, steps=steps, note=note)
+        yield self._result(case, None, clock, sizes=sizes, steps=steps, note=note)
 
     # ------------------------------------------------------------------ what they share
 

@@ -99,15 +99,9 @@ SECTIONS = {
     "scale": ("Time against the number of plans", "plans; ms/plan; plans/s; run; host memory"),
     "stacks": ("Full stacks", "worlds; steps/s; compile"),
     "plain": ("Plain Python loop", "plans; boxes a plan; plans/s; steps/s; note"),
-    "one-plan": (
-        "One plan on one thread",
-        "CPU time; × loop, waiting in the air; × loop, waiting on the floor",
-    ),
+    "one-plan": ("One plan on one thread", "CPU time; × loop, waiting in the air; × loop, waiting on the floor"),
     "threads": ("Threads of the engine mujoco", "plans; wall time; × 1 thread"),
-    "sweeps": (
-        "Sweeps, from settled states",
-        "plans; worlds driven; worlds/s; wall time; compile; note",
-    ),
+    "sweeps": ("Sweeps, from settled states", "plans; worlds driven; worlds/s; wall time; compile; note"),
     "shares": ("How often plans stand", "against; each share in the other's 95 % interval; overlap"),
 }
 """Group → title of its table, and its columns after the first four."""

@@ -97,19 +97,13 @@ class BoxMetric:
     compared: bool = True
     relative: bool = False
 
-    def box_columns(self) -> Iterator[Column]:
-        """Its columns of ``boxes``."""
-        compared = self.compared and self.dtype is not np.bool_
-        for name, meaning in self.columns.items():
-            yield Column(name, self.unit, self.dtype, meaning, compared, self.relative)
-
-    def world_columns(self) -> Iterator[Column]:
+    def world_columns(self) -> list[Column]:
         """Its column of ``worlds``, if it has one. Worlds are few: all their measures are float64."""
         if self.of_world is None:
-            return
+            return []
         counts = self.of_world.reduction is Reduction.COUNT
         unit, dtype = (DIMENSIONLESS, np.int32) if counts else (self.unit, np.float64)
-        yield Column(self.of_world.name, unit, dtype, self.of_world.meaning, self.compared, self.relative)
+        return [Column(self.of_world.name, unit, dtype, self.of_world.meaning, self.compared, self.relative)]
 
 
 @dataclass(frozen=True)
@@ -123,9 +117,9 @@ class WorldMetric:
     dtype: type[np.generic] = np.float64
     compared: bool = True
 
-    def world_columns(self) -> Iterator[Column]:
+    def world_columns(self) -> list[Column]:
         """Its column of ``worlds``."""
-        yield Column(self.name, self.unit, self.dtype, self.meaning, self.compared)
+        return [Column(self.name, self.unit, self.dtype, self.meaning, self.compared)]
 
 
 def _largest(
@@ -214,7 +208,11 @@ def world_metrics() -> list[WorldMetric]:
 
 def box_columns(driven: bool = True) -> list[Column]:
     """Columns of ``boxes`` that hold metrics."""
-    return [column for metric in box_metrics(driven) for column in metric.box_columns()]
+    return [
+        Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
+        for m in box_metrics(driven)
+        for name, meaning in m.columns.items()
+    ]
 
 
 def world_columns() -> list[Column]:
