@@ -75,19 +75,9 @@ class PalletStepper:
         if 6 * self.n_blocks > newton.MAX_DOFS:
             raise ValueError(f"{self.n_blocks} bodies are more than the solver has room for")
         self.pyramidal = int(template.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL)
-        self.n_geoms = template.ngeom
-        self.numbers = {
-            "held": self.held,
-            "pyramidal": self.pyramidal,
-            "timestep": float(template.opt.timestep),
-            "floor_z": float(template.geom_pos[0, 2]),
-            "n_geoms": self.n_geoms,
-            "pool": pool,
-            "room": room,
-            "limit": int(template.opt.iterations),
-            "trials": int(template.opt.ls_iterations),
-            "tolerance": float(template.opt.tolerance),
-        }
+        self.n_geoms, self.floor_z = template.ngeom, float(template.geom_pos[0, 2])
+        self.timestep, self.tolerance = float(template.opt.timestep), float(template.opt.tolerance)
+        self.limit, self.trials = int(template.opt.iterations), int(template.opt.ls_iterations)
         # What per-world fields are made from (template.override_fields), in MJX-Warp's shapes.
         self.model = SimpleNamespace(
             geom_size=jnp.asarray(template.geom_size, jnp.float32),
@@ -151,7 +141,7 @@ class PalletStepper:
     def launch(self, arrays: dict[str, Any]) -> None:
         """Launch the step's kernels on Warp arrays, by the names of ``_INPUTS`` and ``_OUTPUTS``."""
         r = Records(
-            model=filled(Model, self.numbers | arrays),
+            model=filled(Model, vars(self) | arrays),  # its numbers are attributes of this object
             state=filled(State, arrays),
             collisions=filled(Collisions, vars(self.data) | vars(self.data.contact)),
             work=filled(Workspace, records.in_buffer(arrays["workspace"], self.sizes)),
