@@ -101,8 +101,7 @@ class RunWriter:
         self.warnings: list[str] = []
         self.timings: dict[str, float] = {}
         self._overwrite = overwrite
-        self._worlds_per_part = worlds_per_part
-        self._seconds_per_part = seconds_per_part
+        self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._pending = _Pending(Part(0))
         self._status = "running"
         self._error: str | None = None

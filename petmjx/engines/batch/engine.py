@@ -28,6 +28,9 @@ from petmjx.world.job import Job
 MAX_GROWTH = 8
 """Buffers that overflowed are doubled up to this factor; a world that needs more is invalid."""
 
+MAX_STAGES = 6
+"""Capacities in use, at most; each is compiled once."""
+
 MAX_LANES = 1 << 16
 MIN_LANES = 16
 """Fewer lanes than this save no memory worth having."""
@@ -84,17 +87,13 @@ class _Group:
 
     def retry(self, rows: NDArray[np.int64]) -> None:
         """Clear overflow bits: a re-run in buffers that are large enough is as true as any other, and says so."""
-        at = jnp.asarray(rows)
-        flags = (self.table.flags[at] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
-        self.table = self.table._replace(flags=self.table.flags.at[at].set(flags))
+        flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
+        self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
         """End worlds that this device cannot simulate."""
-        at = jnp.asarray(rows)
-        self.table = self.table._replace(
-            flags=self.table.flags.at[at].set(self.table.flags[at] | int(flag)),
-            status=self.table.status.at[at].set(Status.FINISHED),
-        )
+        flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
+        self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
 
 class MjxEngine(ABC):
@@ -103,7 +102,6 @@ class MjxEngine(ABC):
     Args:
         lanes: worlds stepped side by side, at most; fewer where fewer worlds are there or memory runs out.
         group_size: worlds whose states are on the device at a time; bounds memory whatever the number of jobs.
-        max_stages: capacities in use, at most; each is compiled once.
         capacities: fixed capacities instead of ones chosen from the plans (tests).
         chunk_steps: steps between two looks at which lanes are through.
         drain_share: a stage hands worlds that lag on to the next capacity once fewer than this share of its lanes
@@ -117,18 +115,13 @@ class MjxEngine(ABC):
         lanes: int | None = None,
         *,
         group_size: int = 8192,
-        max_stages: int = 6,
         capacities: Sequence[int] | None = None,
         chunk_steps: int = 25,
         drain_share: float = 0.25,
     ) -> None:
         set_up_jax()
-        self.lanes = lanes
-        self.group_size = group_size
-        self.max_stages = max_stages
-        self.capacities = capacities
-        self.chunk_steps = chunk_steps
-        self.drain_share = drain_share
+        self.lanes, self.capacities, self.group_size = lanes, capacities, group_size
+        self.chunk_steps, self.drain_share = chunk_steps, drain_share
         self.stages: dict[StageKey, Stage] = {}
         """The stages that are compiled and kept."""
         self._warm: set[Stage] = set()
@@ -165,7 +158,7 @@ class MjxEngine(ABC):
             return {kind: list(self.capacities) for kind in sizes}
         grows = sim.check is Check.ONE_BY_ONE
         return {
-            kind: (growing_capacities if grows and not kind else class_capacities)(found, self.max_stages)
+            kind: (growing_capacities if grows and not kind else class_capacities)(found, MAX_STAGES)
             for kind, found in sizes.items()
         }
 

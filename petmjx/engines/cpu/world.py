@@ -76,16 +76,13 @@ class WorldRun:
         self._adaptive = sim.schedule is not Schedule.FIXED
         self._pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
-        self._step = 0
-        self._first_step = 0
-        self._last_placement = 0
+        self._step = self._first_step = self._last_placement = 0
         self._quiet = QuietRule(sim)
         self._fast_since = _FAR
         self._placing = True
         self._deadline = _FAR
         self._end = _FAR
-        self._drive_start = 0
-        self._driving = False
+        self._driving, self._drive_start = False, 0
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
 
@@ -105,8 +102,7 @@ class WorldRun:
             self._resume(start)
         else:
             self._start()
-        came_to_end = self._loop()
-        return self._outcome(came_to_end)
+        return self._outcome(came_to_end=self._loop())
 
     def _start(self) -> None:
         static = self._sim.check is Check.STATIC
