@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -91,32 +91,35 @@ class World:
     job: Job
 
 
+AnyWorld = TypeVar("AnyWorld", bound=World)
+
+
 @dataclass(frozen=True, eq=False)
-class WorldResult:
+class WorldResult(Generic[AnyWorld]):
     """A world, the outcome of its last attempt, and all its attempts in order (one where it was valid at once)."""
 
-    world: World
+    world: AnyWorld
     outcome: Outcome
     attempts: tuple[Attempt, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class _Pending:
+class _Pending(Generic[AnyWorld]):
     """A world that waits for its next attempt, with the records of those it has had."""
 
-    world: World
+    world: AnyWorld
     attempts: tuple[Attempt, ...] = ()
 
 
 def score_worlds(
-    worlds: Iterable[World],
+    worlds: Iterable[AnyWorld],
     sim: Simulation,
     engine: Engine,
     *,
     progress: Progress | None = None,
     chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
-) -> Iterator[WorldResult]:
+) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield each one's result once, as it becomes final, in any order.
 
     Worlds are drawn and simulated ``chunk_worlds`` at a time; invalid ones gather and run again as one
@@ -128,7 +131,7 @@ def score_worlds(
     progress = progress or Progress()
     first, *retries = attempts
     source = iter(worlds)
-    invalid: list[_Pending] = []
+    invalid: list[_Pending[AnyWorld]] = []
     while chunk := [_Pending(world) for world in islice(source, chunk_worlds)]:
         for pending, outcome in _run_attempt(chunk, first, sim, engine, progress):
             if retries and outcome.verdict is Verdict.INVALID:
@@ -142,8 +145,12 @@ def score_worlds(
 
 
 def _retry(
-    invalid: list[_Pending], attempts: Sequence[AttemptRecipe], sim: Simulation, engine: Engine, progress: Progress
-) -> Iterator[WorldResult]:
+    invalid: list[_Pending[AnyWorld]],
+    attempts: Sequence[AttemptRecipe],
+    sim: Simulation,
+    engine: Engine,
+    progress: Progress,
+) -> Iterator[WorldResult[AnyWorld]]:
     """Take invalid worlds through the attempts, all of them at one attempt before the next begins."""
     for attempt in attempts:
         if not invalid:
@@ -159,8 +166,8 @@ def _retry(
 
 
 def _run_attempt(
-    batch: Sequence[_Pending], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
-) -> Iterator[tuple[_Pending, Outcome]]:
+    batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
+) -> Iterator[tuple[_Pending[AnyWorld], Outcome]]:
     """One attempt at each world of a batch: yields the world with this attempt's record added, and the outcome."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))

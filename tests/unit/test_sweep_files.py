@@ -364,7 +364,7 @@ def test_a_search_numbers_its_worlds_by_what_they_test(tmp_path: Path) -> None:
     )
     groups = list(plan.groups())
     assert len(groups) == 2
-    assert plan.search_levels.tolist() == [round(0.01 * k, 2) for k in range(101)]
+    assert plan.sweep.search_levels.tolist() == [round(0.01 * k, 2) for k in range(101)]
     assert [item.direction_deg for item in plan.search_items()] == [0.0, 180.0]
     made = {
         plan.search_variant(group, item, level).index for group in groups for item in (0, 1) for level in range(101)
