@@ -11,7 +11,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, Skipped
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
-from petmjx.text import counted, duration, rounded, shown
+from petmjx.text import counted, duration, rounded
 from petmjx.units import deg_to_rad, seconds_to_steps
 from petmjx.world.job import Drive
 from petmjx.world.profiles.base import Profile
@@ -86,14 +86,9 @@ class SweepPlan(Design):
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
             return True
-        factor = self.sweep.simulation.total_time_factor
-        message = (
-            f"{plan.source}: plan {shown(plan.plan_id)}: the run ends before its profile begins, "
-            f"at {factor:g} times the placement time (total_time_factor)"
-        )
-        if self.strict:
-            raise InputError(message)
-        self.skipped.append(Skipped(plan.source, plan.plan_id, message))
+        at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
+        why = f": the run ends before its profile begins, {at}"
+        self.skipped.append(Skipped.plan(plan, why, self.strict))
         return False
 
     @property

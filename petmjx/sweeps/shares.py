@@ -17,9 +17,6 @@ DEFAULT_CONFIDENCE = 0.95
 ALL_PLANS = "*"
 """``plan_id`` of summary rows over all plans together."""
 
-SUMMARY_UNITS = {"n_worlds": "1", "n_standing": "1", "n_invalid": "1", "share": "1", "low": "1", "high": "1"}
-"""Units of the summary's number columns."""
-
 
 def wilson_interval(
     successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE

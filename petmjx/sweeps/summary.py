@@ -18,7 +18,7 @@ from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.run import Answer, SweptWorld
 from petmjx.sweeps.search import failure_mode
-from petmjx.sweeps.shares import SUMMARY_UNITS, by_plan_and_axis, share_standing
+from petmjx.sweeps.shares import by_plan_and_axis, share_standing
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
 
@@ -193,22 +193,15 @@ def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str], dict[str, str]]:
     """(units, descriptions) of a summary's columns."""
     known = {param.name: (param.unit, param.description) for param in SweepColumns(plan).params}
-    units = dict(SUMMARY_UNITS)
-    texts: dict[str, str] = dict(_DESCRIPTIONS)
+    units: dict[str, str] = {}
+    texts = dict(_DESCRIPTIONS)
     for name in map(str, frame):
         if name in known:
             units[name], text = known[name]
             texts.setdefault(name, text)
-        elif name not in units and pd.api.types.is_numeric_dtype(frame[name]):
-            units[name] = _unit_by_name(name)
+        elif pd.api.types.is_numeric_dtype(frame[name]):
+            units[name] = "g" if name.endswith("_g") else "deg" if name.endswith("_deg") else DIMENSIONLESS
     return units, texts
-
-
-def _unit_by_name(name: str) -> str:
-    for ending, unit in (("_g", "g"), ("_deg", "deg")):
-        if name.endswith(ending):
-            return unit
-    return DIMENSIONLESS
 
 
 _DESCRIPTIONS = {
