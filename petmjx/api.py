@@ -148,7 +148,7 @@ def _simulate(
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
     engine, choice = resolve_engine(options, plan.work())
     columns = SweepColumns(plan) if command == "sweep" else None
-    total = plan.n_worlds if plan.search is None else None
+    total = plan.n_worlds if asked.search is None else None
     progress = Progress()
     rows: list[dict[str, Any]] = []
     swept = SweepRun(
@@ -197,7 +197,7 @@ def _simulate(
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=progress.compile_s)
         if columns:
-            frame = search_frame(rows) if plan.search is not None else summarise_shares(folder, plan)
+            frame = search_frame(rows) if asked.search is not None else summarise_shares(folder, plan)
             write_summary(folder, frame, *summary_units(frame, plan))
         return load_run(folder)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -89,28 +89,31 @@ class World:
     job: Job
 
 
+AnyWorld = TypeVar("AnyWorld", bound=World)
+
+
 @dataclass(frozen=True, eq=False)
-class WorldResult:
+class WorldResult(Generic[AnyWorld]):
     """A world, the outcome of its last attempt, and all its attempts in order (one where it was valid at once)."""
 
-    world: World
+    world: AnyWorld
     outcome: Outcome
     attempts: tuple[Attempt, ...]
 
 
-_Pending = tuple[World, tuple[Attempt, ...]]
+_Pending = tuple[AnyWorld, tuple[Attempt, ...]]
 """A world that waits for its next attempt, with the records of those it has had."""
 
 
 def score_worlds(
-    worlds: Iterable[World],
+    worlds: Iterable[AnyWorld],
     sim: Simulation,
     engine: Engine,
     *,
     progress: Progress | None = None,
     chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
-) -> Iterator[WorldResult]:
+) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield each one's result once, as it becomes final, in any order.
 
     Worlds are drawn and simulated ``chunk_worlds`` at a time; invalid ones gather and run again as one
@@ -122,9 +125,11 @@ def score_worlds(
     progress = progress or Progress()
     first, *retries = attempts
     source = iter(worlds)
-    invalid: list[_Pending] = []
+    invalid: list[_Pending[AnyWorld]] = []
 
-    def attempt_at(batch: Sequence[_Pending], attempt: AttemptRecipe) -> Generator[WorldResult, None, list[_Pending]]:
+    def attempt_at(
+        batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe
+    ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
         """Yields results that are final; returns the worlds that need another attempt."""
         again = []
         for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress):
@@ -134,7 +139,7 @@ def score_worlds(
                 yield WorldResult(world, outcome, records)
         return again
 
-    def retry(batch: Sequence[_Pending]) -> Iterator[WorldResult]:
+    def retry(batch: Sequence[_Pending[AnyWorld]]) -> Iterator[WorldResult[AnyWorld]]:
         for attempt in retries:
             if batch:
                 progress.message = f"{len(batch)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
@@ -149,8 +154,8 @@ def score_worlds(
 
 
 def _run_attempt(
-    batch: Sequence[_Pending], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
-) -> Iterator[tuple[World, Outcome, tuple[Attempt, ...]]]:
+    batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
+) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
     """One attempt at each world of a batch: yields the world, the outcome, and its records with this attempt's."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))

@@ -12,7 +12,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
-from petmjx.text import counted, shown
+from petmjx.text import counted
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
@@ -61,13 +61,10 @@ def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:
     for plan in found.plans:
         if options.limit is not None and len(kept) == options.limit:
             break
-        if plan.plan_id not in kept:
+        if plan.plan_id in kept:
+            skipped.append(Skipped.plan(plan, ": repeated plan id", options.strict))
+        else:
             kept[plan.plan_id] = plan
-            continue
-        message = f"{plan.source}: plan {shown(plan.plan_id)}: repeated plan id"
-        if options.strict:
-            raise InputError(message)
-        skipped.append(Skipped(plan.source, plan.plan_id, message))
     return PlanSet(list(kept.values()), skipped, found.warnings)
 
 
@@ -84,13 +81,8 @@ def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bo
             kept.append(plan)
             continue
         box = int(thin[0])
-        message = (
-            f"{plan.source}: plan {shown(plan.plan_id)}, placement {box}: a side of {plan.size_mm[box].min():g} mm "
-            f"vanishes under the size reduction of {size_reduction_mm:g} mm"
-        )
-        if strict:
-            raise InputError(message)
-        skipped.append(Skipped(plan.source, plan.plan_id, message))
+        side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
+        skipped.append(Skipped.plan(plan, f", placement {box}: {side}", strict))
     return PlanSet(kept, skipped, found.warnings)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.errors import InputError
 from petmjx.plans.warnings import PlanWarnings
 from petmjx.text import counted, shown
 
@@ -53,6 +54,21 @@ class Skipped:
     source: str
     plan_id: str | None
     message: str
+
+    @classmethod
+    def plan(cls, plan: Plan, why: str, strict: bool) -> Skipped:
+        """A plan that was read but cannot be simulated.
+
+        Args:
+            why: goes on after the plan's id, as in ": repeated plan id".
+
+        Raises:
+            InputError: with ``strict``.
+        """
+        message = f"{plan.source}: plan {shown(plan.plan_id)}{why}"
+        if strict:
+            raise InputError(message)
+        return cls(plan.source, plan.plan_id, message)
 
     def __str__(self) -> str:
         return self.message

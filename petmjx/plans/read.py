@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Final
 
+from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.plan import PlanSet, Skipped
 from petmjx.plans.scan import Damage, describe, scan_plans
@@ -83,37 +85,35 @@ def _list_files(paths: list[Path]) -> list[Path]:
                 if member.name.lower().endswith(_SUFFIXES) and not member.name.startswith(".") and not member.is_dir()
             )
         except (OSError, ValueError) as error:
-            raise InputError(f"{printable(str(path))}: cannot be read ({_reason(error)})") from error
+            raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from error
         if not members:
             raise InputError(f"{printable(str(path))}: the folder holds no .json or .json.gz files")
         files.extend(members)
     return files
 
 
+@dataclass
 class _Loading:
     """The state of one `load_plans`: what was found, and which ids are taken."""
 
-    def __init__(
-        self, limit: int | None, strict: bool, max_boxes: int, carrier_extent_mm: tuple[float, float] | None
-    ) -> None:
-        self.found = PlanSet()
-        self._limit = limit
-        self._strict = strict
-        self._max_boxes = max_boxes
-        self._carrier_extent_mm = carrier_extent_mm
-        self._source_of: dict[str, str] = {}
-        self._names: dict[str, str] = {}
+    limit: int | None
+    strict: bool
+    max_boxes: int
+    carrier_extent_mm: tuple[float, float] | None
+    found: PlanSet = field(default_factory=PlanSet)
+    source_of: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
 
     @property
     def full(self) -> bool:
-        return self._limit is not None and len(self.found.plans) >= self._limit
+        return self.limit is not None and len(self.found.plans) >= self.limit
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
         try:
             text, fault = _read_text(path)
         except OSError as error:
-            self._skip(source, None, f"{source}: cannot be read ({_reason(error)})")
+            self._skip(source, None, f"{source}: cannot be read ({reason(error)})")
             return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
@@ -138,23 +138,23 @@ class _Loading:
 
     def _take(self, source: str, plan_id: str, value: object) -> None:
         try:
-            plan = parse_plan(plan_id, source, value, self._max_boxes, self._names)
+            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names)
         except PlanError as error:
             self._skip(source, plan_id, str(error), error)
             return
-        first_source = self._source_of.get(plan_id)
+        first_source = self.source_of.get(plan_id)
         if first_source is not None:
             where = "in this file" if first_source == source else f"in {first_source}"
             self._skip(source, plan_id, f"{source}: plan {shown(plan_id)}: repeated plan id, first used {where}")
             return
-        self._source_of[plan_id] = source
+        self.source_of[plan_id] = source
         self.found.plans.append(plan)
-        warnings = check_layout(plan_id, source, plan.corner_mm, plan.size_mm, self._carrier_extent_mm)
+        warnings = check_layout(plan_id, source, plan.corner_mm, plan.size_mm, self.carrier_extent_mm)
         if warnings.any:
             self.found.warnings.append(warnings)
 
     def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
-        if self._strict:
+        if self.strict:
             raise InputError(message) from cause
         plan_id = None if plan_id is None else printable(plan_id)
         self.found.skipped.append(Skipped(source, plan_id, message))
@@ -214,7 +214,3 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview) -> Iterator[
             yield inflate.decompress(chunk[position : position + 1])
         except zlib.error:
             return
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

@@ -10,8 +10,12 @@ from __future__ import annotations
 import json
 import re
 import sys
+from array import array
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
 from typing import Any, Final
 
 from petmjx.text import shown
@@ -78,9 +82,6 @@ class _Scan:
         self.text = text
         self.position = 0
         self._done = False
-        self._line = 1
-        self._line_start = 0
-        self._known_position = 0
 
     def run(self) -> Iterator[Entry | Damage]:
         text = self.text
@@ -188,19 +189,15 @@ class _Scan:
             position = start + 1
         return None
 
+    @cached_property
+    def _line_starts(self) -> array[int]:
+        """Where lines begin. Searched for in damaged files alone, and once, however many damaged spots they have."""
+        return array("Q", chain([0], (match.end() for match in re.finditer("\n", self.text))))
+
     def _place(self, position: int) -> tuple[int, int]:
-        """Line and column of a position, both from 1. Counts on from the last place asked for."""
-        text, known = self.text, self._known_position
-        if position >= known:
-            self._line += text.count("\n", known, position)
-            # A file may be one line of 100 MB: never search it from its beginning again.
-            self._line_start = max(text.rfind("\n", known, position) + 1, self._line_start)
-        else:
-            self._line -= text.count("\n", position, known)
-            if position < self._line_start:
-                self._line_start = text.rfind("\n", 0, position) + 1
-        self._known_position = position
-        return self._line, position - self._line_start + 1
+        """Line and column of a position, both from 1."""
+        line = bisect_right(self._line_starts, position)
+        return line, position - self._line_starts[line - 1] + 1
 
     def _end_of_space(self, position: int) -> int:
         match = _SPACE.match(self.text, position)

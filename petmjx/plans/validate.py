@@ -19,7 +19,10 @@ SMALLEST_KG: Final = 1e-6
 LARGEST_KG: Final = 100_000.0
 """Beyond these a number has the wrong unit or a damaged digit, and contact physics in float32 means nothing."""
 
-_SIZE_FIELDS: Final = ("length/mm", "width/mm", "height/mm")
+_RANGES: Final = {
+    **dict.fromkeys(("length/mm", "width/mm", "height/mm"), (SMALLEST_MM, LARGEST_MM, "millimetres")),
+    "weight/kg": (SMALLEST_KG, LARGEST_KG, "kilograms"),
+}
 _NUMBERS: Final = {int, float}
 _INT64: Final = np.iinfo(np.int64)
 
@@ -68,7 +71,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         items = [placement["item"] for placement in value]
         corners = [placement["flb_coordinates"] for placement in value]
         orientations = [placement["orientation"] for placement in value]
-        columns = [[item[field] for item in items] for field in (*_SIZE_FIELDS, "weight/kg")]
+        columns = [[item[field] for item in items] for field in _RANGES]
         sequences = [item["sequence"] for item in items]
         ids = [item["id"] for item in items]
         articles = [item["article"] for item in items]
@@ -127,14 +130,13 @@ def find_fault(placement: object) -> str | None:
     item = placement["item"]
     if not isinstance(item, dict):
         return f"item must be an object, got {_kind(item)}"
-    for field in ("article", "id", *_SIZE_FIELDS, "weight/kg", "sequence"):
+    for field in ("article", "id", *_RANGES, "sequence"):
         if field not in item:
             return f"{field} is missing"
     return (
         _text_fault("article", item["article"])
         or _text_fault("id", item["id"])
-        or next(filter(None, (_size_fault(field, item[field]) for field in _SIZE_FIELDS)), None)
-        or _weight_fault(item["weight/kg"])
+        or next(filter(None, (_positive_fault(field, item[field], *_RANGES[field]) for field in _RANGES)), None)
         or _sequence_fault(item["sequence"])
         or _orientation_fault(placement)
         or _corner_fault(placement)
@@ -166,14 +168,6 @@ def _positive_fault(field: str, value: Any, smallest: float, largest: float, uni
     if not smallest <= value <= largest:
         return f"{field} must be from {smallest:g} to {largest:g} ({unit}), got {_kind(value)}"
     return None
-
-
-def _size_fault(field: str, value: object) -> str | None:
-    return _positive_fault(field, value, SMALLEST_MM, LARGEST_MM, "millimetres")
-
-
-def _weight_fault(value: object) -> str | None:
-    return _positive_fault("weight/kg", value, SMALLEST_KG, LARGEST_KG, "kilograms")
 
 
 def _sequence_fault(value: object) -> str | None:

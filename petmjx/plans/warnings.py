@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.text import counted
+from petmjx.units import FloatArray
 
 DEFAULT_TOLERANCE_MM = 0.5
 """Gaps and overlaps up to this are taken as touching. Plans are written in whole millimetres, and neighbours
@@ -53,8 +54,8 @@ class PlanWarnings:
 def check_layout(
     plan_id: str,
     source: str,
-    corner_mm: NDArray[np.float64],
-    size_mm: NDArray[np.float64],
+    corner_mm: FloatArray,
+    size_mm: FloatArray,
     carrier_extent_mm: tuple[float, float] | None = None,
     tolerance_mm: float = DEFAULT_TOLERANCE_MM,
 ) -> PlanWarnings:
@@ -75,14 +76,14 @@ def check_layout(
     )
 
 
-def _shared(low: NDArray[np.float64], high: NDArray[np.float64], tolerance_mm: float) -> NDArray[np.bool_]:
+def _shared(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
     """(n, n): whether two boxes share more than the tolerance along one axis."""
     length = np.minimum.outer(high, high) - np.maximum.outer(low, low)
     return length > tolerance_mm
 
 
 def _count_overlapping_pairs(
-    low: NDArray[np.float64], high: NDArray[np.float64], side_by_side: NDArray[np.bool_], tolerance_mm: float
+    low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float
 ) -> int:
     both = side_by_side & _shared(low[2], high[2], tolerance_mm)
     thick_enough = ((high - low) > tolerance_mm).all(axis=0)
@@ -91,8 +92,8 @@ def _count_overlapping_pairs(
 
 
 def _count_outside(
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    low: FloatArray,
+    high: FloatArray,
     carrier_extent_mm: tuple[float, float] | None,
     tolerance_mm: float,
 ) -> int:
@@ -102,9 +103,7 @@ def _count_outside(
     return int(np.count_nonzero(outside))
 
 
-def _count_floating(
-    low: NDArray[np.float64], high: NDArray[np.float64], side_by_side: NDArray[np.bool_], tolerance_mm: float
-) -> int:
+def _count_floating(low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float) -> int:
     """Boxes off the carrier under which no box placed before reaches up to them.
 
     A box that is cut into from below counts as overlapping, not as floating. A box that is put in mid-air

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal, Self, TypeVar
+from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -14,7 +14,7 @@ from pydantic import (
     StrictFloat,
     StrictInt,
     Tag,
-    field_validator,
+    create_model,
     model_validator,
 )
 
@@ -35,24 +35,6 @@ MAX_ERROR: Final = 10_000.0
 DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
 
 Value = float | str | Distribution
-
-
-@dataclass(frozen=True)
-class AxisKind:
-    """One axis as the results have it.
-
-    Attributes:
-        column: its column in the results.
-        unit: of that column; "1" for factors, "" for names.
-        placement: whether another value needs a new placement.
-        plain: of an axis of errors, the distribution that a plain number stands for: the standard deviation of a
-            normal one around 0, or the fixed value itself.
-    """
-
-    column: str
-    unit: str
-    placement: bool
-    plain: Shape = Shape.NORMAL
 
 
 # Numbers, ranges of them, and lists.
@@ -79,19 +61,17 @@ def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else repr(value)
 
 
-def _is_table(value: object) -> str:
-    return TABLE if shape(value) == TABLE else VALUE
-
-
-def _is_list(value: object) -> str:
-    return LIST if shape(value) == LIST else VALUE
+def _value_or(tag: str) -> Discriminator:
+    """Tells a table, or a list, from everything else."""
+    return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
 OneOrMore = Annotated[
     Annotated[tuple[T, ...], AfterValidator(_each_once), Tag(LIST)] | Annotated[T, Tag(VALUE)],
-    Discriminator(_is_list),
+    _value_or(LIST),
 ]
 """A value or a list of values."""
+Names = OneOrMore[str]
 
 
 def _degrees(value: object) -> object:
@@ -106,11 +86,14 @@ Positive = Annotated[StrictFloat, Field(gt=0, le=MAX_STRENGTH)]
 Direction = Annotated[StrictFloat, Field(ge=-3600, le=3600), BeforeValidator(_degrees)]
 
 
-class Range(Checked):
+Number = TypeVar("Number", bound=float)
+
+
+class Range(Checked, Generic[Number]):
     """Numbers from one to another: by a step, so many, or, where a sweep draws samples, any."""
 
-    low: float = Field(alias="from", description="the first value")
-    high: float = Field(alias="to", description="the last value, where the step leads there")
+    low: Number = Field(alias="from", description="the first value")
+    high: Number = Field(alias="to", description="the last value, where the step leads there")
     step: Annotated[StrictFloat, Field(gt=0)] | None = Field(None, description="from one value to the next")
     count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="how many values")
 
@@ -139,14 +122,7 @@ class Range(Checked):
         return tuple(round(self.low + index * step, 12) for index in range(count))
 
 
-class PositiveRange(Range):
-    """Of factors and strengths."""
-
-    low: Positive = Field(alias="from", description="the first value")
-    high: Positive = Field(alias="to", description="the last value, where the step leads there")
-
-
-class DirectionRange(Range):
+class DirectionRange(Range[Direction]):
     """Of directions."""
 
     low: Direction = Field(alias="from", description="the first direction")
@@ -154,11 +130,21 @@ class DirectionRange(Range):
 
 
 Positives = Annotated[
-    Annotated[PositiveRange, Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], Discriminator(_is_table)
+    Annotated[Range[Positive], Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], _value_or(TABLE)
 ]
 Directions = Annotated[
-    Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], Discriminator(_is_table)
+    Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], _value_or(TABLE)
 ]
+
+
+def _leave_a_mass(given: Any) -> Any:
+    lowest = given.low if isinstance(given, Range) else min(given) if isinstance(given, tuple) else given
+    if lowest < MIN_MASS_FACTOR:
+        raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
+    return given
+
+
+Masses = Annotated[Positives, AfterValidator(_leave_a_mass)]
 
 # Errors, each a distribution.
 
@@ -204,87 +190,57 @@ _Table = Annotated[
     AfterValidator(lambda table: table.made()),
     Tag(TABLE),
 ]
-
-Errors = OneOrMore[
-    Annotated[
-        _Table | Annotated[Spread, AfterValidator(lambda sd: Distribution(Shape.NORMAL, 0.0, sd)), Tag(VALUE)],
-        Discriminator(shape),
-    ]
-]
+_Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(Shape.NORMAL, 0.0, sd)), Tag(VALUE)]
+_Height = Annotated[Spread, AfterValidator(lambda height: Distribution(Shape.FIXED, height)), Tag(VALUE)]
+Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
 """Distributions; a plain number is the standard deviation of a normal one around 0."""
-
-Heights = OneOrMore[
-    Annotated[
-        _Table | Annotated[Spread, AfterValidator(lambda height: Distribution(Shape.FIXED, height)), Tag(VALUE)],
-        Discriminator(shape),
-    ]
-]
+Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 """Distributions; a plain number is that height itself."""
 
 
-class Axes(Checked):
-    """``[axes]``. Order is the order of nesting: the last axis varies fastest among its half."""
+@dataclass(frozen=True)
+class AxisKind:
+    """What may stand on an axis, and how the results have it.
 
-    profile: Annotated[OneOrMore[str] | None, AxisKind("profile", "", placement=False)] = Field(
-        None, description="names of profiles"
-    )
-    direction: Annotated[Directions | None, AxisKind("direction_deg", "deg", placement=False)] = Field(
-        None, description="degrees from +x towards +y, by which the profile is turned; or +x, -x, +y, -y"
-    )
-    scale: Annotated[Positives | None, AxisKind("scale", "1", placement=False)] = Field(
-        None, description="factor on the profile"
-    )
-    level: Annotated[Positives | None, AxisKind("level_g", "g", placement=False)] = Field(
-        None, description="level of the profile, g"
-    )
-    friction_factor: Annotated[Positives | None, AxisKind("friction_factor", "1", placement=True)] = Field(
-        None, description="factor on the friction of boxes and carrier"
-    )
-    box_friction_factor: Annotated[Positives | None, AxisKind("box_friction_factor", "1", placement=True)] = Field(
-        None, description="factor on the friction of boxes alone"
-    )
-    carrier_friction_factor: Annotated[Positives | None, AxisKind("carrier_friction_factor", "1", placement=True)] = (
-        Field(None, description="factor on the friction of the carrier alone")
-    )
-    mass_factor: Annotated[Positives | None, AxisKind("mass_factor", "1", placement=True)] = Field(
-        None, description="factor on the mass of boxes"
-    )
-    size_tolerance_mm: Annotated[Errors | None, AxisKind("size_tolerance_mm", "mm", placement=True)] = Field(
-        None, description="error of each dimension of each box, mm"
-    )
-    size_tolerance_rel: Annotated[Errors | None, AxisKind("size_tolerance_rel", "1", placement=True)] = Field(
-        None, description="the same as a share of the dimension"
-    )
-    placement_error_mm: Annotated[Errors | None, AxisKind("placement_error_mm", "mm", placement=True)] = Field(
-        None, description="error of each box's place in x and in y, mm"
-    )
-    placement_error_x_mm: Annotated[Errors | None, AxisKind("placement_error_x_mm", "mm", placement=True)] = Field(
-        None, description="the same in x alone, mm"
-    )
-    placement_error_y_mm: Annotated[Errors | None, AxisKind("placement_error_y_mm", "mm", placement=True)] = Field(
-        None, description="the same in y alone, mm"
-    )
-    yaw_error_deg: Annotated[Errors | None, AxisKind("yaw_error_deg", "deg", placement=True)] = Field(
-        None, description="turn of each box about the vertical, degrees"
-    )
-    drop_height_mm: Annotated[Heights | None, AxisKind("drop_height_mm", "mm", True, Shape.FIXED)] = Field(
-        None, description="height of release above the place, mm"
-    )
+    Attributes:
+        column: its column in the results.
+        unit: of that column; "1" for factors, "" for names.
+        values: the type that checks its values.
+        meaning: in words.
+        placement: whether another value needs a new placement.
+        plain: of an axis of errors, the distribution that a plain number stands for: the standard deviation of a
+            normal one around 0, or the fixed value itself.
+    """
 
-    @field_validator("mass_factor")
-    @classmethod
-    def _leaves_a_mass(cls, given: Any) -> Any:
-        lowest = given.low if isinstance(given, Range) else min(given) if isinstance(given, tuple) else given
-        if lowest < MIN_MASS_FACTOR:
-            raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
-        return given
+    column: str
+    unit: str
+    values: Any
+    meaning: str
+    placement: bool = True
+    plain: Shape = Shape.NORMAL
 
 
-AXIS_KINDS: Final[dict[str, AxisKind]] = {
-    name: next(entry for entry in info.metadata if isinstance(entry, AxisKind))
-    for name, info in Axes.model_fields.items()
+AXIS_KINDS: Final = {
+    "profile": AxisKind("profile", "", Names, "names of profiles", placement=False),
+    "direction": AxisKind("direction_deg", "deg", Directions, "turn of the profile from +x to +y", placement=False),
+    "scale": AxisKind("scale", "1", Positives, "factor on the profile", placement=False),
+    "level": AxisKind("level_g", "g", Positives, "level of the profile", placement=False),
+    "friction_factor": AxisKind("friction_factor", "1", Positives, "factor on the friction of both"),
+    "box_friction_factor": AxisKind("box_friction_factor", "1", Positives, "factor on the friction of boxes"),
+    "carrier_friction_factor": AxisKind("carrier_friction_factor", "1", Positives, "factor on the carrier's friction"),
+    "mass_factor": AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes"),
+    "size_tolerance_mm": AxisKind("size_tolerance_mm", "mm", Errors, "error of each dimension of each box"),
+    "size_tolerance_rel": AxisKind("size_tolerance_rel", "1", Errors, "the same as a share of the dimension"),
+    "placement_error_mm": AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y"),
+    "placement_error_x_mm": AxisKind("placement_error_x_mm", "mm", Errors, "the same in x alone"),
+    "placement_error_y_mm": AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone"),
+    "yaw_error_deg": AxisKind("yaw_error_deg", "deg", Errors, "turn of each box about the vertical"),
+    "drop_height_mm": AxisKind("drop_height_mm", "mm", Heights, "height of release above the place", plain=Shape.FIXED),
 }
-"""Every axis a sweep file may have, in the order of `Axes`."""
+"""Every axis a sweep file may have. Order is the order of nesting: the last axis varies fastest among its half."""
+
+_FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
+_Axes = create_model("_Axes", __base__=Checked, **_FIELDS)
 
 
 @dataclass(frozen=True)
@@ -321,11 +277,9 @@ class Axis:
         around zero, else written out."""
         if not isinstance(value, Distribution):
             return value
-        numbers = [self._plain_number(entry) for entry in self.values]
-        if any(number is None for number in numbers):
-            return value.label()
         number = self._plain_number(value)
-        return value.label() if number is None else number
+        one_shape = all(self._plain_number(other) is not None for other in self.values)
+        return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
         """The plain number that stands for a value in a sweep file; None where it takes a table."""
@@ -351,7 +305,7 @@ def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
     Raises:
         ValidationError: names the axis and what it should be.
     """
-    checked = Axes.model_validate(tables)
+    checked = _Axes.model_validate(tables)
     given = {name: getattr(checked, name) for name in tables}
     return {name: _axis(name, value, sampled) for name, value in given.items() if value is not None}
 

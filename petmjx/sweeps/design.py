@@ -59,7 +59,7 @@ class Design:
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
             return sweep.sample + nominal
-        per_profile = _n_points(axis for axis in self._drive_axes if axis.name != "profile")
+        per_profile = _n_points(axis for axis in self._axes(placement=False) if axis.name != "profile")
         profiles: list[Profile | None] = [*sweep.profiles.values()] or [None]
         total = 0
         for points, repeats in self._placement_counts():
@@ -81,20 +81,11 @@ class Design:
         """(points, replicates of each): points with a random error are repeated, the others are not."""
         if not self.sweep.axes:
             return ()
-        everything = _n_points(self._placement_axes)
+        axes = self._axes(placement=True)
         calm = math.prod(
-            sum(not (isinstance(value, Distribution) and value.random) for value in axis.values)
-            for axis in self._placement_axes
+            sum(not (isinstance(value, Distribution) and value.random) for value in axis.values) for axis in axes
         )
-        return (calm, 1), (everything - calm, self.sweep.replicates)
-
-    @property
-    def _placement_axes(self) -> list[Axis]:
-        return self._axes(placement=True)
-
-    @property
-    def _drive_axes(self) -> list[Axis]:
-        return self._axes(placement=False)
+        return (calm, 1), (_n_points(axes) - calm, self.sweep.replicates)
 
     def _axes(self, placement: bool) -> list[Axis]:
         """In the order of nesting, which is not the file's."""
@@ -119,7 +110,7 @@ class Design:
                 yield replace(members[0], drive=None), tuple(members)
             return
         index = itertools.count(1)
-        for point in _points(self._placement_axes):
+        for point in _points(self._axes(placement=True)):
             change = self._change(point)
             for replicate in range(sweep.replicates if change.random else 1):
                 placement = self._variant(0, point, replicate, change)
@@ -128,7 +119,7 @@ class Design:
                     continue
                 variants = tuple(
                     self._variant(next(index), {**point, **drive_point}, again, change)
-                    for drive_point in _points(self._drive_axes)
+                    for drive_point in _points(self._axes(placement=False))
                     for again in self._drive_replicates(drive_point, replicate, change)
                 )
                 yield placement, variants
@@ -143,31 +134,15 @@ class Design:
             if isinstance(direction, float)
         )
 
-    def search_world(self, placement: Variant, number: int, item: int, level_index: int) -> Variant:
-        """The world that tests one level of one item of a search. Its index says which, in any order.
-
-        Args:
-            number: the running number of the placement within its plan.
-        """
-        items, levels = self.search_items(), self.sweep.search_levels
-        asked, level = items[item], float(levels[level_index])
-        index = 1 + (number * len(items) + item) * len(levels) + level_index
-        drive = DriveSpec(asked.profile, level, asked.direction_deg)
-        column = AXIS_KINDS[self.sweep.strength].column
-        parameters = {**placement.parameters, "profile": asked.profile, column: level}
-        if "direction" in self.sweep.axes:
-            parameters["direction_deg"] = asked.direction_deg
-        return replace(placement, index=index, drive=drive, parameters=parameters)
-
     def _drive_replicates(self, point: Point, replicate: int, change: PlacementChange) -> Sequence[int]:
         name = point.get("profile")
-        if not change.random and isinstance(name, str) and self.sweep.profile(name).random:
+        if not change.random and isinstance(name, str) and self.sweep.profiles[name].random:
             return range(self.sweep.replicates)
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
         """Variants drawn from the axes; each is a replicate of its own and the same for every plan."""
-        axes = [*self._placement_axes, *self._drive_axes]
+        axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
             point = {axis.name: axis.pick(key) for axis in axes}

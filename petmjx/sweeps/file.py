@@ -145,10 +145,6 @@ class Sweep(Checked):
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
         return {name: resolve(name, self.own_profiles)[0] for name in names}
 
-    def profile(self, name: str) -> Profile:
-        """A profile the sweep uses."""
-        return self.profiles[name]
-
     @property
     def strength(self) -> Strength:
         """What a search looks for: a level, or a scale. Its value is the name of the axis."""

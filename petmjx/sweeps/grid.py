@@ -9,15 +9,15 @@ from petmjx.config import Check, Schedule
 from petmjx.engines.cost import Work
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, Skipped
+from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
-from petmjx.sweeps.file import Search
-from petmjx.text import counted, duration, rounded, shown
-from petmjx.units import FloatArray, deg_to_rad, seconds_to_steps
+from petmjx.text import counted, duration, rounded
+from petmjx.units import deg_to_rad, seconds_to_steps
 from petmjx.world.job import Drive
 from petmjx.world.profiles.base import Profile
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Variant, apply
+from petmjx.world.variants import DriveSpec, Variant, apply
 
 MAX_WORLDS = 1_000_000
 """More worlds than this are refused unless the user insists."""
@@ -86,25 +86,10 @@ class SweepPlan(Design):
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
             return True
-        factor = self.sweep.simulation.total_time_factor
-        message = (
-            f"{plan.source}: plan {shown(plan.plan_id)}: the run ends before its profile begins, "
-            f"at {factor:g} times the placement time (total_time_factor)"
-        )
-        if self.strict:
-            raise InputError(message)
-        self.skipped.append(Skipped(plan.source, plan.plan_id, message))
+        at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
+        why = f": the run ends before its profile begins, {at}"
+        self.skipped.append(Skipped.plan(plan, why, self.strict))
         return False
-
-    @property
-    def search(self) -> Search | None:
-        """What the sweep searches for; None for grids and samples."""
-        return self.sweep.search
-
-    @property
-    def search_levels(self) -> FloatArray:
-        """(n,) the levels a search can test."""
-        return self.sweep.search_levels
 
     @property
     def n_worlds(self) -> int:
@@ -118,8 +103,16 @@ class SweepPlan(Design):
                 yield PlacementGroup(plan, number, placement, variants)
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The world of a placement that tests one level of one item of a search."""
-        return self.search_world(group.placement, group.number, item, level_index)
+        """The world of a placement that tests one level of one item of a search. Its index says which, in any order."""
+        items, levels = self.search_items(), self.sweep.search_levels
+        asked, level = items[item], float(levels[level_index])
+        index = 1 + (group.number * len(items) + item) * len(levels) + level_index
+        drive = DriveSpec(asked.profile, level, asked.direction_deg)
+        column = AXIS_KINDS[self.sweep.strength].column
+        parameters = {**group.placement.parameters, "profile": asked.profile, column: level}
+        if "direction" in self.sweep.axes:
+            parameters["direction_deg"] = asked.direction_deg
+        return replace(group.placement, index=index, drive=drive, parameters=parameters)
 
     def scene(self, group: PlacementGroup) -> Scene:
         """The scene of a group's placement."""
@@ -140,7 +133,7 @@ class SweepPlan(Design):
         spec = variant.drive
         if spec is None:
             return None
-        profile = self.sweep.profile(spec.profile)
+        profile = self.sweep.profiles[spec.profile]
         start_s = self.drive_start_s(plan) if self.sweep.simulation.schedule is Schedule.FIXED else 0.0
         key: tuple[object, ...] = (spec.profile, start_s)
         if profile.random:
@@ -197,7 +190,7 @@ class SweepPlan(Design):
         """One line on how much there is to simulate, and how long that is expected to take (None: nobody knows)."""
         what = counted(len(self.plans), "plan")
         if self.sweep.axes:
-            most = "at most " if self.search is not None else ""
+            most = "at most " if self.sweep.search is not None else ""
             placements = counted(len(self.plans) * self.n_placements, "placement")
             what = f"{most}{counted(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
         long = "" if seconds is None else f", about {duration(seconds)}"

@@ -17,9 +17,6 @@ DEFAULT_CONFIDENCE = 0.95
 ALL_PLANS = "*"
 """``plan_id`` of summary rows over all plans together."""
 
-SUMMARY_UNITS = {"n_worlds": "1", "n_standing": "1", "n_invalid": "1", "share": "1", "low": "1", "high": "1"}
-"""Units of the summary's number columns."""
-
 
 def wilson_interval(
     successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
@@ -48,10 +45,28 @@ def wilson_interval(
     return low, high
 
 
-def share_standing(
-    worlds: pd.DataFrame, axes: Sequence[str], confidence: float = DEFAULT_CONFIDENCE, per_plan: bool = True
-) -> pd.DataFrame:
-    """The share of worlds that stand, for every value of every axis, with its Wilson interval.
+def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
+    """Worlds in groups: over all plans (``plan_id`` "*") and for each plan; all of them (axis "") and by axis value.
+
+    Args:
+        columns: what is computed of each group, as pandas' ``agg`` takes it: name=(column, function).
+
+    Returns:
+        Columns plan_id, axis, value (text), and those asked for.
+    """
+    parts = []
+    for scope in (worlds.assign(plan_id=ALL_PLANS), worlds):
+        for axis in ("", *axes):
+            keys = ["plan_id", axis] if axis else ["plan_id"]
+            part = scope.groupby(keys, sort=True, observed=True).agg(**columns).reset_index()
+            value = [_text(entry) for entry in part[axis]] if axis else ""
+            part = part.assign(axis=axis, value=value)[["plan_id", "axis", "value", *columns]]
+            parts.append(part.astype({"axis": object, "value": object}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
+    """The share of worlds that stand, for every value of every axis, with its Wilson 95 % interval.
 
     Invalid worlds say nothing about the pallet: they are counted apart and left out of the share. Worlds
     without a value on an axis (the nominal one) do not count there.
@@ -59,35 +74,20 @@ def share_standing(
     Args:
         worlds: rows with ``plan_id``, ``verdict`` and a column for each axis.
         axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
-        per_plan: also one row per plan, beside the row over all plans (``plan_id`` "*").
 
     Returns:
         Columns plan_id, axis, value (text), n_worlds, n_standing, n_invalid, share, low, high; a row with
         axis "" sums over everything.
     """
-    frame = worlds.assign(
-        standing=worlds["verdict"].astype(str) == str(Verdict.STABLE),
-        invalid=worlds["verdict"].astype(str) == str(Verdict.INVALID),
-    )
-    scopes = [frame.assign(plan_id=ALL_PLANS)]
-    if per_plan:
-        scopes.append(frame)
-    columns = ["plan_id", "axis", "value", "n_worlds", "n_standing", "n_invalid"]
-    counts = []
-    for scope in scopes:
-        for axis in ("", *axes):
-            keys = ["plan_id", axis] if axis else ["plan_id"]
-            groups = scope.groupby(keys, sort=True, observed=True)
-            count = groups.agg(
-                n_worlds=("standing", "size"), n_standing=("standing", "sum"), n_invalid=("invalid", "sum")
-            ).reset_index()
-            value = [_text(entry) for entry in count[axis]] if axis else ""
-            counts.append(count.assign(axis=axis, value=value)[columns].astype({"axis": object, "value": object}))
-    summary = pd.concat(counts, ignore_index=True).astype(dict.fromkeys(columns[3:], "int64"))
-    judged = summary["n_worlds"] - summary["n_invalid"]
-    low, high = wilson_interval(summary["n_standing"].to_numpy(), judged.to_numpy(), confidence)
+    verdict = worlds["verdict"].astype(str)
+    judged = worlds.assign(standing=verdict == str(Verdict.STABLE), invalid=verdict == str(Verdict.INVALID))
+    counts = {"n_worlds": ("standing", "size"), "n_standing": ("standing", "sum"), "n_invalid": ("invalid", "sum")}
+    summary = by_plan_and_axis(judged, axes, **counts).astype(dict.fromkeys(counts, "int64"))
+    n_standing = summary["n_standing"].to_numpy()
+    n_judged = summary["n_worlds"].to_numpy() - summary["n_invalid"].to_numpy()
+    low, high = wilson_interval(n_standing, n_judged)
     with np.errstate(invalid="ignore"):
-        share = summary["n_standing"].to_numpy() / np.where(judged > 0, judged, np.nan)
+        share = n_standing / np.where(n_judged > 0, n_judged, np.nan)
     return summary.assign(share=share, low=low, high=high)
 
 

@@ -18,7 +18,7 @@ from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.run import Answer, SweptWorld
 from petmjx.sweeps.search import failure_mode
-from petmjx.sweeps.shares import SUMMARY_UNITS, share_standing
+from petmjx.sweeps.shares import by_plan_and_axis, share_standing
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
 
@@ -28,8 +28,6 @@ RANGE_BINS = 8
 MODE = Param("mode", TEXT, "what became of the box that went first: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
-
-_STRENGTHS = ("level_g", "scale")
 
 
 class SweepColumns:
@@ -43,6 +41,7 @@ class SweepColumns:
             Param(name, unit, "parameter of the variant", _type_of(name, sweep.axes))
             for name, unit in plan.parameter_columns.items()
         ]
+        self.strength = AXIS_KINDS[sweep.strength].column
         self.has_drives = bool(sweep.profiles)
         self.has_tilt = any(isinstance(profile, Tilt) for profile in sweep.profiles.values())
         self.has_eumos = EUMOS_PROFILE in sweep.profiles
@@ -55,11 +54,6 @@ class SweepColumns:
         columns += [FAIL_ANGLE] if self.has_tilt else []
         columns += EUMOS_COLUMNS if self.has_eumos else ()
         return columns
-
-    @property
-    def strength(self) -> str:
-        """Column of what a search looks for: ``level_g`` or ``scale``."""
-        return next(param.name for param in self.parameters if param.name in _STRENGTHS)
 
     def of(self, world: SweptWorld) -> dict[str, Any]:
         """Column → value of one world; what is missing is null."""
@@ -77,12 +71,12 @@ class SweepColumns:
         if world.driven:
             sign_s = self._sign_in_profile_s(world.outcome)
             values[SIGN.name] = sign_s
-            profile = self._plan.sweep.profile(drive.profile)
+            profile = self._plan.sweep.profiles[drive.profile]
             if isinstance(profile, Tilt) and sign_s is not None:
                 values[FAIL_ANGLE.name] = min(sign_s * profile.rate_deg_s, profile.max_deg)
         if drive.profile == EUMOS_PROFILE and world.settled is not None:
             settled = world.settled.outcome.boxes.pos
-            found = eumos_assessment(world.outcome.boxes, settled, world.scene.half_size).columns()
+            found = eumos_assessment(world.outcome.boxes, settled, world.scene.half_size)
             # a world that was not driven has no displacements during a test, and has not passed it
             values |= {name: None if value != value else value for name, value in found.items()}
             if world.outcome.verdict is Verdict.INVALID:
@@ -97,13 +91,11 @@ class SweepColumns:
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 
-def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] | type[bool] | type[str]:
+def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] | type[str]:
     if column == "replicate":
         return int
-    for axis in axes.values():
-        if axis.kind.column == column:
-            return str if any(isinstance(axis.cell(value), str) for value in axis.values) else float
-    return float
+    cells = [axis.cell(value) for axis in axes.values() if axis.kind.column == column for value in axis.values]
+    return str if any(isinstance(cell, str) for cell in cells) else float
 
 
 # Grids and samples.
@@ -138,7 +130,7 @@ def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
         summary = summary.merge(eumos[[*keys, *names]].rename(columns=names), on=keys, how="left")
         summary[["n_eumos", "n_eumos_passed"]] = summary[["n_eumos", "n_eumos_passed"]].fillna(0).astype("int64")
     if columns.has_tilt:
-        angles = _smallest(worlds, axes, FAIL_ANGLE.name).rename(columns={FAIL_ANGLE.name: "smallest_fail_angle_deg"})
+        angles = by_plan_and_axis(worlds, axes, smallest_fail_angle_deg=(FAIL_ANGLE.name, "min"))
         summary = summary.merge(angles, on=keys, how="left")
     return summary
 
@@ -151,47 +143,34 @@ def _binned(values: pd.Series[float], axis: Axis) -> pd.Series[str]:
     return named.where(values.notna())
 
 
-def _smallest(worlds: pd.DataFrame, axes: Sequence[str], column: str) -> pd.DataFrame:
-    """Smallest value of a column by plan and axis value, with the keys of `share_standing`."""
-    parts = []
-    for scope in (worlds.assign(plan_id="*"), worlds):
-        for axis in ("", *axes):
-            names = ["plan_id", axis] if axis else ["plan_id"]
-            part = scope.groupby(names, observed=True)[column].min().reset_index()
-            value = [f"{v:g}" if isinstance(v, float) else str(v) for v in part[axis]] if axis else ""
-            parts.append(part.assign(axis=axis, value=value)[["plan_id", "axis", "value", column]])
-    return pd.concat(parts, ignore_index=True)
-
-
 # Searches.
 
 
 def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
     """One row of a search's summary."""
-    strength = columns.strength
-    box = answer.box if answer.box >= 0 else None
+    group, found = answer.group, answer.found
+    box = found.box if found.box >= 0 else None
+    at_failure = columns.during_drive(answer.at_failure) if answer.at_failure is not None else {}
     row: dict[str, Any] = {
-        "plan_id": answer.plan.plan_id,
-        "placement": answer.group.number,
-        **answer.group.placement.parameters,
+        "plan_id": group.plan.plan_id,
+        "placement": group.number,
+        **group.placement.parameters,
         "profile": answer.item.profile,
         "direction_deg": answer.item.direction_deg,
-        "stands_at_rest": answer.stands_at_rest,
-        f"largest_{strength}": answer.largest_survived,
-        f"first_failed_{strength}": answer.first_failed,
+        "stands_at_rest": found.stands_at_rest,
+        f"largest_{columns.strength}": answer.largest_survived,
+        f"first_failed_{columns.strength}": answer.first_failed,
         "box": box,
-        "article": answer.plan.articles[box] if box is not None else "",
-        "mode": answer.mode,
-        SIGN.name: None,
-        "monotone": answer.monotone,
-        "n_tests": answer.n_tests,
-        "n_invalid": answer.n_invalid,
+        "article": group.plan.articles[box] if box is not None else "",
+        "mode": found.mode,
+        SIGN.name: at_failure.get(SIGN.name),
+        "monotone": found.monotone,
+        "n_tests": found.n_tests,
+        "n_invalid": found.n_invalid,
     }
-    if answer.at_failure is not None:
-        row[SIGN.name] = columns.during_drive(answer.at_failure).get(SIGN.name)
     if columns.has_eumos:
-        seen = columns.during_drive(answer.at_largest) if answer.at_largest is not None else {}
-        row |= {param.name: seen.get(param.name) for param in EUMOS_COLUMNS}
+        at_largest = columns.during_drive(answer.at_largest) if answer.at_largest is not None else {}
+        row |= {param.name: at_largest.get(param.name) for param in EUMOS_COLUMNS}
     return row
 
 
@@ -214,22 +193,15 @@ def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str], dict[str, str]]:
     """(units, descriptions) of a summary's columns."""
     known = {param.name: (param.unit, param.description) for param in SweepColumns(plan).params}
-    units = dict(SUMMARY_UNITS)
-    texts: dict[str, str] = dict(_DESCRIPTIONS)
+    units: dict[str, str] = {}
+    texts = dict(_DESCRIPTIONS)
     for name in map(str, frame):
         if name in known:
             units[name], text = known[name]
             texts.setdefault(name, text)
-        elif name not in units and pd.api.types.is_numeric_dtype(frame[name]):
-            units[name] = _unit_by_name(name)
+        elif pd.api.types.is_numeric_dtype(frame[name]):
+            units[name] = "g" if name.endswith("_g") else "deg" if name.endswith("_deg") else DIMENSIONLESS
     return units, texts
-
-
-def _unit_by_name(name: str) -> str:
-    for ending, unit in (("_g", "g"), ("_deg", "deg")):
-        if name.endswith(ending):
-            return unit
-    return DIMENSIONLESS
 
 
 _DESCRIPTIONS = {

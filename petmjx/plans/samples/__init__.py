@@ -16,21 +16,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+
+from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, Order, draw_order, stream
 from petmjx.plans.samples.packer import PackRules, Placed, pack_best
-
-__all__ = [
-    "DEFAULT_LOOSE_SHARE",
-    "LOOSE_SUPPORT",
-    "bundled_path",
-    "generate",
-    "generate_one",
-    "pack_orders",
-    "write_plans",
-    "write_samples",
-]
 
 Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
@@ -58,8 +50,7 @@ def generate_one(index: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SH
         support = low + (high - low) * float(support)
         rules = PackRules(min_support=support, centre_supported=False, y_first=rules.y_first)
     order = draw_order(seed, index)
-    placed = pack_best(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
-    return f"s{seed}-{index:06d}", as_placements(placed)
+    return f"s{seed}-{index:06d}", _packed(order, rules, rng)
 
 
 def write_samples(
@@ -78,8 +69,7 @@ def write_samples(
     Raises:
         InputError: ``n`` below 1, a negative seed, a share outside 0…1, or a path that cannot be written.
     """
-    plans = _generate(n, seed, loose_share)
-    write_plans(path, plans, progress=progress)
+    write_plans(path, _generate(n, seed, loose_share), progress=progress)
 
 
 def write_plans(
@@ -105,7 +95,7 @@ def write_plans(
                     progress(count)
             out.write("\n}\n")
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be written: {reason(error)}") from error
 
 
 def pack_orders(
@@ -125,7 +115,7 @@ def pack_orders(
             (else that is called with the error and the order skipped).
     """
     for index, (plan_id, order) in enumerate(read_orders(Path(path), on_bad_order)):
-        yield plan_id, _pack_order(order, rules or PackRules(), seed, index)
+        yield plan_id, _packed(order, rules or PackRules(), stream(seed, PACKER_STREAM, index))
 
 
 def as_placements(placed: Iterable[Placed]) -> list[Placement]:
@@ -164,8 +154,7 @@ def _generate(n: int, seed: int, loose_share: float) -> Iterator[tuple[str, list
     return (generate_one(index, seed, loose_share=loose_share) for index in range(n))
 
 
-def _pack_order(order: Order, rules: PackRules, seed: int, index: int) -> list[Placement]:
-    rng = stream(seed, PACKER_STREAM, index)
+def _packed(order: Order, rules: PackRules, rng: np.random.Generator) -> list[Placement]:
     return as_placements(pack_best(order.items, TARGET_EXTENT_MM[order.target], rules, rng))
 
 

@@ -9,6 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from petmjx.plans.samples import as_placements
+from petmjx.plans.samples.orders import Item
+from petmjx.plans.samples.packer import Placed
+
 Size = tuple[int, int, int]
 Corner = tuple[int, int, int]
 
@@ -37,27 +41,12 @@ class HandmadePlan:
     rest_top_force_n: tuple[tuple[int, float], ...] = ()
 
 
-def _placement(rank: int, size: Size, corner: Corner, weight_kg: float) -> dict[str, Any]:
-    length, width, height = size
-    name = f"{length}x{width}x{height}"
-    return {
-        "item": {
-            "article": f"carton-{name}",
-            "id": name,
-            "product_group": "handmade",
-            "length/mm": length,
-            "width/mm": width,
-            "height/mm": height,
-            "weight/kg": weight_kg,
-            "sequence": rank,
-        },
-        "orientation": 0,
-        "flb_coordinates": list(corner),
-    }
-
-
 def _plan(*boxes: tuple[Size, Corner, float]) -> tuple[dict[str, Any], ...]:
-    return tuple(_placement(rank, *box) for rank, box in enumerate(boxes, start=1))
+    placed = []
+    for size, corner, weight_kg in boxes:
+        name = "x".join(map(str, size))
+        placed.append(Placed(Item(f"carton-{name}", name, "handmade", *size, weight_kg), 0, corner))
+    return tuple(as_placements(placed))
 
 
 def _cartons(*corners: Corner) -> tuple[dict[str, Any], ...]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
 
@@ -38,7 +39,7 @@ def _read_object(path: Path) -> dict[str, Any]:
         text = gzip.decompress(data) if path.suffix == ".gz" else data
         orders = json.loads(text.decode("utf-8"))
     except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
     except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, a number of thousands of digits
         raise InputError(f"{path}: is not JSON: {error}") from error
     if not isinstance(orders, dict):
