@@ -236,7 +236,7 @@ def test_a_run_goes_on_when_nobody_reads_its_progress(plans: Path, tmp_path: Pat
 @pytest.mark.parametrize("closed", [1, 2], ids=["stdout", "stderr"])
 def test_closed_streams(closed: int, plans: Path, tmp_path: Path) -> None:
     command = ("score", plans, "--engine", "mujoco", "--json", "--out", tmp_path / "out")
-    done = run_process(*command, preexec_fn=lambda: os.close(closed))
+    done = run_with_closed(closed, *command)
     assert done.returncode == 0
     assert "Traceback" not in done.stderr
     assert load_run(tmp_path / "out").info["status"] == "finished"
