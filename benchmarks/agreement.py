@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.results.compare import BOX_KEY, KEY, compare_runs
+from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
 from petmjx.sweeps.shares import ALL_PLANS, share_standing
 from petmjx.verdict import Reason, Verdict
@@ -58,14 +58,12 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
     there, here = joint_run(oracle), joint_run(run)
     found = compare_runs(there, here)
     parameters = [parameter["name"] for parameter in here.info.get("params", [])]
-    flipped = found.flips[KEY].merge(here.worlds[[*KEY, *parameters]], on=KEY, how="left")
+    worlds = [*KEY, *parameters]
+    sides = {"oracle": "a", "here": "b"}
     flips = [
-        {
-            **world,
-            "oracle": {name: row[f"{name}_a"] for name in _FLIP_FIELDS},
-            "here": {name: row[f"{name}_b"] for name in _FLIP_FIELDS},
-        }
-        for world, row in zip(json.loads(flipped.to_json(orient="records")), found.to_dict()["flips"], strict=True)
+        {name: row[name] for name in worlds}
+        | {label: {name: row[f"{name}_{side}"] for name in _FLIP_FIELDS} for label, side in sides.items()}
+        for row in plain(found.flips.merge(here.worlds[worlds], on=KEY, how="left"))
     ]
     plans = set(there.worlds["plan_id"]) & set(here.worlds["plan_id"])
     return {
@@ -99,8 +97,7 @@ def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any
     counted = (there > LOADED_N) & np.isfinite(here)
     if not counted.any():
         return {"boxes": 0, "median": None, "p95": None}
-    difference = np.abs(here - there)[counted] / there[counted]
-    median, p95 = (float(value) for value in np.percentile(difference, [50, 95]))
+    median, p95 = np.percentile(np.abs(here - there)[counted] / there[counted], [50, 95]).tolist()
     return {"boxes": int(counted.sum()), "median": median, "p95": p95}
 
 
@@ -113,16 +110,13 @@ def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
     """
     a, b = (share_standing(results.worlds, ()).set_index("plan_id").drop(ALL_PLANS) for results in (oracle, run))
     both = a.add_suffix("_a").join(b.add_suffix("_b"), how="inner")
-    agree = both["share_a"].between(both["low_b"], both["high_b"]) & both["share_b"].between(
-        both["low_a"], both["high_a"]
-    )
+    here_in_there = both["share_b"].between(both["low_a"], both["high_a"])
+    agree = here_in_there & both["share_a"].between(both["low_b"], both["high_b"])
     overlap = (both["low_a"] <= both["high_b"]) & (both["low_b"] <= both["high_a"])
+    differ = both[~agree].reset_index().rename(columns={"share_a": "oracle", "share_b": "here"})
     return {
         "plans": len(both),
         "agree": int(agree.sum()),
         "intervals_overlap": int(overlap.sum()),
-        "differ": [
-            {"plan_id": str(plan), "oracle": float(row["share_a"]), "here": float(row["share_b"])}
-            for plan, row in both[~agree].iterrows()
-        ],
+        "differ": plain(differ[["plan_id", "oracle", "here"]]),
     }

@@ -39,34 +39,20 @@ class Way(StrEnum):
 
 @dataclass(frozen=True)
 class Case:
-    """One thing that is measured.
-
-    Attributes:
-        group: cases that are run by this name, and shown in one table (``benchmarks.table``).
-        text: what it measures, in one line.
-        count: the first so many plans; with ``boxes``, so many copies (0: as many as fill the engine).
-        source: file of plans; empty: generated samples of ``SEED``. ``--plans`` goes before it.
-        boxes: not many plans but copies of one stack, for ``Way.ENGINE``: the first so many boxes of the first plan of
-            ``source`` that has them, or of sample plan ``STACK_PLAN``. ``--plans`` does not matter to it.
-        longest_first: plans with many boxes come first, so that no thread is left alone with the last one.
-        simulation: fields of ``petmjx.Simulation``.
-        sweep: a sweep's file or the name of a ready-made one; empty: each plan is scored once.
-        only: the engine that the case is about; empty: those asked for.
-        threads: CPU threads that the case is about; None: those asked for.
-    """
+    """One thing that is measured."""
 
     name: str
-    group: str
-    text: str
+    group: str  # cases that are run by this name, and shown in one table (``benchmarks.table``)
+    text: str  # what it measures, in one line
     way: Way = Way.FILES
-    count: int = 2_000
-    source: str = ""
-    boxes: int = 0
-    longest_first: bool = False
-    simulation: Mapping[str, Any] = field(default_factory=dict)
-    sweep: str = ""
-    only: str = ""
-    threads: int | None = None
+    count: int = 2_000  # the first so many plans; with ``boxes``, so many copies (0: as many as fill the engine)
+    source: str = ""  # file of plans; empty: generated samples of ``SEED``. ``--plans`` goes before it
+    boxes: int = 0  # for ``Way.ENGINE``: not many plans but copies of so many boxes of sample plan ``STACK_PLAN``
+    longest_first: bool = False  # plans with many boxes come first: no thread is left alone with the last one
+    simulation: Mapping[str, Any] = field(default_factory=dict)  # fields of ``petmjx.Simulation``
+    sweep: str = ""  # a sweep's file or the name of a ready-made one; empty: each plan is scored once
+    only: str = ""  # the engine that the case is about; empty: those asked for
+    threads: int | None = None  # CPU threads that the case is about; None: those asked for
 
     @property
     def sim(self) -> Simulation:

@@ -33,8 +33,7 @@ Result = dict[str, Any]
 
 def commit() -> str:
     """The source's commit, "-dirty" where files differ from it, or "unknown"."""
-    named = os.environ.get(COMMIT_VARIABLE)
-    if named:
+    if named := os.environ.get(COMMIT_VARIABLE):
         return named
     git = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty", "--exclude=*"]
     try:
@@ -101,13 +100,11 @@ def append_line(path: Path, result: Result) -> None:
         InputError: the file cannot be written.
     """
     exact = json.dumps(result, allow_nan=False)
-    line = json.dumps(
-        json.loads(exact, parse_float=lambda text: float(f"{float(text):.{DIGITS}g}")), ensure_ascii=False
-    )
+    short = json.loads(exact, parse_float=lambda text: float(f"{float(text):.{DIGITS}g}"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as out:
-            out.write(line + "\n")
+            out.write(json.dumps(short, ensure_ascii=False) + "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 

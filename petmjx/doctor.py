@@ -51,14 +51,8 @@ class Report:
 def examine() -> Report:
     """Look at this machine. The ``mujoco`` engine scores a one-box plan, which takes milliseconds."""
     return Report(
-        versions={
-            "python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})",
-            **package_versions(),
-        },
-        devices=(
-            f"CPU: {cpu_name()}, {counted(cpu_threads(), 'thread')}",
-            *(f"GPU: {name}" for name in cuda_devices()),
-        ),
+        versions={"python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})"} | package_versions(),
+        devices=(f"CPU: {cpu_name()}, {counted(cpu_threads(), 'thread')}", *(f"GPU: {n}" for n in cuda_devices())),
         engines=tuple(_examine_engine(name, check) for name, check in _CHECKS.items()),
         caches=_caches(),
     )

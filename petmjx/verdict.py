@@ -124,20 +124,13 @@ class Attempt:
     attempt: int
     solver: str
     timestep_s: float
-    verdict: str
-    reason: str
-    flags: int
+    verdict: Verdict
+    reason: Reason
+    flags: Flag
     n_steps: int
 
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
         """What is kept of an outcome that was simulated with ``timestep_s`` (s)."""
-        return cls(
-            attempt=outcome.attempt,
-            solver=str(outcome.solver),
-            timestep_s=timestep_s,
-            verdict=outcome.verdict.value,
-            reason=outcome.reason.value,
-            flags=int(outcome.flags),
-            n_steps=outcome.n_steps,
-        )
+        kept = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
+        return cls(timestep_s=timestep_s, **kept)

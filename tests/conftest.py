@@ -1,13 +1,15 @@
-"""Shared by all tests: JAX on the CPU, strict about ranks, and quick to compile; GPU tests skip without CUDA."""
+"""Shared by all tests: JAX on the CPU, strict about ranks and shapes, quick to compile; GPU tests skip without CUDA."""
 
 from __future__ import annotations
 
 import functools
+import importlib.util
 import os
 import shutil
 import subprocess
 from pathlib import Path
 
+import jaxtyping
 import pytest
 
 XLA_CPU_FLAGS = {
@@ -24,6 +26,28 @@ if os.environ.get("PETMJX_TEST_GPU") != "1":
     given = os.environ.get("XLA_FLAGS", "")
     added = [f"{flag}={value}" for flag, value in XLA_CPU_FLAGS.items() if flag not in given]
     os.environ["XLA_FLAGS"] = " ".join([given, *added]).strip()
+
+SHAPE_CHECKED = (
+    "petmjx.metrics",
+    "petmjx.engines.batch",
+    "petmjx.engines.warp.engine",
+    "petmjx.engines.warp.step",
+    "petmjx.engines.warp.stock",
+)
+"""Packages and modules whose annotations hold at every call, shapes included. Not those with Warp kernels: Warp
+parses their source."""
+
+SHAPES_ARE_CHECKED = importlib.util.find_spec("beartype") is not None
+
+# before anything imports petmjx
+if SHAPES_ARE_CHECKED:
+    jaxtyping.install_import_hook(SHAPE_CHECKED, "beartype.beartype")
+
+
+def pytest_report_header() -> str:
+    if SHAPES_ARE_CHECKED:
+        return f"shapes: checked in {', '.join(SHAPE_CHECKED)}"
+    return "shapes: not checked, beartype is not installed (extra: dev)"
 
 
 @functools.cache

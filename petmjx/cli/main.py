@@ -6,8 +6,8 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import IntEnum
+from types import SimpleNamespace
 from typing import Annotated
 
 import typer
@@ -34,14 +34,8 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParamete
 """Click's UsageError, wherever this version of typer keeps it."""
 
 
-@dataclass
-class _Settings:
-    """What the options before the command ask for."""
-
-    debug: bool = False
-
-
-_SETTINGS = _Settings()
+_SETTINGS = SimpleNamespace(debug=False)
+"""What the options before the command ask for."""
 
 app = typer.Typer(
     name="petmjx",

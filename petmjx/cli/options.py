@@ -24,11 +24,7 @@ PLANS_HELP = "BED-BPP packing plans: JSON files (also gzipped) or folders of the
 
 PlanPaths = Annotated[
     list[Path] | None,
-    typer.Argument(
-        metavar="PLANS",
-        help=f"{PLANS_HELP} Without any: the bundled samples.",
-        show_default=False,
-    ),
+    typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples.", show_default=False),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 

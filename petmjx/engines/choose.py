@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import Any
 
 from petmjx.config import AUTO, RunOptions
 from petmjx.engines.base import Engine
@@ -39,12 +38,12 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tupl
     asked = options.engine
     if not isinstance(asked, str):
         return asked, Choice(asked.name, "given")
-    seconds = costs.seconds(work, options.threads or cpu_threads())
-    if asked != AUTO:
-        engine = make_engine(asked, threads=options.threads, lanes=options.lanes)
-        return engine, Choice(asked, "as asked for", seconds[asked])
-    name, reason = choose(seconds, options.threads or cpu_threads())
-    limits: dict[str, Any] = {"threads": options.threads} if name == "mujoco" else {"lanes": options.lanes}
+    threads = options.threads or cpu_threads()
+    seconds = costs.seconds(work, threads)
+    name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
+    limits = {"threads": options.threads, "lanes": options.lanes}
+    if asked == AUTO:
+        del limits["lanes" if name == "mujoco" else "threads"]
     return make_engine(name, **limits), Choice(name, reason, seconds[name])
 
 
@@ -77,19 +76,15 @@ def make_engine(name: str, *, threads: int | None = None, lanes: int | None = No
     """
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
-    options: dict[str, Any] = {}
-    if name == "mujoco":
-        if lanes is not None:
-            raise InputError("lanes belong to the MJX engines; the engine mujoco has threads")
-        options["threads"] = threads
-    else:
-        if threads is not None:
-            raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
-        options["lanes"] = lanes
+    on_cpu = name == "mujoco"
+    if on_cpu and lanes is not None:
+        raise InputError("lanes belong to the MJX engines; the engine mujoco has threads")
+    if threads is not None and not on_cpu:
+        raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
     module_name, class_name = ENGINES[name]
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    engine: Engine = getattr(module, class_name)(**options)
+    engine: Engine = getattr(module, class_name)(threads if on_cpu else lanes)
     return engine

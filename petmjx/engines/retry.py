@@ -8,7 +8,7 @@ that failed because the solver stopped early has another chance.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, Generic, TypeVar
@@ -59,17 +59,15 @@ class AttemptRecipe:
         """The same jobs, their force profiles resampled to this attempt's timestep (and still shared)."""
         if self.timestep_divisor == 1:
             return list(jobs)
-        resampled: dict[int, Excitation] = {}
-        out = []
-        for job in jobs:
-            if job.drive is None:
-                out.append(job)
-                continue
-            old = job.drive.excitation
-            if id(old) not in resampled:
-                resampled[id(old)] = replace(old, samples=np.repeat(old.samples, self.timestep_divisor, axis=0))
-            out.append(replace(job, drive=replace(job.drive, excitation=resampled[id(old)])))
-        return out
+        profiles = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
+        finer: dict[int, Excitation] = {
+            key: replace(profile, samples=np.repeat(profile.samples, self.timestep_divisor, axis=0))
+            for key, profile in profiles.items()
+        }
+        return [
+            replace(job, drive=replace(job.drive, excitation=finer[id(job.drive.excitation)])) if job.drive else job
+            for job in jobs
+        ]
 
 
 ATTEMPTS: tuple[AttemptRecipe, ...] = (
@@ -103,12 +101,8 @@ class WorldResult(Generic[AnyWorld]):
     attempts: tuple[Attempt, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Pending(Generic[AnyWorld]):
-    """A world that waits for its next attempt, with the records of those it has had."""
-
-    world: AnyWorld
-    attempts: tuple[Attempt, ...] = ()
+_Pending = tuple[AnyWorld, tuple[Attempt, ...]]
+"""A world that waits for its next attempt, with the records of those it has had."""
 
 
 def score_worlds(
@@ -132,53 +126,46 @@ def score_worlds(
     first, *retries = attempts
     source = iter(worlds)
     invalid: list[_Pending[AnyWorld]] = []
-    while chunk := [_Pending(world) for world in islice(source, chunk_worlds)]:
-        for pending, outcome in _run_attempt(chunk, first, sim, engine, progress):
-            if retries and outcome.verdict is Verdict.INVALID:
-                invalid.append(pending)
-            else:
-                yield WorldResult(pending.world, outcome, pending.attempts)
-        if len(invalid) >= chunk_worlds:
-            yield from _retry(invalid, retries, sim, engine, progress)
-            invalid = []
-    yield from _retry(invalid, retries, sim, engine, progress)
 
-
-def _retry(
-    invalid: list[_Pending[AnyWorld]],
-    attempts: Sequence[AttemptRecipe],
-    sim: Simulation,
-    engine: Engine,
-    progress: Progress,
-) -> Iterator[WorldResult[AnyWorld]]:
-    """Take invalid worlds through the attempts, all of them at one attempt before the next begins."""
-    for attempt in attempts:
-        if not invalid:
-            return
-        progress.message = f"{len(invalid)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
-        still_invalid = []
-        for pending, outcome in _run_attempt(invalid, attempt, sim, engine, progress):
+    def attempt_at(
+        batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe
+    ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
+        """Yields results that are final; returns the worlds that need another attempt."""
+        again = []
+        for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress):
             if outcome.verdict is Verdict.INVALID and attempt is not attempts[-1]:
-                still_invalid.append(pending)
+                again.append((world, records))
             else:
-                yield WorldResult(pending.world, outcome, pending.attempts)
-        invalid = still_invalid
+                yield WorldResult(world, outcome, records)
+        return again
+
+    def retry(batch: Sequence[_Pending[AnyWorld]]) -> Iterator[WorldResult[AnyWorld]]:
+        for attempt in retries:
+            if batch:
+                progress.message = f"{len(batch)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
+                batch = yield from attempt_at(batch, attempt)
+
+    while chunk := list(islice(source, chunk_worlds)):
+        invalid += yield from attempt_at([(world, ()) for world in chunk], first)
+        if len(invalid) >= chunk_worlds:
+            yield from retry(invalid)
+            invalid = []
+    yield from retry(invalid)
 
 
 def _run_attempt(
     batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
-) -> Iterator[tuple[_Pending[AnyWorld], Outcome]]:
-    """One attempt at each world of a batch: yields the world with this attempt's record added, and the outcome."""
+) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+    """One attempt at each world of a batch: yields the world, the outcome, and its records with this attempt's."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))
-    for outcome in engine.run(attempt.apply_to_jobs([p.world.job for p in batch]), attempt_sim, progress):
+    for outcome in engine.run(attempt.apply_to_jobs([world.job for world, _ in batch]), attempt_sim, progress):
         if outcome.job not in unanswered:
             raise RuntimeError(f"engine {engine.name} answered job {outcome.job} twice, or it was never asked")
         unanswered.remove(outcome.job)
         outcome.attempt = attempt.number
         outcome.solver = attempt_sim.solver.value
-        pending = batch[outcome.job]
-        record = Attempt.of(outcome, attempt_sim.physics.timestep_s)
-        yield replace(pending, attempts=(*pending.attempts, record)), outcome
+        world, records = batch[outcome.job]
+        yield world, outcome, (*records, Attempt.of(outcome, attempt_sim.physics.timestep_s))
     if unanswered:
         raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")

@@ -97,19 +97,13 @@ class BoxMetric:
     compared: bool = True
     relative: bool = False
 
-    def box_columns(self) -> Iterator[Column]:
-        """Its columns of ``boxes``."""
-        compared = self.compared and self.dtype is not np.bool_
-        for name, meaning in self.columns.items():
-            yield Column(name, self.unit, self.dtype, meaning, compared, self.relative)
-
-    def world_columns(self) -> Iterator[Column]:
+    def world_columns(self) -> list[Column]:
         """Its column of ``worlds``, if it has one. Worlds are few: all their measures are float64."""
         if self.of_world is None:
-            return
+            return []
         counts = self.of_world.reduction is Reduction.COUNT
         unit, dtype = (DIMENSIONLESS, np.int32) if counts else (self.unit, np.float64)
-        yield Column(self.of_world.name, unit, dtype, self.of_world.meaning, self.compared, self.relative)
+        return [Column(self.of_world.name, unit, dtype, self.of_world.meaning, self.compared, self.relative)]
 
 
 @dataclass(frozen=True)
@@ -123,9 +117,9 @@ class WorldMetric:
     dtype: type[np.generic] = np.float64
     compared: bool = True
 
-    def world_columns(self) -> Iterator[Column]:
+    def world_columns(self) -> list[Column]:
         """Its column of ``worlds``."""
-        yield Column(self.name, self.unit, self.dtype, self.meaning, self.compared)
+        return [Column(self.name, self.unit, self.dtype, self.meaning, self.compared)]
 
 
 def _largest(
@@ -139,111 +133,65 @@ def _largest(
 METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.SAMPLES_AND_END),
     BoxMetric(
-        "shift_m",
-        "m",
-        {
-            "shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
-            "shift_y_m": "final centre - planned centre, y",
-            "shift_z_m": "final centre - planned centre, z",
-        },
-        When.END,
-        "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0",
+        "shift_m", "m",
+        {"shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
+         "shift_y_m": "final centre - planned centre, y",
+         "shift_z_m": "final centre - planned centre, z"},
+        When.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0",
         of_world=OfWorld("max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"),
     ),
     _largest(
-        "max_tilt_deg",
-        "deg",
-        When.SAMPLES,
-        "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
+        "max_tilt_deg", "deg", When.SAMPLES, "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
         of_box="largest angle of the box's z axis to the world's, over samples",
         of_world="largest angle of any box's z axis to the world's, over samples",
     ),
     BoxMetric(
-        "dropped",
-        TEXT,
-        {"dropped": "the box fell off the carrier"},
-        When.SAMPLES_AND_END,
+        "dropped", TEXT, {"dropped": "the box fell off the carrier"}, When.SAMPLES_AND_END,
         "once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
         "R is the box's rotation matrix, h its half sizes",
-        dtype=np.bool_,
-        of_world=OfWorld("n_dropped", Reduction.COUNT, "boxes that dropped"),
+        dtype=np.bool_, of_world=OfWorld("n_dropped", Reduction.COUNT, "boxes that dropped"),
     ),
     BoxMetric(
-        "drop_s",
-        "s",
-        {"drop_s": "when it dropped; null where it did not"},
-        When.SAMPLES_AND_END,
-        "time of the first look at which it had dropped",
-        dtype=np.float64,
+        "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, When.SAMPLES_AND_END,
+        "time of the first look at which it had dropped", dtype=np.float64,
         of_world=OfWorld("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
     ),
     _largest(
-        "max_lin_acc",
-        "m/s^2",
-        When.SAMPLES,
+        "max_lin_acc", "m/s^2", When.SAMPLES,
         "max ‖a‖, with a the linear part of MuJoCo's `qacc` of the box's free joint",
-        of_box="largest sampled linear acceleration",
-        of_world="largest sampled linear acceleration of any box",
+        of_box="largest sampled linear acceleration", of_world="largest sampled linear acceleration of any box",
     ),
     _largest(
-        "max_ang_acc",
-        "rad/s^2",
-        When.SAMPLES,
-        "max ‖α‖, with α the angular part of the same `qacc`",
-        of_box="largest sampled angular acceleration",
-        of_world="largest sampled angular acceleration of any box",
+        "max_ang_acc", "rad/s^2", When.SAMPLES, "max ‖α‖, with α the angular part of the same `qacc`",
+        of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
     ),
     _largest(
-        "max_top_force_n",
-        "N",
-        When.SAMPLES,
-        "max F, with F the force on the box's top (below)",
-        of_box="largest sampled force on its top",
-        of_world="largest sampled force on top of any box",
-        relative=True,
+        "max_top_force_n", "N", When.SAMPLES, "max F, with F the force on the box's top (below)",
+        of_box="largest sampled force on its top", of_world="largest sampled force on top of any box", relative=True,
     ),
     _largest(
-        "rest_top_force_n",
-        "N",
-        When.REST,
+        "rest_top_force_n", "N", When.REST,
         "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
         of_box="force on its top at rest; null where the world never came to rest",
-        of_world="largest force on top of any box at rest; null where the world never came to rest",
-        relative=True,
+        of_world="largest force on top of any box at rest; null where the world never came to rest", relative=True,
     ),
     BoxMetric(
-        "pos",
-        "m",
-        {
-            "pos_x_m": "final centre, x",
-            "pos_y_m": "final centre, y",
-            "pos_z_m": "final centre, z; 0 is the carrier's top",
-        },
-        When.END,
-        "c; compared by the distance between two runs' centres",
-        compared=False,
+        "pos", "m",
+        {"pos_x_m": "final centre, x", "pos_y_m": "final centre, y",
+         "pos_z_m": "final centre, z; 0 is the carrier's top"},
+        When.END, "c; compared by the distance between two runs' centres", compared=False,
     ),
     BoxMetric(
-        "quat",
-        DIMENSIONLESS,
-        {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
-        When.END,
-        "unit quaternion; compared by the angle between two runs' orientations",
-        compared=False,
+        "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
+        When.END, "unit quaternion; compared by the angle between two runs' orientations", compared=False,
     ),
     BoxMetric(
-        "max_sway_m",
-        "m",
-        {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
-        When.SAMPLES_AND_END,
-        "max √(Δx² + Δy²) of c since the profile's beginning",
-        driven_only=True,
+        "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
+        When.SAMPLES_AND_END, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
     ),
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", When.END),
-    WorldMetric(
-        "n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, dtype=np.int64, compared=False
-    ),
-)
+    WorldMetric("n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, np.int64, compared=False),
+)  # fmt: skip
 """In the order of the columns; those of driven runs alone come last in ``boxes``."""
 
 
@@ -260,7 +208,11 @@ def world_metrics() -> list[WorldMetric]:
 
 def box_columns(driven: bool = True) -> list[Column]:
     """Columns of ``boxes`` that hold metrics."""
-    return [column for metric in box_metrics(driven) for column in metric.box_columns()]
+    return [
+        Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
+        for m in box_metrics(driven)
+        for name, meaning in m.columns.items()
+    ]
 
 
 def world_columns() -> list[Column]:

@@ -15,9 +15,10 @@ from petmjx.metrics.spec import box_columns, box_metrics, reduce_boxes, world_me
 from petmjx.plans.plan import Plan
 from petmjx.results.files import part_name, write_table
 from petmjx.units import FloatArray
-from petmjx.verdict import Attempt, BoxMetrics, Outcome, Reason, Verdict
+from petmjx.verdict import Attempt, Outcome
 
-_ATTEMPT_FIELDS: Final = tuple(Attempt.__dataclass_fields__)
+_OF_OUTCOME: Final = ("solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
+"""Columns of ``worlds`` that are fields of an outcome, beside its metrics."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +32,6 @@ class Row:
     """
 
     plan: Plan
-    verdict: Verdict
-    reason: Reason
     cells: dict[str, Any]
     block: FloatArray
     attempts: tuple[Attempt, ...]
@@ -56,33 +55,14 @@ class Row:
         n = outcome.n_boxes
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
             raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
-        cells = {
-            "plan_id": plan.plan_id,
-            "variant": variant,
-            "engine": engine,
-            "solver": str(outcome.solver),
-            "attempt": outcome.attempt,
-            "schedule": schedule,
-            "n_boxes": n,
-            "n_placed": outcome.n_placed,
-            "verdict": outcome.verdict.value,
-            "reason": outcome.reason.value,
-            "culprit": outcome.culprit if outcome.culprit >= 0 else None,
-            "flags": int(outcome.flags),
-            **{metric.name: getattr(outcome, metric.name) for metric in world_metrics()},
-            **params,
-        }
-        kept = tuple(attempts) if len(attempts) > 1 else ()
-        block = _block(outcome.boxes, n, outcome.n_placed)
-        return cls(plan, outcome.verdict, outcome.reason, cells, block, kept)
-
-
-def _block(metrics: BoxMetrics, n_boxes: int, n_placed: int) -> FloatArray:
-    """A copy of the metrics as one array; rows of boxes that were never placed are NaN (which reads as "no")."""
-    values = [np.asarray(getattr(metrics, metric.attribute)).reshape(n_boxes, -1) for metric in box_metrics()]
-    block = np.concatenate(values, axis=1, dtype=np.float64)
-    block[n_placed:] = np.nan
-    return block
+        culprit = outcome.culprit if outcome.culprit >= 0 else None
+        cells = {"plan_id": plan.plan_id, "variant": variant, "engine": engine, "schedule": schedule}
+        cells |= {name: getattr(outcome, name) for name in (*_OF_OUTCOME, *(metric.name for metric in world_metrics()))}
+        cells |= {"culprit": culprit, **params}
+        values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]
+        block = np.concatenate(values, axis=1, dtype=np.float64)
+        block[outcome.n_placed :] = np.nan  # never placed; where the answer is yes or no, it reads as "no"
+        return cls(plan, cells, block, tuple(attempts) if len(attempts) > 1 else ())
 
 
 @dataclass
@@ -110,10 +90,8 @@ class Part:
             first += len(metric.columns)
             if metric.of_world is not None:
                 columns[metric.of_world.name] = reduce_boxes(metric.of_world.reduction, values, starts)
-        for name in schema.names:
-            if name not in columns:
-                columns[name] = [row.cells[name] for row in self.rows]
-        return _table(columns, schema)
+        rest = [name for name in schema.names if name not in columns]
+        return _table(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
         """The ``boxes`` table: the worlds' boxes one world after the other, in packing order."""
@@ -134,10 +112,8 @@ class Part:
     def attempts(self, schema: pa.Schema) -> pa.Table:
         """The ``attempts`` table: no rows where every world needed one attempt only."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
-        columns: dict[str, Any] = {name: [getattr(attempt, name) for _, attempt in rows] for name in _ATTEMPT_FIELDS}
-        for name in ("plan_id", "variant"):
-            columns[name] = [row.cells[name] for row, _ in rows]
-        return _table(columns, schema)
+        cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
+        return _table({name: [cell[name] for cell in cells] for name in schema.names}, schema)
 
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
         """All box metrics of the part, and how many boxes each world has."""

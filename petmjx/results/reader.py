@@ -14,13 +14,7 @@ import pyarrow.parquet as pq
 
 from petmjx.errors import InputError
 from petmjx.results.files import RUN_FILE, part_files
-from petmjx.results.schema import (
-    SCHEMA_VERSION,
-    attempts_schema,
-    boxes_schema,
-    schema_version_of,
-    worlds_schema,
-)
+from petmjx.results.schema import SCHEMA_VERSION, schema_version_of, schemas
 from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
 
@@ -74,13 +68,10 @@ class RunResults:
         return {column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema}
 
     def _read(self, table: str) -> pd.DataFrame:
-        names = [file.name for file in part_files(self.path, "worlds")]
-        files = [self.path / table / name for name in names]
-        if table == "attempts":
-            files = [file for file in files if file.exists()]
-        parts = [_read_part(file) for file in files]
-        empty = {"worlds": worlds_schema(), "boxes": boxes_schema(), "attempts": attempts_schema()}[table].empty_table()
-        frame: pd.DataFrame = pa.concat_tables(parts or [empty], promote_options="default").to_pandas()
+        files = [self.path / table / file.name for file in part_files(self.path, "worlds")]
+        parts = [_read_part(file) for file in files if table != "attempts" or file.exists()]
+        parts = parts or [schemas()[table].empty_table()]
+        frame: pd.DataFrame = pa.concat_tables(parts, promote_options="default").to_pandas()
         return frame
 
 

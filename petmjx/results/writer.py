@@ -21,14 +21,7 @@ from petmjx.plans.plan import Plan, Skipped
 from petmjx.results.files import RUN_FILE, make_room, part_name, write_table, write_text
 from petmjx.results.parts import Part, Row
 from petmjx.results.plain import plain
-from petmjx.results.schema import (
-    SCHEMA_VERSION,
-    Param,
-    attempts_schema,
-    boxes_schema,
-    summary_schema,
-    worlds_schema,
-)
+from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_schema
 from petmjx.text import one_line
 from petmjx.verdict import Attempt, Outcome, Reason, Verdict
 
@@ -39,42 +32,31 @@ SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this, however slowly worlds finish."""
 
 
-@dataclass(frozen=True)
-class Written:
-    """What the parts on disk hold."""
+@dataclass
+class _Pending:
+    """The part being gathered, and what was written before it."""
 
+    part: Part
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
+    since_s: float = 0.0
+    """When its first world came (monotonic clock): compiling before that makes no part."""
 
-    @property
-    def worlds(self) -> int:
-        return self.verdicts.total()
+    def following(self) -> _Pending:
+        """The next part, once this one is written."""
+        rows = self.part.rows
+        verdicts = self.verdicts + Counter((row.cells["verdict"], row.cells["reason"]) for row in rows)
+        return _Pending(Part(self.part.number + 1), verdicts, self.retried + sum(bool(row.attempts) for row in rows))
 
     def counts(self) -> dict[str, Any]:
-        """Counts for run.json: worlds by verdict, and those that are not stable by reason."""
+        """Counts of what was written, for run.json: worlds by verdict, and those that are not stable by reason."""
         by_reason: dict[str, dict[str, int]] = {Verdict.UNSTABLE.value: {}, Verdict.INVALID.value: {}}
         by_verdict = {verdict.value: 0 for verdict in Verdict}
         for (verdict, reason), count in sorted(self.verdicts.items()):
             by_verdict[verdict.value] += count
             if verdict is not Verdict.STABLE:
                 by_reason[verdict.value][reason.value] = count
-        return {"worlds": self.worlds, **by_verdict, "by_reason": by_reason, "retried": self.retried}
-
-
-@dataclass
-class _Pending:
-    """The part being gathered, and what was written before it."""
-
-    part: Part
-    before: Written
-    since_s: float = 0.0
-    """When its first world came (monotonic clock): compiling before that makes no part."""
-
-    def after(self) -> Written:
-        """What is written once this part is."""
-        rows = self.part.rows
-        verdicts = self.before.verdicts + Counter((row.verdict, row.reason) for row in rows)
-        return Written(verdicts, self.before.retried + sum(bool(row.attempts) for row in rows))
+        return {"worlds": self.verdicts.total(), **by_verdict, "by_reason": by_reason, "retried": self.retried}
 
 
 class RunWriter:
@@ -114,19 +96,13 @@ class RunWriter:
     ) -> None:
         self.out_dir = Path(out_dir)
         self.params = tuple(params)
-        self.schemas = {
-            "worlds": worlds_schema(self.params),
-            "boxes": boxes_schema(dynamic),
-            "attempts": attempts_schema(),
-        }
+        self.schemas = schemas(self.params, dynamic)
         self.skipped: list[Skipped] = []
         self.warnings: list[str] = []
         self.timings: dict[str, float] = {}
-        self._param_names = tuple(param.name for param in self.params)
         self._overwrite = overwrite
-        self._worlds_per_part = worlds_per_part
-        self._seconds_per_part = seconds_per_part
-        self._pending = _Pending(Part(0), Written())
+        self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
+        self._pending = _Pending(Part(0))
         self._status = "running"
         self._error: str | None = None
         self._started = time.monotonic()
@@ -170,27 +146,18 @@ class RunWriter:
         self._write_info()
 
     @property
-    def worlds_done(self) -> int:
-        """Worlds added so far; those in parts on disk are ``info["counts"]["worlds"]``."""
-        return self._pending.before.worlds + len(self._pending.part.rows)
-
-    @property
     def info(self) -> dict[str, Any]:
         """What ``run.json`` says now. Counts are of worlds on disk."""
         wall_s = time.monotonic() - self._started
-        counts = self._pending.before.counts()
         return {
             "schema_version": SCHEMA_VERSION,
             "status": self._status,
             **({"error": self._error} if self._error else {}),
             **self._head,
             "updated": _now(),
-            "counts": {**counts, "skipped_plans": len(self.skipped)},
+            "counts": {**self._pending.counts(), "skipped_plans": len(self.skipped)},
             "timings": {**self.timings, "wall_s": round(wall_s, 3)},
-            "skipped": [
-                {"plan_id": skipped.plan_id or "", "source": skipped.source, "error": skipped.message}
-                for skipped in self.skipped
-            ],
+            "skipped": [{"plan_id": s.plan_id or "", "source": s.source, "error": s.message} for s in self.skipped],
             "warnings": list(self.warnings),
         }
 
@@ -218,16 +185,15 @@ class RunWriter:
             ValueError: an outcome of another plan, or a parameter the run was not made with.
             PetmjxError: the part cannot be written (a full disk).
         """
-        given = params or {}
-        if unknown := given.keys() - set(self._param_names):
-            raise ValueError(f"the run has no parameter {sorted(unknown)[0]!r}")
-        values = {name: given.get(name) for name in self._param_names}
+        values = {param.name: None for param in self.params} | dict(params or {})
+        if len(values) > len(self.params):
+            raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
         row = Row.of(plan, variant, engine, str(schedule), outcome, attempts, values)
-        pending = self._pending
-        if not pending.part.rows:
+        pending, rows = self._pending, self._pending.part.rows
+        if not rows:
             pending.since_s = time.monotonic()
-        pending.part.rows.append(row)
-        enough = len(pending.part.rows) >= self._worlds_per_part
+        rows.append(row)
+        enough = len(rows) >= self._worlds_per_part
         if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
             self._flush()
             self._write_info()
@@ -241,16 +207,16 @@ class RunWriter:
         self.warnings.append(message)
 
     def _flush(self, last: bool = False) -> None:
-        pending = self._pending
+        part = self._pending.part
         # a run without any world still gets one empty part: its readers find the columns
-        if not pending.part.rows and not (last and pending.part.number == 0):
+        if not part.rows and not (last and part.number == 0):
             return
         try:
-            pending.part.write(self.out_dir, self.schemas)
+            part.write(self.out_dir, self.schemas)
         except OSError as error:
             raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
         # one assignment: an interrupt before it writes the same part again, one after it begins the next
-        self._pending = _Pending(Part(pending.part.number + 1), pending.after())
+        self._pending = self._pending.following()
 
     def _write_info(self) -> None:
         text = json.dumps(plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)

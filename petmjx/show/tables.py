@@ -30,7 +30,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
             yield table
             yield ""
     elif not sweep and len(results.worlds) <= FEW_ROWS:
-        yield worlds_table(results.worlds.sort_values(["plan_id", "variant"]), results.boxes)
+        yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes)
         yield ""
     yield from notes(results.info)
     yield summary_table(results.info, "worlds" if sweep else "plans")
@@ -86,15 +86,9 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
-    """A row a world: what became of it, which box went first and when, and its largest metrics.
-
-    Args:
-        worlds, boxes: the tables of a run, as :func:`petmjx.results.reader.load_run` reads them.
-    """
-    with_variants = bool(len(worlds)) and int(worlds["variant"].nunique()) > 1
+    """A row a plan of a score: what became of it, which box went first and when, and its largest metrics."""
     table = FittedTable(
         Column("plan", "left", least=24, middle=True),
-        *([Column("variant")] if with_variants else []),
         Column("boxes", spare=2),
         Column("verdict", "left"),
         Column("reason", "left"),
@@ -104,23 +98,17 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
         Column("tilt\n°"),
         Column("rest\nforce N", spare=4),
     )
-    culprits = worlds.loc[worlds["culprit"].notna(), ["plan_id", "variant", "culprit"]]
-    named = culprits.astype({"culprit": "int32"}).merge(
-        boxes[["plan_id", "variant", "box", "article"]],
-        left_on=["plan_id", "variant", "culprit"],
-        right_on=["plan_id", "variant", "box"],
-    )
-    articles = {(row["plan_id"], row["variant"]): f"{row['box']} {row['article']}" for row in named.to_dict("records")}
+    articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
     for row in worlds.to_dict("records"):
+        first = "" if pd.isna(row["culprit"]) else f"{row['culprit']} {articles[row['plan_id'], row['culprit']]}"
         verdict = str(row["verdict"])
         placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
         table.add(
             str(row["plan_id"]),
-            *([str(row["variant"])] if with_variants else []),
             f"{placed}{row['n_boxes']}",
             Text(verdict, style=_STYLES.get(verdict, "")),
             str(row["reason"]),
-            articles.get((row["plan_id"], row["variant"]), ""),
+            first,
             number(row["first_sign_s"], ".2f"),
             number(row["max_shift_m"], ".1f", factor=1000.0),
             number(row["max_tilt_deg"], ".1f"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -27,13 +26,6 @@ HAPPENS_AT_AGE = 7
 PLAIN = Job(fake_scene(1.0, 60.0, 1.0))
 MARKED = Job(fake_scene(1.0, MARKED_KG, 1.0))
 JOBS = [MARKED if world % 8 == 3 else PLAIN for world in range(40)]
-
-
-@pytest.fixture(autouse=True)
-def _ranks_may_differ() -> Iterator[None]:
-    """Stages broadcast as NumPy does."""
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 def happens(stepper: FakeStepper, data: FakeData) -> jax.Array:
@@ -78,8 +70,7 @@ class PoisonedEngine(FakeEngine):
 @pytest.fixture(scope="module")
 def healthy() -> list[Outcome]:
     """The same worlds where nothing happens."""
-    with jax.numpy_rank_promotion("allow"):
-        return run_all(FakeEngine(16, capacities=(3,)), JOBS, SHORT)
+    return run_all(FakeEngine(16, capacities=(3,)), JOBS, SHORT)
 
 
 def test_overflowed_worlds_run_again_in_larger_buffers(healthy: list[Outcome]) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 import pytest
 from support.fake_stepper import CARRIER_KG, CREEP_M, FALLS_KG, FakeEngine, assert_same, fake_scene, run_all
@@ -19,13 +18,6 @@ DT = 0.002
 SHORT = Simulation(interval_s=0.3, sample_interval_s=0.05, duration_s=0.5, settle_s=0.4)
 FORCE_RELATIVE = 1e-5
 """Resting forces are float32 sums of whole numbers, divided."""
-
-
-@pytest.fixture(autouse=True)
-def _ranks_may_differ() -> Iterator[None]:
-    """Stages broadcast as NumPy does; metrics, where ranks could be confused, are tested with promotion forbidden."""
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 @dataclass

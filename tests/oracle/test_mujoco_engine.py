@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Generator, Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,7 +20,7 @@ from petmjx.config import PHYSICS, Cone, Schedule, Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu import live as mujoco_live
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.world import Clock
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
@@ -105,28 +106,26 @@ def test_tilt_and_lowest_point_of_turned_boxes() -> None:
     np.testing.assert_allclose(lowest_z(np.array([[0, 0, 1.0]] * 3), quat, half_size), [0.7, turned, 0.7])
 
 
-def sample_of(scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s: float = 1.0) -> Sample:
+def sample_of(scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s: float = 1.0) -> tuple[Any, ...]:
     n = scene.n_boxes
-    quiet = np.zeros((n, 3))
-    return Sample(
-        time_s, scene.target + np.array([offset_m, 0, 0]), scene.start_quat, quiet, quiet + ang_acc, np.zeros(n)
-    )
+    acc = np.repeat([[0.0, ang_acc]], 3, axis=1).repeat(n, axis=0)
+    return time_s, scene.target + np.array([offset_m, 0, 0]), scene.start_quat, acc, np.zeros(n)
 
 
 def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
     scene = leaning(2)
     metrics = OracleMetrics(scene, Thresholds())
-    assert not metrics.add_sample(sample_of(scene))
-    assert metrics.add_sample(sample_of(scene, ang_acc=100.0))
-    assert not metrics.add_sample(sample_of(scene, offset_m=0.021, ang_acc=100.0, time_s=2.0))
-    assert not metrics.add_sample(sample_of(scene, ang_acc=100.0, time_s=3.0))
+    assert not metrics.add_sample(*sample_of(scene))
+    assert metrics.add_sample(*sample_of(scene, ang_acc=100.0))
+    assert not metrics.add_sample(*sample_of(scene, offset_m=0.021, ang_acc=100.0, time_s=2.0))
+    assert not metrics.add_sample(*sample_of(scene, ang_acc=100.0, time_s=3.0))
     assert metrics.first_sign_s == 2.0
 
 
 def test_verdicts_come_in_their_order() -> None:
     scene = leaning(2)
     metrics = OracleMetrics(scene, Thresholds())
-    metrics.add_sample(sample_of(scene))
+    metrics.add_sample(*sample_of(scene))
     boxes = metrics.finish(scene.target + np.array([0.03, 0, 0]), scene.start_quat, came_to_end=True)
     found = [judge(Flag.NONE, boxes, 2, Thresholds())]
     boxes.max_tilt_deg[1] = 21.0

@@ -54,12 +54,11 @@ def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     )
     rules = Rules(sim, build_timetable(sim, BOXES), BOXES, driven=False)
     found = []
-    with jax.numpy_rank_promotion("allow"):
-        count = jax.jit(rules.count_quiet)
-        for pace in paces:
-            state = state._replace(vel=jnp.asarray(velocities(pace), jnp.float32)[None])
-            state = count(state, jnp.array([True]))
-            found.append(bool(state.quiet_steps[0] >= QUIET.steps))
+    count = jax.jit(rules.count_quiet)
+    for pace in paces:
+        state = state._replace(vel=jnp.asarray(velocities(pace), jnp.float32)[None])
+        state = count(state, jnp.array([True]))
+        found.append(bool(state.quiet_steps[0] >= QUIET.steps))
     return found
 
 

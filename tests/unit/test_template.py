@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -25,12 +24,6 @@ ROUNDING = 2e-6
 
 PER_BODY = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
 PER_GEOM = ("geom_size", "geom_rbound", "geom_aabb", "geom_friction")
-
-
-@pytest.fixture(autouse=True)
-def _ranks_may_differ() -> Iterator[None]:
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 def scene_of_boxes(n: int) -> Scene:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +27,9 @@ from petmjx.world.job import Job
 
 MAX_GROWTH = 8
 """Buffers that overflowed are doubled up to this factor; a world that needs more is invalid."""
+
+MAX_STAGES = 6
+"""Capacities in use, at most; each is compiled once."""
 
 MAX_LANES = 1 << 16
 MIN_LANES = 16
@@ -85,17 +87,13 @@ class _Group:
 
     def retry(self, rows: NDArray[np.int64]) -> None:
         """Clear overflow bits: a re-run in buffers that are large enough is as true as any other, and says so."""
-        at = jnp.asarray(rows)
-        flags = (self.table.flags[at] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
-        self.table = self.table._replace(flags=self.table.flags.at[at].set(flags))
+        flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
+        self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
         """End worlds that this device cannot simulate."""
-        at = jnp.asarray(rows)
-        self.table = self.table._replace(
-            flags=self.table.flags.at[at].set(self.table.flags[at] | int(flag)),
-            status=self.table.status.at[at].set(Status.FINISHED),
-        )
+        flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
+        self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
 
 class MjxEngine(ABC):
@@ -104,7 +102,6 @@ class MjxEngine(ABC):
     Args:
         lanes: worlds stepped side by side, at most; fewer where fewer worlds are there or memory runs out.
         group_size: worlds whose states are on the device at a time; bounds memory whatever the number of jobs.
-        max_stages: capacities in use, at most; each is compiled once.
         capacities: fixed capacities instead of ones chosen from the plans (tests).
         chunk_steps: steps between two looks at which lanes are through.
         drain_share: a stage hands worlds that lag on to the next capacity once fewer than this share of its lanes
@@ -118,27 +115,18 @@ class MjxEngine(ABC):
         lanes: int | None = None,
         *,
         group_size: int = 8192,
-        max_stages: int = 6,
         capacities: Sequence[int] | None = None,
         chunk_steps: int = 25,
         drain_share: float = 0.25,
     ) -> None:
         set_up_jax()
-        self.lanes = lanes
-        self.group_size = group_size
-        self.max_stages = max_stages
-        self.capacities = capacities
-        self.chunk_steps = chunk_steps
-        self.drain_share = drain_share
-        self._stages: dict[StageKey, Stage] = {}
+        self.lanes, self.capacities, self.group_size = lanes, capacities, group_size
+        self.chunk_steps, self.drain_share = chunk_steps, drain_share
+        self.stages: dict[StageKey, Stage] = {}
+        """The stages that are compiled and kept."""
         self._warm: set[Stage] = set()
         self._growth: dict[tuple[Cone, int], int] = {}
         self._running = RunLock(self.name)
-
-    @property
-    def stages(self) -> Mapping[StageKey, Stage]:
-        """The stages that are compiled and kept."""
-        return MappingProxyType(self._stages)
 
     @abstractmethod
     def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
@@ -162,19 +150,17 @@ class MjxEngine(ABC):
 
     def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
         """Capacities of the placement stages ("") and of the stages of each kind of drive."""
+        sizes: dict[str, list[int]] = {}
+        for job in jobs:
+            for kind in ([""] if job.start is None else []) + ([job.drive.excitation.kind] if job.drive else []):
+                sizes.setdefault(kind, []).append(job.scene.n_boxes)
         if self.capacities is not None:
-            chosen = list(self.capacities)
-            return {"": chosen, "force": chosen, "acceleration": chosen}
-        choice: dict[str, list[int]] = {}
-        placed = [job.scene.n_boxes for job in jobs if job.start is None]
-        if placed:
-            grow = growing_capacities if sim.check is Check.ONE_BY_ONE else class_capacities
-            choice[""] = grow(placed, self.max_stages)
-        for kind in ("force", "acceleration"):
-            sizes = [job.scene.n_boxes for job in jobs if job.drive and job.drive.excitation.kind == kind]
-            if sizes:
-                choice[kind] = class_capacities(sizes, self.max_stages)
-        return choice
+            return {kind: list(self.capacities) for kind in sizes}
+        grows = sim.check is Check.ONE_BY_ONE
+        return {
+            kind: (growing_capacities if grows and not kind else class_capacities)(found, MAX_STAGES)
+            for kind, found in sizes.items()
+        }
 
     def _run_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
         group = self._load_group(run, jobs, first_job)
@@ -188,13 +174,9 @@ class MjxEngine(ABC):
                 yield from outcomes(np.array(rows), jobs, first_job, group.table, group.worlds, run.timetable, run.sim)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
-        if "" in run.capacities:
-            yield from self._run_stages(group, run.capacities[""], "", n_boxes, finished)
-        for kind in ("force", "acceleration"):
-            mine = np.array([job.drive is not None and job.drive.excitation.kind == kind for job in jobs])
-            if mine.any():
-                mine_alone = np.where(mine, n_boxes, NEVER)
-                yield from self._run_stages(group, run.capacities[kind], kind, mine_alone, finished)
+        for kind in sorted(run.capacities, key=("", "force", "acceleration").index):
+            mine = np.array([not kind or (job.drive is not None and job.drive.excitation.kind == kind) for job in jobs])
+            yield from self._run_stages(group, run.capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
 
     def _load_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> _Group:
         sim, timetable = run.sim, run.timetable
@@ -252,7 +234,7 @@ class MjxEngine(ABC):
                 if not is_out_of_memory(error):
                     raise
                 group.table = entered
-                self._stages.clear()
+                self.stages.clear()
                 self._warm.clear()
                 self.release()
                 if lanes <= MIN_LANES:
@@ -289,14 +271,14 @@ class MjxEngine(ABC):
     def _stage(self, group: _Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
         sim, timetable = group.run.sim, group.run.timetable
         key = StageKey(sim, capacity, lanes, drive, growth, len(timetable.clock))
-        if key not in self._stages:
+        if key not in self.stages:
             held = drive == "acceleration"
             begin = time.perf_counter()
             stepper = self.make_stepper(capacity, lanes, sim, held=held, growth=growth)
             rules = Rules(sim, timetable, capacity, driven=bool(drive))
-            self._stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
+            self.stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
             group.run.progress.compile_s += time.perf_counter() - begin
-        return self._stages[key]
+        return self.stages[key]
 
     def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
         """Chunks and refills until the stage's worlds are through, or so few run that they are better handed on.
@@ -341,8 +323,8 @@ class MjxEngine(ABC):
         for what, amount in spent.items():
             progress.extra[f"{key} {what}"] = progress.extra.get(f"{key} {what}", 0) + amount
         progress.extra[f"{key} lanes"] = stage.lanes
-        progress.extra[f"{key} contacts"] = max(progress.extra.get(f"{key} contacts", 0), contacts)
-        progress.extra[f"{key} rows"] = max(progress.extra.get(f"{key} rows", 0), constraint_rows)
+        for what, most in (("contacts", contacts), ("rows", constraint_rows)):
+            progress.extra[f"{key} {what}"] = max(progress.extra.get(f"{key} {what}", 0), most)
 
 
 def is_out_of_memory(error: Exception) -> bool:

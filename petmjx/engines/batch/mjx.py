@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
@@ -31,9 +30,8 @@ class _SilentLoader(SourceFileLoader):
 class _SilentFinder(MetaPathFinder):
     """Finds the module that prints, and no other."""
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
+        # ``path`` is a list of folders or an iterable of importlib's own
         spec = PathFinder.find_spec(fullname, path) if fullname == _PRINTS else None
         if spec is None or not isinstance(spec.loader, SourceFileLoader):
             return None

@@ -23,9 +23,7 @@ class JaxStepper:
     """Steps lanes with ``mjx.step`` under ``vmap``. Contacts have fixed slots, so nothing can overflow."""
 
     def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics) -> None:
-        self.template = template
-        self.lanes = lanes
-        self.physics = physics
+        self.template, self.lanes, self.physics = template, lanes, physics
         self.model: Any = mjx.put_model(template, impl="jax")
 
     def scratch(self) -> Any:

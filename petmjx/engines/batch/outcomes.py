@@ -31,7 +31,7 @@ class Reduced(NamedTuple):
 def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Reduced:
     """Metrics that need the whole run, for every world of a table, on the device."""
     m = state.metrics
-    placed = jnp.arange(worlds.mass.shape[1]) < state.placed[:, None]
+    placed = jnp.arange(worlds.mass.shape[1])[None] < state.placed[:, None]
     shift = motion.shift(state.pose[..., :3], worlds.target, sim.thresholds.shift_floor_m)
     rested = (m.rest_samples > 0) & (state.step >= state.end)
     mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
@@ -74,7 +74,7 @@ def outcomes(
             max_top_force_n=doubles(m.max_top_force[i, :n]),
             rest_top_force_n=doubles(found.rest_force[i, :n]),
             dropped=np.asarray(drops >= 0),
-            drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops]),
+            drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
             max_sway_m=doubles(m.max_sway[i, :n]) if driven else np.full(n, np.nan),
             pos=doubles(host.pose[i, :n, :3]),
             quat=doubles(host.pose[i, :n, 3:]),

@@ -48,21 +48,21 @@ class Rules:
 
     def standing(self, state: State) -> Bool[Array, "lane box"]:
         """Boxes in play: placed, in a world that runs."""
-        placed = jnp.arange(self.capacity) < state.placed[:, None]
+        placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
         return placed & state.running[:, None]
 
     def park(self, state: State) -> State:
         """Boxes that are not in play as the step is to see them: where they wait, at rest."""
         standing = self.standing(state)[..., None]
         return state._replace(
-            pose=jnp.where(standing, state.pose, self.parked_pose()),
+            pose=jnp.where(standing, state.pose, self.parked_pose()[None]),
             vel=jnp.where(standing, state.vel, 0.0),
             warm=jnp.where(standing, state.warm, 0.0),
         )
 
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " lane"]) -> State:
         """Release the next box: at its release pose, at rest."""
-        chosen = ((jnp.arange(self.capacity) == state.placed[:, None]) & where[:, None])[..., None]
+        chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         return state._replace(
             pose=jnp.where(chosen, worlds.start, state.pose),
             vel=jnp.where(chosen, 0.0, state.vel),
@@ -94,7 +94,7 @@ class Rules:
         pos, quat = state.pose[..., :3], state.pose[..., 3:]
         shift = motion.shift(pos, worlds.target, limits.shift_floor_m)
         excess = motion.excess(shift, motion.tilt_deg(quat), m.drop_step >= 0, limits)
-        placed = jnp.arange(self.capacity) < state.placed[:, None]
+        placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
         clean = begins & ~(placed & (excess > 1)).any(-1)
         return m._replace(
             culprit=jnp.where(clean, -1, m.culprit),

@@ -7,11 +7,11 @@ worlds and refilled from the queue, all on the device. The host reads one small 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import SOFT_START_STEPS, Physics
 from petmjx.engines.batch.rules import Rules
@@ -20,6 +20,7 @@ from petmjx.engines.batch.state import State, Status, Worlds, narrow, put_rows, 
 from petmjx.engines.batch.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fields
 
 
+@runtime_checkable
 class Stepper(Protocol):
     """What differs between the MJX implementations: stepping, reading contacts, reading overflow."""
 
@@ -32,11 +33,13 @@ class Stepper(Protocol):
         """Batched MJX data to step in; its contents do not matter between steps."""
         ...
 
-    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: Any) -> Any:
+    def step(
+        self, overrides: dict[str, Float[Array, "lane ..."]], inputs: dict[str, Float[Array, "lane ..."]], scratch: Any
+    ) -> Any:
         """One step of all lanes from ``inputs`` (qpos, qvel, qacc_warmstart, xfrc_applied)."""
         ...
 
-    def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
+    def top_force(self, overrides: dict[str, Float[Array, "lane ..."]], scratch: Any) -> Float[Array, "lane box"]:
         """Force pressing on each box's top in the last step, N."""
         ...
 
@@ -63,7 +66,7 @@ class Lanes(NamedTuple):
     row: Int[Array, " lane"]
     worlds: Worlds
     state: State
-    overrides: dict[str, jax.Array]
+    overrides: dict[str, Float[Array, "lane ..."]]
     usage: Int[Array, " 2"]
     iterations: Float[Array, " 2"]
     scratch: Any
@@ -134,7 +137,7 @@ class Stage:
         lanes: Lanes = self._empty_lanes(worlds, table)
         return lanes._replace(scratch=self.stepper.scratch())
 
-    def _overrides(self, worlds: Worlds) -> dict[str, jax.Array]:
+    def _overrides(self, worlds: Worlds) -> dict[str, Float[Array, "lane ..."]]:
         return override_fields(
             worlds.half,
             worlds.mass,
@@ -145,7 +148,9 @@ class Stage:
             held=self.held,
         )
 
-    def _refill(self, lanes: Lanes, table: State, worlds: Worlds, queue: Queue) -> tuple[Lanes, State, Queue, Array]:
+    def _refill(
+        self, lanes: Lanes, table: State, worlds: Worlds, queue: Queue
+    ) -> tuple[Lanes, State, Queue, Float[Array, " 6"]]:
         """Write back lanes whose world has ended and give them to the next worlds of the queue.
 
         Returns:
@@ -181,7 +186,7 @@ class Stage:
         return self._write_back(lanes, table, jnp.ones_like(lanes.state.running), len(table.step))
 
     @staticmethod
-    def _write_back(lanes: Lanes, table: State, where: Array, n_rows: int) -> State:
+    def _write_back(lanes: Lanes, table: State, where: Bool[Array, " lane"], n_rows: int) -> State:
         """A world whose buffers overflowed keeps the state it entered with, and is flagged: the stage is repeated."""
         failed = lanes.state.status == Status.OVERFLOWED
         table = put_rows(table, jnp.where(where & ~failed, lanes.row, n_rows), lanes.state)
@@ -191,7 +196,7 @@ class Stage:
     def _park_idle(self, state: State) -> State:
         """Hang the carriers of idle lanes in the air as well: a world without contacts costs next to nothing."""
         idle = ~state.running[:, None]
-        aloft = jnp.array([0.0, 0.0, PARKING_HEIGHT_M, 1.0, 0.0, 0.0, 0.0])
+        aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, 1.0, 0.0, 0.0, 0.0]])
         return state._replace(
             carrier_pose=jnp.where(idle, aloft, state.carrier_pose),
             carrier_vel=jnp.where(idle, 0.0, state.carrier_vel),
@@ -204,11 +209,13 @@ class Stage:
 
         return jax.lax.scan(body, lanes, None, length=self.chunk_steps)[0]
 
-    def _excitation(self, lanes: Lanes, profiles: Array) -> tuple[Array, Array]:
-        """Gravity and the force on the carrier for the step to come, (lane, 3) each."""
+    def _excitation(
+        self, lanes: Lanes, profiles: Float[Array, "profile step 3"]
+    ) -> tuple[Float[Array, "lane 3"], Float[Array, "lane 3"]]:
+        """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
         state, worlds = lanes.state, lanes.worlds
         ramp = jnp.clip((state.step + SOFT_START_STEPS) / SOFT_START_STEPS, 0.0, 1.0)
-        gravity = ramp[:, None] * jnp.array([0.0, 0.0, -self.physics.gravity_m_s2])
+        gravity = ramp[:, None] * jnp.array([[0.0, 0.0, -self.physics.gravity_m_s2]])
         force = jnp.zeros_like(gravity)
         if self.rules.driven:
             at = state.step - state.driven_from
@@ -225,7 +232,7 @@ class Stage:
         active = state.running[:, None]
         return jnp.where(active, gravity, 0.0), jnp.where(active, force, 0.0)
 
-    def _advance(self, lanes: Lanes, profiles: Array) -> Lanes:
+    def _advance(self, lanes: Lanes, profiles: Float[Array, "profile step 3"]) -> Lanes:
         """One step of every lane and all that follows from it."""
         state, rules = lanes.state, self.rules
         n, capacity = self.lanes, rules.capacity
@@ -250,7 +257,9 @@ class Stage:
         scratch = self.stepper.step(overrides, inputs, lanes.scratch)
         running, standing = state.running[:, None], ~waiting
 
-        def moved(row: Array, carrier: Array, boxes: Array) -> tuple[Array, Array]:
+        def moved(
+            row: Float[Array, "lane coordinate"], carrier: Float[Array, "lane k"], boxes: Float[Array, "lane box k"]
+        ) -> tuple[Float[Array, "lane k"], Float[Array, "lane box k"]]:
             """What a step changed, for lanes that run and boxes in play; all else stays as it was."""
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
@@ -277,12 +286,16 @@ class Stage:
         iterations = lanes.iterations + jnp.stack([spent.sum(), spent.max()])
         return lanes._replace(state=state, scratch=scratch, usage=usage, iterations=iterations)
 
-    def _join(self, carrier: Array, boxes: Array) -> Array:
-        """(lane, k) of the carrier and (lane, box, k) of boxes → one row of generalized coordinates."""
+    def _join(
+        self, carrier: Float[Array, "lane k"], boxes: Float[Array, "lane box k"]
+    ) -> Float[Array, "lane coordinate"]:
+        """One row of generalized coordinates for each lane: the carrier's, unless it is held, then the boxes'."""
         flat = boxes.reshape(len(boxes), -1)
         return flat if self.held else jnp.concatenate([carrier, flat], axis=-1)
 
-    def _split(self, row: Array, carrier: Array) -> tuple[Array, Array]:
+    def _split(
+        self, row: Float[Array, "lane coordinate"], carrier: Float[Array, "lane k"]
+    ) -> tuple[Float[Array, "lane k"], Float[Array, "lane box k"]]:
         """The reverse of ``_join``; a held carrier keeps what it has."""
         width = carrier.shape[-1]
         if not self.held:

@@ -1,7 +1,7 @@
 """Worlds on the device: what is constant about them, and the state that stages take and hand on.
 
-Rows are worlds; box columns are padded to the largest capacity of the group. Lanes of a stage hold the same
-records with a lane axis and the stage's capacity.
+Rows are worlds; box columns are padded to the largest capacity of the group. A stage holds the same records with
+one world a lane and as many box columns as its capacity. Axes are named in ``petmjx.engines.batch``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 import jax
 import jax.numpy as jnp
@@ -80,24 +80,34 @@ class Metrics(NamedTuple):
 
 
 class State(NamedTuple):
-    """What a stage takes and hands on. Boxes first: pose 7, velocity 6, warm-start acceleration 6."""
+    """What a stage takes and hands on. Steps are counted from the end of the soft start."""
 
+    # Positions and velocities as MuJoCo's qpos and qvel of free bodies, and the accelerations the solver starts from.
     pose: Float[Array, "world box 7"]
     vel: Float[Array, "world box 6"]
     warm: Float[Array, "world box 6"]
     carrier_pose: Float[Array, "world 7"]
     carrier_vel: Float[Array, "world 6"]
     carrier_warm: Float[Array, "world 6"]
+
+    # Placing: the last step taken, how many boxes are placed, and the step after which the last one was.
     step: Int[Array, " world"]
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
+
+    # What the rules watch: steps for which all boxes have been slow, their squared pace at the first of these, and
+    # the first of the violent samples in a row.
     quiet_steps: Int[Array, " world"]
     quiet_pace: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
+
+    # How it goes on, as steps or NEVER: when the drive starts, the resting force is averaged, and the world ends.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
     status: Int[Array, " world"]
+
+    # For the outcome: bits of Flag, steps simulated in this run of jobs, and what was measured.
     flags: Int[Array, " world"]
     steps_done: Int[Array, " world"]
     metrics: Metrics
@@ -107,23 +117,21 @@ class State(NamedTuple):
         return self.status == Status.RUNNING
 
 
-PER_BOX_STATE = {"pose", "vel", "warm", "quiet_pace"}
-PER_BOX_METRICS = {"max_tilt", "max_lin_acc", "max_ang_acc", "max_top_force", "rest_force_sum", "drop_step"} | {
-    "max_sway",
-    "sway_anchor",
-}
-PER_BOX_WORLDS = {"half", "mass", "target", "start"}
+Record = TypeVar("Record", Worlds, Metrics, State)
 
 
-def narrow(record: Any, capacity: int) -> Any:
-    """The first ``capacity`` box columns of a Worlds or State record."""
-    if isinstance(record, Worlds):
-        return record._replace(**{name: getattr(record, name)[:, :capacity] for name in PER_BOX_WORLDS})
-    metrics = record.metrics
-    return record._replace(
-        **{name: getattr(record, name)[:, :capacity] for name in PER_BOX_STATE},
-        metrics=metrics._replace(**{name: getattr(metrics, name)[:, :capacity] for name in PER_BOX_METRICS}),
-    )
+def per_box(record: type[Any]) -> tuple[str, ...]:
+    """Names of a record's fields whose second axis is ``box``, from their annotations."""
+    shapes = {name: getattr(kind, "dim_str", "") for name, kind in get_type_hints(record).items()}
+    return tuple(name for name, shape in shapes.items() if shape.split()[1:2] == ["box"])
+
+
+def narrow(record: Record, capacity: int) -> Record:
+    """The first ``capacity`` box columns of a record."""
+    columns: dict[str, Any] = {name: getattr(record, name)[:, :capacity] for name in per_box(type(record))}
+    if isinstance(record, State):
+        columns["metrics"] = narrow(record.metrics, capacity)
+    return record._replace(**columns)
 
 
 def put_rows(table: State, rows: Int[Array, " lane"], lanes: State) -> State:
@@ -139,9 +147,10 @@ def put_rows(table: State, rows: Int[Array, " lane"], lanes: State) -> State:
     return written
 
 
-def take_rows(record: Any, rows: Int[Array, " lane"]) -> Any:
+def take_rows(record: Record, rows: Int[Array, " lane"]) -> Record:
     """Rows of a record, in order; out-of-range rows give some valid row."""
-    return jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
+    taken: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
+    return taken
 
 
 def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], timestep_s: float) -> Worlds:

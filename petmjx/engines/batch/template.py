@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
@@ -90,9 +89,9 @@ def padded_template(
         body.iquat = (1, 0, 0, 0)
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, friction=physics.box_friction, **contact)
 
-    add_box((0.4, 0.3, physics.carrier_half_height_m), (0, 0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
+    add_box((0.4, 0.3, physics.carrier_half_height_m), (0.0, 0.0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
     for k in range(capacity):
-        add_box((0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0, PARKING_HEIGHT_M), 5.0, True)
+        add_box((0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0.0, PARKING_HEIGHT_M), 5.0, True)
     return spec.compile()
 
 
@@ -102,7 +101,7 @@ def parked_positions(capacity: int) -> Float[Array, "box 3"]:
     return jnp.stack([x, jnp.zeros(capacity), jnp.full(capacity, PARKING_HEIGHT_M)], axis=-1)
 
 
-def _box_inertia(half: Array, mass: Array) -> Array:
+def _box_inertia(half: Float[Array, "lane body 3"], mass: Float[Array, "lane body"]) -> Float[Array, "lane body 3"]:
     """Principal moments of solid boxes in box order: m/3 · (b² + c²) for half extents a, b, c."""
     squares = half**2
     return mass[..., None] / 3 * (squares.sum(-1, keepdims=True) - squares)
@@ -117,7 +116,7 @@ def override_fields(
     base: Any,
     *,
     held: bool,
-) -> dict[str, jax.Array]:
+) -> dict[str, Float[Array, "lane ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
     ``friction`` rows are floor, carrier, box. ``base`` is the template's MJX model, whose values stand for
@@ -135,10 +134,10 @@ def override_fields(
         inv_translation = inv_translation.at[:, 0].set(0.0)
         inv_rotation = inv_rotation.at[:, 0].set(0.0)
 
-    def with_world_body(values: jax.Array) -> jax.Array:
+    def with_world_body(values: Float[Array, "lane body *k"]) -> Float[Array, "lane body+1 *k"]:
         return jnp.concatenate([jnp.zeros((lanes, 1, *values.shape[2:])), values], axis=1)
 
-    def with_floor(values: jax.Array, name: str) -> jax.Array:
+    def with_floor(values: Float[Array, "lane body *k"], name: str) -> Float[Array, "lane body+1 *k"]:
         floor = jnp.broadcast_to(getattr(base, name)[FLOOR_GEOM], (lanes, 1, *values.shape[2:]))
         return jnp.concatenate([floor, values], axis=1)
 
@@ -160,7 +159,9 @@ def override_fields(
     return fields
 
 
-def _box_aabb(half: jax.Array, base: Any) -> jax.Array:
+def _box_aabb(
+    half: Float[Array, "lane body 3"], base: Any
+) -> Float[Array, "lane body 6"] | Float[Array, "lane body 2 3"]:
     """Centre and half extents of each box's own bounding box, in the shape the implementation keeps it in:
     (6,) in MJX-JAX, (2, 3) in MJX-Warp."""
     zeros = jnp.zeros_like(half)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64, Int32
 
 from petmjx.config import Check, Simulation
 from petmjx.units import seconds_to_steps
@@ -21,23 +21,23 @@ class Timetable:
     """Step numbers of a run; ``clock[s]`` is the time after step s, s (seconds).
 
     Attributes:
-        clock: (n,) float64.
-        due: (n,) int32; a box placed after step s is followed by the next one after step ``due[s]`` at the latest.
-        settled: (n,) int32; the drive of a world whose last box was placed after step s starts after step
-            ``settled[s]`` at the latest (adaptive schedule).
+        clock: time after each step, s.
+        due: a box placed after step s is followed by the next one after step ``due[s]`` at the latest.
+        settled: the drive of a world whose last box was placed after step s starts after step ``settled[s]`` at the
+            latest (adaptive schedule).
         settled_nominally: the same for the fixed schedule, by number of boxes: the reference counts from the nominal
             moment of the last placement, which rounding to steps puts a little later.
-        sample_every, rest_steps: int.
+        sample_every, rest_steps: steps between two samples, and in the rest window.
         one_by_one_end: last step of the fixed one-by-one check by number of boxes; static_end: of the static one.
     """
 
-    clock: NDArray[np.float64]
-    due: NDArray[np.int32]
-    settled: NDArray[np.int32]
-    settled_nominally: NDArray[np.int32]
+    clock: Float64[np.ndarray, " step"]
+    due: Int32[np.ndarray, " step"]
+    settled: Int32[np.ndarray, " step"]
+    settled_nominally: Int32[np.ndarray, " n_boxes"]
     sample_every: int
     rest_steps: int
-    one_by_one_end: NDArray[np.int32]
+    one_by_one_end: Int32[np.ndarray, " n_boxes"]
     static_end: int
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from itertools import islice
 
 import mujoco
 
@@ -74,29 +75,16 @@ class MujocoEngine:
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
+        runs = (WorldRun(index, job, sim, stop.is_set).run for index, job in enumerate(jobs))
         pending: set[Future[Outcome]] = set()
         with _QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
-                for index, job in enumerate(jobs):
-                    pending.add(pool.submit(_simulate, index, job, sim, stop))
-                    while len(pending) >= 2 * self.threads:
-                        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                        yield from _collect(finished, progress)
-                while pending:
+                while pending := pending | {pool.submit(run) for run in islice(runs, 2 * self.threads - len(pending))}:
                     finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                    yield from _collect(finished, progress)
+                    for outcome in (future.result() for future in finished):
+                        progress.worlds_done += 1
+                        progress.world_steps += outcome.n_steps
+                        yield outcome
             finally:
                 stop.set()
                 pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event) -> Outcome:
-    return WorldRun(index, job, sim, stop.is_set).run()
-
-
-def _collect(finished: set[Future[Outcome]], progress: Progress) -> Iterator[Outcome]:
-    for future in finished:
-        outcome = future.result()
-        progress.worlds_done += 1
-        progress.world_steps += outcome.n_steps
-        yield outcome

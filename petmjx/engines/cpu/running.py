@@ -6,7 +6,6 @@ Definitions are those of docs/metrics.md. Arrays have one row per box, in packin
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +15,6 @@ from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
 from petmjx.world.scene import Scene
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """What is looked at after one step: the k placed boxes' poses, accelerations and top forces.
-
-    All belong to the start of that step, where MuJoCo evaluates contacts and accelerations.
-    """
-
-    time_s: float
-    pos: FloatArray
-    quat: FloatArray
-    lin_acc: FloatArray
-    ang_acc: FloatArray
-    top_force_n: FloatArray
 
 
 class OracleMetrics:
@@ -64,20 +48,24 @@ class OracleMetrics:
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
 
-    def add_sample(self, sample: Sample) -> bool:
-        """Take in one sample.
+    def add_sample(
+        self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
+    ) -> bool:
+        """Take in one sample: the k placed boxes' poses, (k, 6) accelerations and forces on their tops.
+
+        All belong to the start of a step, where MuJoCo evaluates contacts and accelerations.
 
         Returns:
             Whether some acceleration is above its threshold while no box has shown any sign of instability.
         """
-        k = len(sample.pos)
-        lin = np.linalg.norm(sample.lin_acc, axis=1)
-        ang = np.linalg.norm(sample.ang_acc, axis=1)
+        k = len(pos)
+        lin = np.linalg.norm(acc[:, :3], axis=1)
+        ang = np.linalg.norm(acc[:, 3:], axis=1)
         np.maximum(self.max_lin_acc[:k], lin, out=self.max_lin_acc[:k])
         np.maximum(self.max_ang_acc[:k], ang, out=self.max_ang_acc[:k])
-        np.maximum(self.max_top_force_n[:k], sample.top_force_n, out=self.max_top_force_n[:k])
+        np.maximum(self.max_top_force_n[:k], top_force_n, out=self.max_top_force_n[:k])
         if k:
-            tilt = self.add_pose(sample.time_s, sample.pos, sample.quat)
+            tilt = self.add_pose(time_s, pos, quat)
             np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
         limits = self._thresholds
         too_fast = bool(np.any(lin > limits.lin_acc_m_s2) or np.any(ang > limits.ang_acc_rad_s2))

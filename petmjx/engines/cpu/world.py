@@ -10,7 +10,7 @@ import numpy as np
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
-from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -76,16 +76,13 @@ class WorldRun:
         self._adaptive = sim.schedule is not Schedule.FIXED
         self._pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
-        self._step = 0
-        self._first_step = 0
-        self._last_placement = 0
+        self._step = self._first_step = self._last_placement = 0
         self._quiet = QuietRule(sim)
         self._fast_since = _FAR
         self._placing = True
         self._deadline = _FAR
         self._end = _FAR
-        self._drive_start = 0
-        self._driving = False
+        self._driving, self._drive_start = False, 0
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
 
@@ -105,8 +102,7 @@ class WorldRun:
             self._resume(start)
         else:
             self._start()
-        came_to_end = self._loop()
-        return self._outcome(came_to_end)
+        return self._outcome(came_to_end=self._loop())
 
     def _start(self) -> None:
         static = self._sim.check is Check.STATIC
@@ -196,9 +192,7 @@ class WorldRun:
         if not sampled:
             return True
         pos, quat = live.sampled_pose()
-        acc = live.qacc[:k]
-        sample = Sample(self._clock.time_s(step), pos, quat, acc[:, :3], acc[:, 3:], force)
-        too_fast = self._metrics.add_sample(sample)
+        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos, quat, live.qacc[:k], force)
         if not self._driving and self._explodes(too_fast):
             self._flags |= Flag.EXPLOSION
             return False

@@ -12,7 +12,8 @@ coordinates; ``slot`` one of the contacts that a lane has room for, ``contact`` 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
 import warp as wp
@@ -176,36 +177,33 @@ def filled(kind: Any, values: Mapping[str, Any]) -> Any:
     return instance
 
 
-class Layout:
-    """Where the arrays of ``Workspace`` lie in one buffer of 32-bit words, lane after lane within each array.
+def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...], int]]:
+    """Name, element type, shape and 32-bit words of the workspace's arrays, as they lie in its buffer."""
+    types = array_types(Workspace)
+    for name, shape in array_shapes(Workspace, sizes).items():
+        words = wp.types.type_size_in_bytes(types[name].dtype) // 4 * math.prod(shape)
+        yield name, types[name].dtype, shape, words + words % 2
+
+
+def buffer_shape(sizes: Mapping[str, int]) -> tuple[int, int]:
+    """(world, word) of the buffer that holds the workspace; in it lane lies after lane within each array.
 
     Args:
         sizes: of the axes, by name.
     """
+    return sizes["world"], -(-sum(words for *_, words in _parts(sizes)) // sizes["world"])
 
-    def __init__(self, sizes: Mapping[str, int]) -> None:
-        self._shapes = array_shapes(Workspace, sizes)
-        self._types = {name: kind.dtype for name, kind in array_types(Workspace).items()}
-        self.shape = sizes["world"], -(-sum(map(self._words, self._shapes)) // sizes["world"])
-        """(world, word) of the buffer."""
 
-    def _words(self, name: str) -> int:
-        words: int = wp.types.type_size_in_bytes(self._types[name]) // 4
-        for extent in self._shapes[name]:
-            words *= extent
-        return words + words % 2
-
-    def arrays(self, buffer: Any) -> dict[str, Any]:
-        """The arrays, as views of a buffer of this ``shape``."""
-        views: dict[str, Any] = {}
-        offset = 0
-        for name, shape in self._shapes.items():
-            pointer = buffer.ptr + 4 * offset
-            views[name] = wp.array(ptr=pointer, dtype=self._types[name], shape=shape, device=buffer.device)
-            offset += self._words(name)
-        return views
+def in_buffer(buffer: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
+    """The workspace's arrays, as views of its buffer."""
+    views: dict[str, Any] = {}
+    pointer = buffer.ptr
+    for name, dtype, shape, words in _parts(sizes):
+        views[name] = wp.array(ptr=pointer, dtype=dtype, shape=shape, device=buffer.device)
+        pointer += 4 * words
+    return views
 
 
 def lane_bytes(n_blocks: int, room: int) -> int:
     """Device memory that a lane takes, bytes: nearly all of it is the workspace."""
-    return 4 * Layout(axes(1, n_blocks, room, 0)).shape[1]
+    return 4 * buffer_shape(axes(1, n_blocks, room, 0))[1]

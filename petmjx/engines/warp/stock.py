@@ -31,11 +31,8 @@ class StockStepper:
     """
 
     def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics, contacts: int, rows: int) -> None:
-        self.template = template
-        self.lanes = lanes
-        self.physics = physics
-        self.contacts = contacts
-        self.rows = rows
+        self.template, self.lanes, self.physics = template, lanes, physics
+        self.contacts, self.rows = contacts, rows
         # Overflow is read from its mask; Warp's kernels would print a line per world and step.
         self.model: Any = mjx.put_model(template, impl="warp").tree_replace({"opt._impl.warn_overflow": 0})
 

@@ -1,0 +1,195 @@
+"""Shapes: annotations hold at every call, records are as annotated, and axes have the names that are listed."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
+from support.fake_stepper import FakeEngine, FakeStepper, fake_scene, run_all
+
+import petmjx.engines.batch
+from petmjx.config import PHYSICS, Simulation
+from petmjx.engines.batch.outcomes import started_states
+from petmjx.engines.batch.rules import Rules
+from petmjx.engines.batch.stage import Lanes, Queue, Stage
+from petmjx.engines.batch.state import (
+    NEVER,
+    Metrics,
+    State,
+    Worlds,
+    fresh_state,
+    narrow,
+    per_box,
+    take_rows,
+    upload_worlds,
+)
+from petmjx.engines.batch.template import parked_positions
+from petmjx.engines.batch.timetable import Timetable, build_timetable
+from petmjx.metrics import motion_jax as motion
+from petmjx.world.job import Job
+
+ROWS, WIDTH, LANES, CAPACITY = 8, 5, 16, 3
+SIM = Simulation()
+JOBS = [Job(fake_scene(*[1.0] * n)) for n in (1, 3, WIDTH, 2, 4)]
+
+checked = pytest.mark.skipif(importlib.util.find_spec("beartype") is None, reason="beartype is not installed")
+
+
+# ---------------------------------------------------------------------- calls
+
+
+@checked
+@pytest.mark.parametrize(
+    ("pos", "target"),
+    [
+        pytest.param((2, 3, 3), (2, 3), id="rank"),
+        pytest.param((2, 3, 4), (2, 3, 4), id="size"),
+        pytest.param((2, 3, 3), (2, 1, 3), id="axes that differ"),
+    ],
+)
+def test_a_metric_refuses_shapes_other_than_its_own(pos: tuple[int, ...], target: tuple[int, ...]) -> None:
+    with pytest.raises(TypeCheckError, match="target" if pos[-1] == 3 else "pos"):
+        motion.shift(jnp.zeros(pos), jnp.zeros(target), 0.001)
+
+
+@checked
+def test_compiled_functions_check_while_they_are_traced() -> None:
+    with pytest.raises(TypeCheckError, match="quat"):
+        jax.jit(motion.tilt_deg)(jnp.zeros((2, 3, 3)))
+
+
+@checked
+def test_a_timetable_of_unequal_lengths_is_refused() -> None:
+    table = build_timetable(SIM, 2)
+    values = {**vars(table), "due": table.due[:-1]}
+    with pytest.raises(TypeCheckError, match="due"):
+        Timetable(**values)
+
+
+@checked
+def test_results_are_checked_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert parked_positions(2).shape == (2, 3)
+    monkeypatch.setattr(jnp, "stack", lambda parts, axis: parts[0])
+    with pytest.raises(TypeCheckError, match="return"):
+        parked_positions(2)
+
+
+# ---------------------------------------------------------------------- records
+
+
+def axis_sizes(record: Any) -> dict[str, int]:
+    """Sizes of a record's axes, after a check of its fields, and those of records in it, against their annotations."""
+    sizes: dict[str, int] = {}
+
+    def visit(part: Any) -> None:
+        for name, kind in get_type_hints(type(part)).items():
+            value = getattr(part, name)
+            if hasattr(kind, "_fields"):
+                visit(value)
+            elif isinstance(kind, type) and issubclass(kind, AbstractArray):
+                assert isinstance(value, kind), f"{type(part).__name__}.{name}: {value.dtype}{value.shape} is no {kind}"
+                axes = zip(kind.dim_str.split(), value.shape, strict=True)
+                sizes.update((axis, size) for axis, size in axes if not axis.isdigit())
+
+    with jaxtyped("context"):
+        visit(record)
+    return sizes
+
+
+@pytest.fixture(scope="module")
+def worlds() -> Worlds:
+    return upload_worlds(JOBS, ROWS, WIDTH, {}, SIM.physics.timestep_s)
+
+
+@pytest.fixture(scope="module")
+def table(worlds: Worlds) -> State:
+    return fresh_state(worlds, all_placed=False, ends=jnp.full(ROWS, NEVER), rest_steps=100)
+
+
+def test_a_table_is_as_annotated(worlds: Worlds, table: State) -> None:
+    assert axis_sizes(worlds) == axis_sizes(table) == {"world": ROWS, "box": WIDTH}
+
+
+def test_states_that_start_from_a_kept_one_are_as_annotated(table: State) -> None:
+    (kept,) = run_all(FakeEngine(16, capacities=(2,)), [Job(fake_scene(1.0), keep_state=True)], SIM)
+    forks = [Job(job.scene, start=kept.state) for job in JOBS]
+    assert axis_sizes(started_states(forks, table)) == {"world": ROWS, "box": WIDTH}
+
+
+def test_lanes_and_queue_are_as_annotated_from_begin_to_end(worlds: Worlds, table: State) -> None:
+    stepper = FakeStepper(CAPACITY, LANES, held=False)
+    rules = Rules(SIM, build_timetable(SIM, WIDTH), CAPACITY, driven=False)
+    stage = Stage(rules, stepper, PHYSICS["pallet"], LANES, chunk_steps=1, held=False)
+    queue = Queue(jnp.arange(ROWS, dtype=jnp.int32), jnp.int32(len(JOBS)), jnp.int32(0))
+    lanes = stage.empty(worlds, table)
+
+    def consistent(lanes: Lanes, table: State, queue: Queue) -> None:
+        assert axis_sizes(lanes) == {"lane": LANES, "world": LANES, "box": CAPACITY}
+        assert axis_sizes(table) == {"world": ROWS, "box": WIDTH}
+        assert axis_sizes(queue) == {"world": ROWS}
+        assert {len(values) for values in lanes.overrides.values()} == {LANES}
+
+    consistent(lanes, table, queue)
+    lanes, table, queue, _ = stage.refill(lanes, table, worlds, queue)
+    consistent(lanes, table, queue)
+    lanes = stage.run_chunk(lanes, jnp.zeros((1, 1, 3)))
+    consistent(lanes, table, queue)
+    consistent(lanes, stage.unload(lanes, table), queue)
+
+
+def test_a_field_of_the_wrong_kind_is_found(worlds: Worlds, table: State) -> None:
+    wrong = [
+        worlds._replace(mass=worlds.mass[:, 1:]),
+        worlds._replace(n_boxes=worlds.mass[:, 0]),
+        table._replace(metrics=table.metrics._replace(culprit=table.placed[1:])),
+    ]
+    for record in wrong:
+        with pytest.raises(AssertionError, match=r"mass|n_boxes|culprit"):
+            axis_sizes(record)
+
+
+def test_records_are_cut_along_their_boxes_and_nothing_else(worlds: Worlds, table: State) -> None:
+    assert set(per_box(Worlds)) == {"half", "mass", "target", "start"}
+    for record in (worlds, table, table.metrics):
+        assert axis_sizes(narrow(record, 2)) == {"world": ROWS, "box": 2}
+        np.testing.assert_array_equal(
+            np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(narrow(record, WIDTH))]),
+            np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(record)]),
+        )
+    assert axis_sizes(take_rows(table, jnp.array([3, 99]))) == {"world": 2, "box": WIDTH}
+    # A record's box axis is its second in every field that has one.
+    for kind in (Worlds, Metrics, State):
+        has_boxes = {name for name, hint in get_type_hints(kind).items() if "box" in getattr(hint, "dim_str", "")}
+        assert set(per_box(kind)) == has_boxes
+
+
+# ---------------------------------------------------------------------- names of axes
+
+
+def annotated_axes(path: Path) -> set[str]:
+    """Names of the axes in a module's jaxtyping annotations."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        match node:
+            case ast.Subscript(value=ast.Name(id=kind), slice=ast.Tuple(elts=[_, ast.Constant(value=str(axes))])):
+                if re.match(r"(Float|Int|Bool|Shaped)\d*$", kind):
+                    names |= set(re.findall(r"[a-z]\w*", axes))
+    return names
+
+
+def test_axes_have_the_names_that_are_listed(repository: Path) -> None:
+    listed = set(re.findall(r"``(\w+)``", petmjx.engines.batch.__doc__ or ""))
+    folders = ("petmjx/engines/batch", "petmjx/metrics", "petmjx/engines/warp")
+    modules = [path for folder in folders for path in sorted((repository / folder).glob("*.py"))]
+    used = {name: path.name for path in modules for name in annotated_axes(path)}
+    assert {"lane", "world", "box"} <= used.keys()
+    assert {name: path for name, path in used.items() if name not in listed} == {}
+    assert listed - used.keys() == set()
