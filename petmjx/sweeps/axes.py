@@ -200,42 +200,59 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 @dataclass(frozen=True)
 class AxisKind:
-    """What may stand on an axis, and how the results have it.
+    """What may stand on an axis, what it changes, and how the results have it.
 
     Attributes:
-        column: its column in the results.
-        unit: of that column; "1" for factors, "" for names.
+        unit: of its column in the results; "1" for factors, "" for names.
         values: the type that checks its values.
         meaning: in words.
-        placement: whether another value needs a new placement.
+        changes: fields of `PlacementChange` that take its value; none: it is about the drive.
+        suffix: what its column's name has after the axis's own.
         plain: of an axis of errors, the distribution that a plain number stands for: the standard deviation of a
             normal one around 0, or the fixed value itself.
     """
 
-    column: str
+    name: str
     unit: str
     values: Any
     meaning: str
-    placement: bool = True
+    changes: tuple[str, ...] = ()
+    suffix: str = ""
     plain: Shape = Shape.NORMAL
 
+    @property
+    def column(self) -> str:
+        return self.name + self.suffix
+
+    @property
+    def placement(self) -> bool:
+        """Whether another value needs a new placement."""
+        return bool(self.changes)
+
+
+_BOX, _CARRIER = "box_friction_factor", "carrier_friction_factor"
 
 AXIS_KINDS: Final = {
-    "profile": AxisKind("profile", "", Names, "names of profiles", placement=False),
-    "direction": AxisKind("direction_deg", "deg", Directions, "turn of the profile from +x to +y", placement=False),
-    "scale": AxisKind("scale", "1", Positives, "factor on the profile", placement=False),
-    "level": AxisKind("level_g", "g", Positives, "level of the profile", placement=False),
-    "friction_factor": AxisKind("friction_factor", "1", Positives, "factor on the friction of both"),
-    "box_friction_factor": AxisKind("box_friction_factor", "1", Positives, "factor on the friction of boxes"),
-    "carrier_friction_factor": AxisKind("carrier_friction_factor", "1", Positives, "factor on the carrier's friction"),
-    "mass_factor": AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes"),
-    "size_tolerance_mm": AxisKind("size_tolerance_mm", "mm", Errors, "error of each dimension of each box"),
-    "size_tolerance_rel": AxisKind("size_tolerance_rel", "1", Errors, "the same as a share of the dimension"),
-    "placement_error_mm": AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y"),
-    "placement_error_x_mm": AxisKind("placement_error_x_mm", "mm", Errors, "the same in x alone"),
-    "placement_error_y_mm": AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone"),
-    "yaw_error_deg": AxisKind("yaw_error_deg", "deg", Errors, "turn of each box about the vertical"),
-    "drop_height_mm": AxisKind("drop_height_mm", "mm", Heights, "height of release above the place", plain=Shape.FIXED),
+    kind.name: kind
+    for kind in (
+        AxisKind("profile", "", Names, "names of profiles"),
+        AxisKind("direction", "deg", Directions, "turn of the profile from +x to +y", suffix="_deg"),
+        AxisKind("scale", "1", Positives, "factor on the profile"),
+        AxisKind("level", "g", Positives, "level of the profile", suffix="_g"),
+        AxisKind("friction_factor", "1", Positives, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),
+        AxisKind(_BOX, "1", Positives, "factor on the friction of boxes alone", (_BOX,)),
+        AxisKind(_CARRIER, "1", Positives, "factor on the friction of the carrier alone", (_CARRIER,)),
+        AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
+        AxisKind("size_tolerance_mm", "mm", Errors, "error of each dimension of each box", ("size_mm",)),
+        AxisKind("size_tolerance_rel", "1", Errors, "the same as a share of the dimension", ("size_rel",)),
+        AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),
+        AxisKind("placement_error_x_mm", "mm", Errors, "the same in x alone", ("x_mm",)),
+        AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone", ("y_mm",)),
+        AxisKind("yaw_error_deg", "deg", Errors, "turn of each box about the vertical", ("yaw_deg",)),
+        AxisKind(
+            "drop_height_mm", "mm", Heights, "height of release above the place", ("drop_height_mm",), plain=Shape.FIXED
+        ),
+    )
 }
 """Every axis a sweep file may have. Order is the order of nesting: the last axis varies fastest among its half."""
 

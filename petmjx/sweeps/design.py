@@ -6,12 +6,13 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from petmjx.sweeps.axes import AXIS_KINDS, Axis, Value
 from petmjx.sweeps.file import Sweep
 from petmjx.world.profiles.base import Profile
 from petmjx.world.random import WorldKey
-from petmjx.world.variants import ZERO, Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
+from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
 
 Point = Mapping[str, Value]
 """A value on each axis, by the axis's name."""
@@ -164,25 +165,9 @@ class Design:
         return Variant(index, change, drive, replicate, parameters)
 
     def _change(self, point: Point) -> PlacementChange:
-        def factor(*names: str) -> float:
-            return math.prod(value for name in names if isinstance(value := point.get(name, 1.0), float))
-
-        def error(*names: str) -> Distribution:
-            found = (point.get(name) for name in names)
-            return next((value for value in found if isinstance(value, Distribution)), ZERO)
-
-        return PlacementChange(
-            box_friction_factor=factor("friction_factor", "box_friction_factor"),
-            carrier_friction_factor=factor("friction_factor", "carrier_friction_factor"),
-            mass_factor=factor("mass_factor"),
-            size_mm=error("size_tolerance_mm"),
-            size_rel=error("size_tolerance_rel"),
-            x_mm=error("placement_error_mm", "placement_error_x_mm"),
-            y_mm=error("placement_error_mm", "placement_error_y_mm"),
-            yaw_deg=error("yaw_error_deg"),
-            drop_height_mm=error("drop_height_mm"),
-            shifts_from_release=self.sweep.shifts_from == "release",
-        )
+        # Axes that change the same field are not in one sweep.
+        changes: dict[str, Any] = {field: value for name, value in point.items() for field in AXIS_KINDS[name].changes}
+        return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
 
 
 def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:

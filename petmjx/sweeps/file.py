@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +25,7 @@ from pydantic import (
 from petmjx.checked import LIST, VALUE, Checked, complaint, read_toml, shape
 from petmjx.config import Simulation
 from petmjx.errors import InputError
-from petmjx.sweeps.axes import MAX_STRENGTH, Axis, read_axes
+from petmjx.sweeps.axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
 from petmjx.units import FloatArray
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.profiles.registry import resolve
@@ -56,11 +57,6 @@ class Search(Checked):
         if self.upper <= self.lower:
             raise complaint(f"must be > lower = {self.lower:g}, got {self.upper:g}", "upper")
         return self
-
-    def levels(self, tolerance: float) -> FloatArray:
-        """(n,) the levels that can be tested, from ``lower`` on."""
-        count = round((self.upper - self.lower) / tolerance) + 1
-        return np.round(self.lower + np.arange(count) * tolerance, 12)
 
     def tests(self, n_levels: int) -> int:
         """Worlds that one question needs, at most: rounds × levels a round."""
@@ -154,7 +150,10 @@ class Sweep(Checked):
     @cached_property
     def search_levels(self) -> FloatArray:
         """(n,) the levels a search can test: from lower to upper by its tolerance. Index 0 is `lower`."""
-        return np.zeros(0) if self.search is None else self.search.levels(self._tolerance)
+        if self.search is None:
+            return np.zeros(0)
+        count = round((self.search.upper - self.search.lower) / self._tolerance) + 1
+        return np.round(self.search.lower + np.arange(count) * self._tolerance, 12)
 
     @property
     def _tolerance(self) -> float:
@@ -228,13 +227,10 @@ class Sweep(Checked):
 
     @model_validator(mode="after")
     def _axes_do_not_overlap(self) -> Self:
-        for general, parts in (
-            ("friction_factor", ("box_friction_factor", "carrier_friction_factor")),
-            ("placement_error_mm", ("placement_error_x_mm", "placement_error_y_mm")),
-        ):
-            for part in parts:
-                if general in self.axes and part in self.axes:
-                    raise _contradiction(general, f"axes.{part}: drop one of them")
+        given = [kind for kind in AXIS_KINDS.values() if kind.name in self.axes]
+        for one, other in itertools.combinations(given, 2):
+            if set(one.changes) & set(other.changes):
+                raise _contradiction(one.name, f"axes.{other.name}: drop one of them")
         return self
 
     @model_validator(mode="after")

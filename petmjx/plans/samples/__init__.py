@@ -35,9 +35,19 @@ LOOSE_SUPPORT = (0.3, 0.6)
 """A loose plan's ``min_support`` is drawn from this range (strict: the default of ``PackRules``)."""
 
 
-def generate(n: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> dict[str, list[Placement]]:
-    """The first ``n`` plans of ``seed`` as a BED-BPP object: plan id → placements in packing order."""
-    return dict(_generate(n, seed, loose_share))
+def generate(n: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> Iterator[tuple[str, list[Placement]]]:
+    """The first ``n`` plans of ``seed``: (plan id, placements in packing order), each made when it is asked for.
+
+    Raises:
+        InputError: ``n`` below 1, a negative seed, or a share outside 0…1.
+    """
+    if n < 1:
+        raise InputError(f"number of samples must be at least 1, got {n}")
+    if seed < 0:
+        raise InputError(f"seed must not be negative, got {seed}")
+    if not 0 <= loose_share <= 1:
+        raise InputError(f"loose share must be between 0 and 1, got {loose_share}")
+    return (generate_one(index, seed, loose_share=loose_share) for index in range(n))
 
 
 def generate_one(index: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> tuple[str, list[Placement]]:
@@ -69,7 +79,7 @@ def write_samples(
     Raises:
         InputError: ``n`` below 1, a negative seed, a share outside 0…1, or a path that cannot be written.
     """
-    write_plans(path, _generate(n, seed, loose_share), progress=progress)
+    write_plans(path, generate(n, seed, loose_share=loose_share), progress=progress)
 
 
 def write_plans(
@@ -142,16 +152,6 @@ def as_placements(placed: Iterable[Placed]) -> list[Placement]:
 def bundled_path() -> Path:
     """The bundled sample plans; :mod:`petmjx.plans.samples.bundled` says which they are and makes the file."""
     return Path(str(files(__package__) / "bundled.json"))
-
-
-def _generate(n: int, seed: int, loose_share: float) -> Iterator[tuple[str, list[Placement]]]:
-    if n < 1:
-        raise InputError(f"number of samples must be at least 1, got {n}")
-    if seed < 0:
-        raise InputError(f"seed must not be negative, got {seed}")
-    if not 0 <= loose_share <= 1:
-        raise InputError(f"loose share must be between 0 and 1, got {loose_share}")
-    return (generate_one(index, seed, loose_share=loose_share) for index in range(n))
 
 
 def _packed(order: Order, rules: PackRules, rng: np.random.Generator) -> list[Placement]:

@@ -124,24 +124,27 @@ def chain(
     return WindowProfile(name, tuple(windows), source, replaces)
 
 
+def _pushes(duration_s: float, *pushes: tuple[float, Vector]) -> tuple[Window, ...]:
+    """Windows of one length; each push is its begin (s) and its vector."""
+    return tuple(Window(start_s, duration_s, vector) for start_s, vector in pushes)
+
+
 _SQRT2 = math.sqrt(2)
 
 RADIAL = WindowProfile(
     "radial",
-    tuple(
-        Window(start_s, 0.03, vector)
-        for start_s, vector in (
-            (0.0, (_SQRT2, 0.0, 0.1)),
-            (0.3, (1.0, 1.0, 0.1)),
-            (0.6, (0.0, _SQRT2, 0.1)),
-            (0.9, (-1.0, 1.0, 0.1)),
-            (1.2, (-_SQRT2, 0.0, 0.1)),
-            (1.5, (-1.0, -1.0, 0.1)),
-            (1.8, (0.0, -_SQRT2, 0.1)),
-            (2.1, (1.0, -1.0, 0.1)),
-            (3.1, (1.0, 0.0, 1.0)),
-            (3.4, (0.0, 1.0, 1.0)),
-        )
+    _pushes(
+        0.03,
+        (0.0, (_SQRT2, 0.0, 0.1)),
+        (0.3, (1.0, 1.0, 0.1)),
+        (0.6, (0.0, _SQRT2, 0.1)),
+        (0.9, (-1.0, 1.0, 0.1)),
+        (1.2, (-_SQRT2, 0.0, 0.1)),
+        (1.5, (-1.0, -1.0, 0.1)),
+        (1.8, (0.0, -_SQRT2, 0.1)),
+        (2.1, (1.0, -1.0, 0.1)),
+        (3.1, (1.0, 0.0, 1.0)),
+        (3.4, (0.0, 1.0, 1.0)),
     ),
     f"{PET_PHYSICS}, profile 'radial'",
 )
@@ -149,19 +152,17 @@ RADIAL = WindowProfile(
 
 JOLTS = WindowProfile(
     "jolts",
-    tuple(
-        Window(start_s, 0.15, vector)
-        for start_s, vector in (
-            (1.0, (0.9, 0.1, 0.0)),
-            (1.1, (-0.4, -0.1, 0.0)),
-            (2.0, (-0.95, -0.1, 0.1)),
-            (3.0, (0.55, 0.2, 0.1)),
-            (4.0, (-0.75, -0.3, 0.15)),
-            (5.0, (-1.0, -0.25, 0.1)),
-            (6.0, (1.1, 0.2, 0.1)),
-            (7.0, (1.2, 0.2, 0.1)),
-            (8.0, (1.2, 0.2, 10.0)),
-        )
+    _pushes(
+        0.15,
+        (1.0, (0.9, 0.1, 0.0)),
+        (1.1, (-0.4, -0.1, 0.0)),
+        (2.0, (-0.95, -0.1, 0.1)),
+        (3.0, (0.55, 0.2, 0.1)),
+        (4.0, (-0.75, -0.3, 0.15)),
+        (5.0, (-1.0, -0.25, 0.1)),
+        (6.0, (1.1, 0.2, 0.1)),
+        (7.0, (1.2, 0.2, 0.1)),
+        (8.0, (1.2, 0.2, 10.0)),
     ),
     f"{PET_PHYSICS}, profile 'dummy'",
 )
@@ -178,9 +179,7 @@ RADIAL_CHAIN = chain(
     "radial-chain",
     [
         (RADIAL, offset_s, scale)
-        for offset_s, scale in zip(
-            (2.0, 4.0, 7.0, 9.5, 12.0, 14.5, 17.0), (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 2.0), strict=True
-        )
+        for offset_s, scale in ((2.0, 1.0), (4.0, 1.1), (7.0, 1.2), (9.5, 1.3), (12.0, 1.4), (14.5, 1.5), (17.0, 2.0))
     ],
     f"{PET_PHYSICS}, dynamic stability demo",
     replaces=True,
