@@ -22,6 +22,7 @@ from support.command_line import (
     run,
     run_interrupted,
     run_process,
+    run_with_closed,
     write,
 )
 
