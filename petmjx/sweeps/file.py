@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -38,6 +39,8 @@ DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
 """To what a search narrows the largest level survived (g) or scale."""
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
+MIN_TOLERANCE: Final = 1e-5
+"""Smallest tolerance of a search. Levels are rounded to 1e-12: much closer ones would become equal."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates; the results hold it in 32 bits."""
 
@@ -48,7 +51,9 @@ class Search(Checked):
     lower: StrictFloat = Field(0.0, ge=0, description="lowest level (g) or scale")
     upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
     tolerance: StrictFloat | None = Field(
-        None, gt=0, description="to what the largest one survived is narrowed; by default 0.01 g, or a scale of 0.02"
+        None,
+        ge=MIN_TOLERANCE,
+        description="to what the largest one survived is narrowed; by default 0.01 g, or a scale of 0.02",
     )
     sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested per round")
 
@@ -149,11 +154,16 @@ class Sweep(Checked):
 
     @cached_property
     def search_levels(self) -> FloatArray:
-        """(n,) the levels a search can test: from lower to upper by its tolerance. Index 0 is `lower`."""
+        """(n,) the levels a search can test, rising: from `lower` by its tolerance, and `upper` itself.
+
+        The last step is shorter where the tolerance does not lead to `upper`. No level lies beyond it.
+        """
         if self.search is None:
             return np.zeros(0)
-        count = round((self.search.upper - self.search.lower) / self._tolerance) + 1
-        return np.round(self.search.lower + np.arange(count) * self._tolerance, 12)
+        lower, upper = self.search.lower, self.search.upper
+        # A hair less than the quotient, so that 0 … 2 by 0.01 has `upper` once and not also a level beside it.
+        count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
+        return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
     @property
     def _tolerance(self) -> float:

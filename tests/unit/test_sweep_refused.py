@@ -95,7 +95,10 @@ FILES = {
         "[axes]\nprofile = 'radial'\n[search]\nlower = 1\nupper = 0.5",
         "search.upper must be > lower = 1, got 0.5",
     ),
-    "search tolerance": ("[axes]\nprofile = 'radial'\n[search]\ntolerance = 0", "search.tolerance must be > 0, got 0"),
+    "search tolerance": (
+        "[axes]\nprofile = 'radial'\n[search]\ntolerance = 0",
+        "search.tolerance must be ≥ 1e-05, got 0",
+    ),
     "search in samples": (
         "mode = 'sample'\nsample = 3\n[axes]\nprofile = 'radial'\n[search]",
         '[search] contradicts mode = "sample"',
