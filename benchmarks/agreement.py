@@ -14,7 +14,7 @@ import pandas as pd
 from petmjx.results.compare import BOX_KEY, KEY, compare_runs
 from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
-from petmjx.sweeps.shares import ALL_PLANS, share_standing
+from petmjx.sweeps.shares import ONE_PLAN, share_standing
 from petmjx.verdict import Reason, Verdict
 
 LOADED_N = 1.0
@@ -108,7 +108,9 @@ def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
         ``plans``; ``agree``, plans where each one's share lies in the other's Wilson 95 % interval;
         ``intervals_overlap``; ``differ``, the plans that do not agree, with both shares.
     """
-    a, b = (share_standing(results.worlds, ()).set_index("plan_id").drop(ALL_PLANS) for results in (oracle, run))
+    drawn = (results.worlds.assign(draw=results.worlds["replicate"]) for results in (oracle, run))
+    shares = (share_standing(worlds, ()) for worlds in drawn)
+    a, b = (share[share["scope"] == ONE_PLAN].set_index("plan_id") for share in shares)
     both = a.add_suffix("_a").join(b.add_suffix("_b"), how="inner")
     here_in_there = both["share_b"].between(both["low_a"], both["high_a"])
     agree = here_in_there & both["share_a"].between(both["low_b"], both["high_b"])

@@ -23,7 +23,7 @@ from petmjx.metrics import spec
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.verdict import Flag, Verdict
 
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 """Raised when a column is renamed, removed or changes its meaning; new columns alone do not raise it."""
 
 _FLAG_BITS = ", ".join(f"{flag.value} {(flag.name or '').lower().replace('_', '-')}" for flag in Flag)

@@ -125,6 +125,23 @@ class Design:
                 )
                 yield placement, variants
 
+    def draws(self) -> dict[int, int]:
+        """Index of each variant with something random → its draw. Variants of one draw share their random numbers.
+
+        In a grid a draw is a replicate, with random numbers of each plan's own. In a sample it is the variant itself,
+        whose parameters are the same for every plan.
+        """
+        sweep = self.sweep
+        if sweep.sample is not None:
+            return {number: number for number in range(1, sweep.sample + 1)}
+        drawn = (
+            variant
+            for _, variants in self.placements()
+            for variant in variants
+            if variant.placement.random or (variant.drive and sweep.profiles[variant.drive.profile].random)
+        )
+        return {variant.index: variant.replicate for variant in drawn}
+
     def search_items(self) -> tuple[SearchItem, ...]:
         """What a search asks of each placement: every profile in every direction."""
         directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)

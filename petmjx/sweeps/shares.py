@@ -14,8 +14,12 @@ from petmjx.verdict import Verdict
 
 DEFAULT_CONFIDENCE = 0.95
 
-ALL_PLANS = "*"
-"""``plan_id`` of summary rows over all plans together."""
+ALL_PLANS = "all"
+ONE_PLAN = "plan"
+"""``scope`` of summary rows over all plans together, whose ``plan_id`` is null, and of rows about one plan."""
+
+KEYS = ("scope", "plan_id", "axis", "value")
+"""Columns that say what a summary row is about."""
 
 
 def wilson_interval(
@@ -46,49 +50,65 @@ def wilson_interval(
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Worlds in groups: over all plans (``plan_id`` "*") and for each plan; all of them (axis "") and by axis value.
+    """Worlds in groups: over all plans and for each plan; all of them (axis "") and by axis value.
 
     Args:
         columns: what is computed of each group, as pandas' ``agg`` takes it: name=(column, function).
 
     Returns:
-        Columns plan_id, axis, value (text), and those asked for.
+        Columns ``KEYS`` and those asked for. Rows over all plans come first; no plan's id can be taken for theirs.
     """
     parts = []
-    for scope in (worlds.assign(plan_id=ALL_PLANS), worlds):
+    for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
         for axis in ("", *axes):
             keys = ["plan_id", axis] if axis else ["plan_id"]
-            part = scope.groupby(keys, sort=True, observed=True).agg(**columns).reset_index()
+            part = rows.groupby(keys, sort=True, observed=True).agg(**columns).reset_index()
             value = [_text(entry) for entry in part[axis]] if axis else ""
-            part = part.assign(axis=axis, value=value)[["plan_id", "axis", "value", *columns]]
-            parts.append(part.astype({"axis": object, "value": object}))
-    return pd.concat(parts, ignore_index=True)
+            part = part.assign(scope=scope, axis=axis, value=value)[[*KEYS, *columns]]
+            parts.append(part.astype(dict.fromkeys(KEYS, object)))
+    summary = pd.concat(parts, ignore_index=True)
+    summary.loc[summary["scope"] == ALL_PLANS, "plan_id"] = None
+    return summary
 
 
 def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
-    """The share of worlds that stand, for every value of every axis, with its Wilson 95 % interval.
+    """The share of worlds that stand, for every value of every axis, with its Wilson 95 % interval where it has one.
 
     Invalid worlds say nothing about the pallet: they are counted apart and left out of the share. Worlds
     without a value on an axis (the nominal one) do not count there.
 
+    Only draws have an interval: a world without anything random comes out the same every time, and a row that has
+    such a world has none. Worlds of one draw are not independent of each other. So the interval is that of as many
+    trials as there are draws, whatever the number of worlds: the mean of one draw's worlds varies at most as much as
+    one world does.
+
     Args:
-        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis.
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis; ``draw``, if it is there, is equal for
+            worlds that share their random numbers, and null for worlds without any.
         axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
 
     Returns:
-        Columns plan_id, axis, value (text), n_worlds, n_standing, n_invalid, share, low, high; a row with
-        axis "" sums over everything.
+        Columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 where the row has no interval), low, high;
+        a row with axis "" sums over everything.
     """
     verdict = worlds["verdict"].astype(str)
-    judged = worlds.assign(standing=verdict == str(Verdict.STABLE), invalid=verdict == str(Verdict.INVALID))
+    invalid = verdict == str(Verdict.INVALID)
+    draw = worlds["draw"] if "draw" in worlds else pd.Series(np.nan, index=worlds.index)
+    judged = worlds.assign(
+        standing=verdict == str(Verdict.STABLE), invalid=invalid, drawn=draw.notna(), draw=draw.where(~invalid)
+    )
     counts = {"n_worlds": ("standing", "size"), "n_standing": ("standing", "sum"), "n_invalid": ("invalid", "sum")}
-    summary = by_plan_and_axis(judged, axes, **counts).astype(dict.fromkeys(counts, "int64"))
-    n_standing = summary["n_standing"].to_numpy()
-    n_judged = summary["n_worlds"].to_numpy() - summary["n_invalid"].to_numpy()
-    low, high = wilson_interval(n_standing, n_judged)
-    with np.errstate(invalid="ignore"):
-        share = n_standing / np.where(n_judged > 0, n_judged, np.nan)
-    return summary.assign(share=share, low=low, high=high)
+    counts |= {"n_draws": ("draw", "nunique"), "drawn": ("drawn", "all")}
+    summary = by_plan_and_axis(judged, axes, **counts)
+    n_worlds, n_standing, n_invalid, n_draws = (summary[name].to_numpy(np.int64) for name in [*counts][:4])
+    n_draws = np.where(summary["drawn"].astype(bool), n_draws, 0)
+    n_judged = n_worlds - n_invalid
+    known = np.where(n_judged > 0, n_judged, 1)
+    bounds = wilson_interval(n_standing * n_draws / known, n_draws)
+    low, high = (np.where(n_draws > 0, bound, np.nan) for bound in bounds)
+    share = np.where(n_judged > 0, n_standing / known, np.nan)
+    whole = {"n_worlds": n_worlds, "n_standing": n_standing, "n_invalid": n_invalid}
+    return summary[[*KEYS]].assign(**whole, share=share, n_draws=n_draws, low=low, high=high)
 
 
 def _text(value: object) -> str:

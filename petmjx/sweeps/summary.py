@@ -18,7 +18,7 @@ from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.run import Answer, SweptWorld
 from petmjx.sweeps.search import failure_mode
-from petmjx.sweeps.shares import by_plan_and_axis, share_standing
+from petmjx.sweeps.shares import KEYS, by_plan_and_axis, share_standing
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
 
@@ -102,7 +102,7 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 
 def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
-    """The summary of a grid or a sample: share standing by axis value, over all plans ("*") and for each plan.
+    """The summary of a grid or a sample: share standing by axis value, over all plans and for each plan.
 
     Axes drawn from a range are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile the share that the
     standard passes stands beside, and with ``tilt`` the smallest angle at which a world failed.
@@ -114,12 +114,13 @@ def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
     axes = [AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes]
     extra = ["eumos_passed"] if columns.has_eumos else []
     extra += [FAIL_ANGLE.name] if columns.has_tilt else []
-    wanted = ["plan_id", "verdict", *axes, *extra]
+    wanted = ["plan_id", "variant", "verdict", *axes, *extra]
     worlds = ds.dataset(folder / "worlds", format="parquet").to_table(columns=wanted).to_pandas()
     for axis in plan.sweep.axes.values():
         if axis.continuous:
             worlds[axis.kind.column] = _binned(worlds[axis.kind.column], axis)
-    keys = ["plan_id", "axis", "value"]
+    worlds["draw"] = _draws(worlds, plan)
+    keys = [*KEYS]
     summary = share_standing(worlds, axes)
     if columns.has_eumos:
         tested = worlds[worlds["eumos_passed"].notna()]
@@ -133,6 +134,14 @@ def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
         angles = by_plan_and_axis(worlds, axes, smallest_fail_angle_deg=(FAIL_ANGLE.name, "min"))
         summary = summary.merge(angles, on=keys, how="left")
     return summary
+
+
+def _draws(worlds: pd.DataFrame, plan: SweepPlan) -> pd.Series[float]:
+    """A number that worlds with the same random numbers share; NaN for worlds without any."""
+    drawn = worlds["variant"].map(plan.draws())
+    if plan.sweep.sample is not None:  # the same for every plan
+        return drawn
+    return worlds.assign(draw=drawn).groupby(["plan_id", "draw"]).ngroup().where(drawn.notna())
 
 
 def _binned(values: pd.Series[float], axis: Axis) -> pd.Series[str]:
@@ -205,14 +214,16 @@ def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str],
 
 
 _DESCRIPTIONS = {
-    "plan_id": "id of the packing plan; * stands for all plans together",
+    "scope": "all: the row is about all plans together; plan: about one",
+    "plan_id": "id of the packing plan; null where the row is about all of them",
     "axis": "which parameter the row is about; empty: all worlds",
     "value": "the parameter's value",
     "n_standing": "worlds that are stable",
     "n_invalid": "worlds without a verdict; not in the share",
     "share": "stable worlds / worlds with a verdict",
-    "low": "lower end of the share's Wilson 95 % interval",
-    "high": "upper end of the share's Wilson 95 % interval",
+    "n_draws": "independent random draws behind the share; 0 where a world of the row has nothing random",
+    "low": "lower end of the share's Wilson 95 % interval over these draws; null without draws",
+    "high": "upper end of it; null without draws",
     "n_eumos": "worlds that were held against EUMOS 40509's own limits",
     "n_eumos_passed": "those that keep them",
     "eumos_share": "n_eumos_passed / n_eumos, with its interval in eumos_low and eumos_high",

@@ -12,7 +12,7 @@ from support.outcomes import make_boxes, make_outcome
 
 from petmjx.sweeps.eumos import eumos_assessment
 from petmjx.sweeps.search import Bisection, failure_mode
-from petmjx.sweeps.shares import ALL_PLANS, share_standing, wilson_interval
+from petmjx.sweeps.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.verdict import BoxMetrics, Outcome, Reason, Verdict
 
 
@@ -80,17 +80,55 @@ def test_share_standing_counts_by_plan_and_axis_and_leaves_invalid_worlds_out() 
         ("b", 0, np.nan, "unstable"),
     ]
     worlds = pd.DataFrame(rows, columns=["plan_id", "variant", "level_g", "verdict"])
-    summary = share_standing(worlds, ["level_g"]).set_index(["plan_id", "axis", "value"])
-    assert summary.loc[(ALL_PLANS, "", ""), ["n_worlds", "n_standing", "n_invalid"]].tolist() == [7, 3, 2]
-    assert summary.loc[("a", "level_g", "0.5"), "share"] == 0.5
-    nothing_known = summary.loc[("a", "level_g", "1")]
-    assert np.isnan(nothing_known["share"])
-    assert (nothing_known["low"], nothing_known["high"]) == (0.0, 1.0)
-    half = summary.loc[(ALL_PLANS, "level_g", "0.5")]
-    assert half["share"] == pytest.approx(2 / 3)
-    assert (half["low"], half["high"]) == pytest.approx(tuple(float(x) for x in wilson_interval(2, 3)))
-    shuffled = share_standing(worlds.sample(frac=1, random_state=1), ["level_g"]).set_index(summary.index.names)
-    pd.testing.assert_frame_equal(summary, shuffled)
+    summary = shares_by_key(worlds, ["level_g"])
+    assert summary.loc[(ALL_PLANS, "", "", ""), ["n_worlds", "n_standing", "n_invalid"]].tolist() == [7, 3, 2]
+    assert summary.loc[(ONE_PLAN, "a", "level_g", "0.5"), "share"] == 0.5
+    nothing_known = summary.loc[(ONE_PLAN, "a", "level_g", "1")]
+    assert nothing_known[["share", "low", "high"]].isna().all()
+    assert summary.loc[(ALL_PLANS, "", "level_g", "0.5"), "share"] == pytest.approx(2 / 3)
+    pd.testing.assert_frame_equal(summary, shares_by_key(worlds.sample(frac=1, random_state=1), ["level_g"]))
+
+
+def shares_by_key(worlds: pd.DataFrame, axes: list[str]) -> pd.DataFrame:
+    """Rows by scope, plan id ("" for all), axis and value."""
+    return share_standing(worlds, axes).fillna({"plan_id": ""}).set_index([*KEYS])
+
+
+def test_what_is_not_drawn_has_no_interval() -> None:
+    worlds = pd.DataFrame({"plan_id": "a", "level_g": [0.1, 0.2, 0.3], "verdict": ["stable", "stable", "unstable"]})
+    for given in (worlds, worlds.assign(draw=[np.nan, 0, 1])):
+        total = shares_by_key(given, []).loc[(ONE_PLAN, "a", "", "")]
+        assert total["share"] == pytest.approx(2 / 3)
+        assert total["n_draws"] == 0
+        assert total[["low", "high"]].isna().all()
+
+
+def test_an_interval_is_that_of_independent_draws() -> None:
+    verdicts = ["stable", "unstable"] * 10 + ["stable"] * 20
+    worlds = pd.DataFrame({"plan_id": "a", "error_mm": [1.0] * 20 + [2.0] * 20, "verdict": verdicts})
+    alone = shares_by_key(worlds.assign(draw=range(40)), []).loc[(ONE_PLAN, "a", "", "")]
+    assert alone["n_draws"] == 40
+    assert (alone["low"], alone["high"]) == tuple(map(float, wilson_interval(30, 40)))
+    shared = shares_by_key(worlds.assign(draw=[*range(20)] * 2), ["error_mm"])
+    total = shared.loc[(ONE_PLAN, "a", "", "")]
+    assert (total["n_worlds"], total["n_draws"], total["share"]) == (40, 20, 0.75)
+    assert (total["low"], total["high"]) == tuple(map(float, wilson_interval(15, 20)))
+    assert shared.loc[(ONE_PLAN, "a", "error_mm", "1"), "high"] == float(wilson_interval(10, 20)[1])
+    invalid = worlds.assign(draw=range(40), verdict=["invalid"] * 20 + verdicts[20:])
+    assert shares_by_key(invalid, []).loc[(ALL_PLANS, "", "", ""), "n_draws"] == 20
+    nothing = shares_by_key(worlds.assign(draw=range(40), verdict="invalid"), []).iloc[0]
+    assert nothing[["share", "low", "high"]].isna().all()
+
+
+@pytest.mark.parametrize("plan_id", ["*", "", "all", "plan"])
+def test_no_plan_s_id_is_taken_for_all_plans(plan_id: str) -> None:
+    worlds = pd.DataFrame({"plan_id": [plan_id, "b"], "level_g": 0.1, "verdict": ["stable", "unstable"]})
+    summary = share_standing(worlds, ["level_g"])
+    assert not summary.duplicated([*KEYS]).any()
+    totals = summary[summary["scope"] == ALL_PLANS]
+    assert totals["plan_id"].isna().all()
+    assert totals["n_worlds"].tolist() == [2, 2]
+    assert summary.groupby("plan_id")["n_worlds"].sum().to_dict() == {plan_id: 2, "b": 2}
 
 
 @pytest.mark.parametrize(("sections", "most_rounds"), [(1, 8), (3, 4), (7, 3), (200, 1)])

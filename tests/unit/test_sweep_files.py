@@ -13,7 +13,7 @@ import petmjx
 from petmjx.config import Check, Schedule
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
-from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.file import MIN_TOLERANCE, Search, Sweep, load_sweep
 from petmjx.sweeps.grid import MAX_WORLDS, SweepPlan
 from petmjx.world.variants import Shape, Variant
 
@@ -204,6 +204,56 @@ def test_a_search_numbers_its_worlds_by_what_they_test(tmp_path: Path) -> None:
     }  # fmt: skip
     assert set(plan.parameter_columns) == set(variant.parameters)
     assert variant.placement_key == groups[1].placement.placement_key
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "tolerance", "expected"),
+    [
+        (0, 0.25, 0.1, [0.0, 0.1, 0.2, 0.25]),
+        (0, 0.27, 0.1, [0.0, 0.1, 0.2, 0.27]),
+        (0.1, 0.4, 0.1, [0.1, 0.2, 0.3, 0.4]),
+        (0, 0.3, 0.1, [0.0, 0.1, 0.2, 0.3]),
+        (0.5, 0.6, 1, [0.5, 0.6]),
+        (0.5, 0.50001, 1, [0.5, 0.50001]),
+    ],
+)
+def test_a_search_ends_at_its_upper_end(
+    lower: float, upper: float, tolerance: float, expected: list[float], tmp_path: Path
+) -> None:
+    search = f"lower = {float(lower)}\nupper = {float(upper)}\ntolerance = {float(tolerance)}"
+    plan = sweep_plan(tmp_path, f"[axes]\nprofile = 'eumos-40509'\n[search]\n{search}")
+    assert plan.sweep.search_levels.tolist() == expected
+
+
+def test_the_levels_of_the_ready_made_search_are_hundredths() -> None:
+    levels = load_sweep(SWEEPS / "eumos-search.toml").search_levels
+    assert levels.tolist() == [round(0.01 * k, 12) for k in range(201)]
+
+
+def test_levels_always_rise_and_end_at_the_upper_end() -> None:
+    rng = np.random.default_rng(1)
+    for lower, width, steps in rng.uniform((0, 0.01, 1), (9000, 900, 999), (50, 3)).tolist():
+        search = Search(lower=lower, upper=lower + width, tolerance=max(width / steps, MIN_TOLERANCE))
+        levels = Sweep(search=search, axes={"profile": "eumos-40509"}).search_levels
+        assert (np.diff(levels) > 0).all()
+        assert levels[0] == pytest.approx(lower, abs=1e-11)
+        assert levels[-1] == lower + width
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[axes]\nprofile = 'eumos-40509'\nlevel = [0.1, 0.2]", {}),
+        ("nominal = true\n[axes]\nplacement_error_mm = 2", {1: 0}),
+        ("replicates = 2\n[axes]\nplacement_error_mm = [0, 2]", {2: 0, 3: 1}),
+        ("replicates = 2\n[axes]\nprofile = ['radial', 'truck']\n[profiles.truck]\nkind = 'random'\n"
+         "psd = [[1, 0.01], [40, 0.01]]", {2: 0, 3: 1}),
+        ("mode = 'sample'\nsample = 3\n[axes]\nfriction_factor = {from = 0.5, to = 1}", {1: 1, 2: 2, 3: 3}),
+    ],
+    ids=["nothing random", "an error", "replicates", "vibration", "sample"],
+)  # fmt: skip
+def test_draws_are_the_worlds_with_something_random(text: str, expected: dict[int, int], tmp_path: Path) -> None:
+    assert sweep_plan(tmp_path, text).draws() == expected
 
 
 def test_radial_force_ends_where_the_reference_ends() -> None:

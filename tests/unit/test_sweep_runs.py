@@ -162,15 +162,23 @@ def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path
 def test_the_summary_has_shares_with_intervals_and_units(tmp_path: Path) -> None:
     results = petmjx.sweep(write_sweep(tmp_path, MIXED), [leaning("a"), leaning("b", 3)], engine="mujoco")
     assert results.summary is not None
-    summary = results.summary.set_index(["plan_id", "axis", "value"])
+    summary = results.summary.query("scope == 'plan'").set_index(["plan_id", "axis", "value"])
     worlds = results.worlds
     chosen = worlds[(worlds["plan_id"] == "b") & (worlds["level_g"] == 0.3)]
     row = summary.loc[("b", "level_g", "0.3")]
     assert row["n_worlds"] == len(chosen) == 6
     assert row["n_standing"] == (chosen["verdict"] == "stable").sum()
     assert row["n_eumos_passed"] == chosen["eumos_passed"].sum()
-    assert row["low"] <= row["share"] <= row["high"]
-    assert summary.loc[("*", "", ""), "n_worlds"] == len(worlds) == 26
+    assert row["n_draws"] == 0  # the placement without an error is the same every time
+    assert pd.isna(row["low"])
+    drawn = summary.loc[("b", "placement_error_mm", "3")]
+    assert drawn["n_draws"] == 2  # replicates, each at several levels and directions
+    assert drawn["low"] <= drawn["share"] <= drawn["high"]
+    total = results.summary.query("scope == 'all' and axis == ''").iloc[0]
+    assert pd.isna(total["plan_id"])
+    assert total["n_worlds"] == len(worlds) == 26
+    both = results.summary.query("scope == 'all' and axis == 'placement_error_mm' and value == '3'").iloc[0]
+    assert both["n_draws"] == 4  # random numbers are each plan's own
     units = results.units("summary")
     assert units["share"] == units["n_eumos"] == "1"
     assert units["plan_id"] == ""
