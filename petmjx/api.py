@@ -26,6 +26,7 @@ from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.ready import find_sweep
 from petmjx.sweeps.run import Batching, SweepRun, SweptWorld
+from petmjx.sweeps.sliding import hopeless_profiles
 from petmjx.sweeps.summary import SweepColumns, search_frame, search_row, summarise_shares, summary_units
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -179,6 +180,8 @@ def _simulate(
             overwrite=options.overwrite,
         ) as writer:
             _note_input(writer, replace(found, skipped=[*found.skipped, *plan.skipped]))
+            for note in hopeless_profiles(asked):
+                writer.warn(note)
             if watcher is not None:
                 what = "plan" if command == "score" else "world"
                 watcher.begin(RunStart(what, total, plan.size(choice.seconds), choice, progress))
@@ -208,8 +211,7 @@ def _note_input(writer: RunWriter, found: PlanSet) -> None:
     """Write what was skipped and what is odd about the plans into the run's record."""
     for skipped in found.skipped:
         writer.skip(skipped)
-    for warning in found.warnings:
-        writer.warn(str(warning))
+    writer.odd_plans += map(str, found.warnings)
 
 
 def _in_temporary_folder(run: Callable[[Path], RunResults]) -> RunResults:

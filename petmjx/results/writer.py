@@ -99,6 +99,9 @@ class RunWriter:
         self.schemas = schemas(self.params, dynamic)
         self.skipped: list[Skipped] = []
         self.warnings: list[str] = []
+        """About the whole run."""
+        self.odd_plans: list[str] = []
+        """A line for each plan with overlapping, floating or outside boxes."""
         self.timings: dict[str, float] = {}
         self._overwrite = overwrite
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
@@ -155,10 +158,10 @@ class RunWriter:
             **({"error": self._error} if self._error else {}),
             **self._head,
             "updated": _now(),
-            "counts": {**self._pending.counts(), "skipped_plans": len(self.skipped)},
+            "counts": {**self._pending.counts(), "skipped_plans": len(self.skipped), "odd_plans": len(self.odd_plans)},
             "timings": {**self.timings, "wall_s": round(wall_s, 3)},
             "skipped": [{"plan_id": s.plan_id or "", "source": s.source, "error": s.message} for s in self.skipped],
-            "warnings": list(self.warnings),
+            "warnings": [*self.warnings, *self.odd_plans],
         }
 
     def add(
@@ -203,7 +206,7 @@ class RunWriter:
         self.skipped.append(skipped)
 
     def warn(self, message: str) -> None:
-        """Record a warning for ``run.json``."""
+        """Record a warning about the whole run for ``run.json``."""
         self.warnings.append(message)
 
     def _flush(self, last: bool = False) -> None:

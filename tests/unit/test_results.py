@@ -118,6 +118,7 @@ def test_round_trip(tmp_path: Path) -> None:
         "by_reason": {"unstable": {"drop": 1}, "invalid": {}},
         "retried": 0,
         "skipped_plans": 1,
+        "odd_plans": 0,
     }
     assert results.info["config"] == {"sim": {"interval_s": 0.7}}
     assert results.info["versions"].keys() == {"python", "mujoco"}
