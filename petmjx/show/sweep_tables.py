@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Final
 
+import numpy as np
 import pandas as pd
 
 from petmjx.show.layout import Column, FittedTable, number, percent
 from petmjx.sweeps.shares import ALL_PLANS
+from petmjx.units import FloatArray
 
 FEW_ROWS: Final = 40
 """Up to so many worlds or searches a table with a row for each is shown."""
@@ -16,7 +19,7 @@ FEW_ROWS: Final = 40
 MAX_VALUES: Final = 50
 """Axis values shown, at most; all of them are in ``summary``."""
 
-_QUANTILES: Final = {"smallest": 0.0, "lower\nquarter": 0.25, "median": 0.5, "upper\nquarter": 0.75, "largest": 1.0}
+_QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
 _PROFILE: Final = Column("profile", "left", least=11, middle=True)
 
@@ -36,18 +39,19 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """Share standing for each value of each axis that has several, over all plans."""
-    overall = summary[summary["plan_id"] == ALL_PLANS]
+    """Share standing for each value of each axis that has several, over all plans; with its interval if drawn."""
+    overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
     shown = overall[several | (overall["axis"] == "")]
     eumos, angle = "eumos_share" in shown, "smallest_fail_angle_deg" in shown
+    drawn = bool(shown["low"].notna().any())
     table = FittedTable(
         Column("axis", "left", least=13, middle=True),
         Column("value", least=11, middle=True),
         Column("worlds"),
         Column("stand", spare=1),
         Column("share"),
-        Column("95 %"),
+        *([Column("draws", spare=2), Column("95 %")] if drawn else []),
         *([Column("passes\nEUMOS")] if eumos else []),
         *([Column("fails\nfrom")] if angle else []),
         caption=f"{len(shown) - MAX_VALUES:,} more in summary" if len(shown) > MAX_VALUES else "",
@@ -59,8 +63,10 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
             f"{row['n_worlds']:,}",
             f"{row['n_standing']:,}",
             percent(row["share"]),
-            f"{percent(row['low'])} to {percent(row['high'])}",
         ]
+        if drawn:
+            interval = f"{row['n_draws']:,}", f"{percent(row['low'])} to {percent(row['high'])}"
+            cells += interval if row["n_draws"] else ("", "")
         cells += [percent(row["eumos_share"])] if eumos else []
         cells += [number(row["smallest_fail_angle_deg"], ".1f", " °")] if angle else []
         table.add(*cells)
@@ -68,9 +74,10 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
-    """How the largest levels survived are spread over plans, for each profile and direction.
+    """The spread of the largest levels survived over searches whose placement stands, for each profile and direction.
 
-    A placement that does not stand, or survives no level, counts as 0.
+    "survive none" counts those of them that survive no level above 0. Below the lowest level there is no number: there
+    stands "none".
     """
     column, name = _largest(summary)
     table = FittedTable(
@@ -78,14 +85,25 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
         Column("direction\n°"),
         Column("searches"),
         Column("stand\nat rest"),
-        *map(Column, _QUANTILES),
-        title=f"largest {name} survived",
+        Column("survive\nnone"),
+        *(Column(header, spare=int(q in (0.25, 0.75))) for header, q in _QUANTILES.items()),
+        title=f"largest {name} survived, where placements stand at rest",
     )
     for (profile, direction), part in summary.groupby(["profile", "direction_deg"], sort=True):
-        levels = part[column].fillna(0.0)
-        cells = [str(profile), f"{direction:g}", f"{len(part):,}", f"{int(part['stands_at_rest'].sum()):,}"]
-        table.add(*cells, *(number(levels.quantile(q)) for q in _QUANTILES.values()))
+        levels = part.loc[part["stands_at_rest"], column].sort_values(na_position="first")
+        counts = len(part), len(levels), int((~(levels > 0)).sum())
+        cells = [str(profile), f"{direction:g}", *(f"{count:,}" for count in counts)]
+        table.add(*cells, *(_quantile(levels.to_numpy(float), q) for q in _QUANTILES.values()))
     return table
+
+
+def _quantile(levels: FloatArray, q: float) -> str:
+    """A quantile of rising levels; those that are NaN come first and are below all others."""
+    if not len(levels):
+        return "-"
+    place = q * (len(levels) - 1)
+    lower, upper = levels[math.floor(place)], levels[math.ceil(place)]
+    return "none" if np.isnan(lower) else number(lower + (place % 1) * (upper - lower))
 
 
 def answers_table(summary: pd.DataFrame) -> FittedTable:
@@ -107,7 +125,7 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
             f"{row['direction_deg']:g}",
             number(row[column]) + ("" if row["monotone"] else " *"),
             str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}",
-            "" if pd.isna(row["box"]) else f"{row['box']} {row['article']}",
+            "" if pd.isna(row["box"]) else f"{int(row['box'])} {row['article']}",
         )
     return table
 

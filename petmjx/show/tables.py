@@ -13,6 +13,7 @@ from rich.text import Text
 from petmjx.results.reader import RunResults
 from petmjx.show.layout import Column, FittedTable, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS, sweep_tables
+from petmjx.sweeps.search import MODES
 from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
@@ -33,19 +34,26 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
         yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes)
         yield ""
     yield from notes(results.info)
-    yield summary_table(results.info, "worlds" if sweep else "plans")
+    searched = sweep and results.info["config"]["sweep"]["search"] is not None
+    if searched and results.summary is not None:
+        yield search_table(results.info, results.summary)
+    else:
+        yield summary_table(results.info, "worlds" if sweep else "plans")
     yield line(f"results in {results.path}")
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Skipped plans, a line each as far as there is room, and how many plans are odd."""
-    skipped, odd = info["skipped"], len(info["warnings"])
+    """Skipped plans, a line each as far as there is room, how many plans are odd, and warnings about the whole run."""
+    skipped, warnings = info["skipped"], info["warnings"]
+    odd = info.get("counts", {}).get("odd_plans", len(warnings))
     for entry in skipped[:SHOWN_SKIPPED]:
         yield line(f"skipped: {entry['error']}", style="yellow")
     if len(skipped) > SHOWN_SKIPPED:
         yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
     if odd:
         yield line(f"{counted(odd, 'plan')} with overlapping, floating or outside boxes, in run.json", style="yellow")
+    for warning in warnings[: len(warnings) - odd]:  # those about plans come last
+        yield line(f"note: {warning}", style="yellow")
 
 
 def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
@@ -57,23 +65,61 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
     """
     counts = info.get("counts", {})
     worlds = int(counts.get("worlds", 0))
+    table = _counts_table()
+    table.add_row(what, f"{worlds:,}", "")
+    for verdict in Verdict:
+        _add(table, verdict.value, int(counts.get(verdict.value, 0)), worlds, _STYLES[verdict.value])
+        for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
+            _add(table, f"  {reason}", int(count), worlds)
+    expected = info.get("expected_worlds")
+    if expected is not None and expected > worlds:
+        table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
+    _add_end(table, info, what, worlds)
+    return table
+
+
+def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
+    """The short table of a search. The verdicts of its tests say where it looked, so answers are counted instead.
+
+    Args:
+        info: ``run.json``.
+        summary: a row a search.
+    """
+    placements = summary.drop_duplicates(["plan_id", "placement"])
+    answers = summary[summary["stands_at_rest"]]
+    largest = answers.filter(regex="^largest_").iloc[:, 0]
+    failed = answers.filter(regex="^first_failed_").iloc[:, 0]
+    tests = int(summary["n_tests"].sum())
+    collapsed = placements["stands_at_rest"] | placements["mode"].isin(MODES.values())
+    table = _counts_table()
+    table.add_row("placements", f"{len(placements):,}", "")
+    _add(table, "  stand", int(placements["stands_at_rest"].sum()), len(placements), "green")
+    _add(table, "  invalid", int((~collapsed).sum()), len(placements), "yellow")
+    table.add_row("answers", f"{len(answers):,}", "")
+    _add(table, "  survive no level", int((~(largest > 0)).sum()), len(answers))
+    _add(table, "  survive all levels", int(failed.isna().sum()), len(answers))
+    table.add_row("tests simulated", f"{tests:,}", "")
+    _add(table, "  invalid", int(summary["n_invalid"].sum()), tests, "yellow")
+    _add_end(table, info, "tests", tests)
+    return table
+
+
+def _counts_table() -> Table:
     table = Table(show_header=False)
     table.add_column()
     table.add_column(justify="right")
     table.add_column(justify="right")
+    return table
 
-    def add(label: str, count: int, style: str = "") -> None:
-        share = percent(count / worlds) if worlds else ""
-        table.add_row(label, f"{count:,}", share, style=style if count else "dim")
 
-    table.add_row(what, f"{worlds:,}", "")
-    for verdict in Verdict:
-        add(verdict.value, int(counts.get(verdict.value, 0)), _STYLES[verdict.value])
-        for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
-            add(f"  {reason}", int(count))
-    expected = info.get("expected_worlds")
-    if expected is not None and expected > worlds:
-        table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
+def _add(table: Table, label: str, count: int, of: int, style: str = "") -> None:
+    """A row with a count and its share."""
+    table.add_row(label, f"{count:,}", percent(count / of) if of else "", style=style if count else "dim")
+
+
+def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> None:
+    """What every run has besides its verdicts or answers, and how fast it was."""
+    counts = info.get("counts", {})
     if skipped := counts.get("skipped_plans"):
         table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
     if retried := counts.get("retried"):
@@ -81,8 +127,7 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
     table.add_section()
     seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
     if seconds > 0:
-        table.add_row(f"{what}/s", three_digits(worlds / seconds), f"{seconds:,.1f} s")
-    return table
+        table.add_row(f"{what}/s", three_digits(done / seconds), f"{seconds:,.1f} s")
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
