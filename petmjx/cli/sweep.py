@@ -29,8 +29,8 @@ def sweep(
     """Simulate packing plans in many variants: forces, levels, friction, placement errors.
 
     Places every plan once per placement variant and forks the settled pallet into all profiles, levels and
-    directions. Writes every world and box, and a summary: the share that stands with its 95 % interval, or for a
-    search the largest level survived and what fails first.
+    directions. Writes every world and box, and a summary: the share that stands, with a 95 % interval where
+    worlds are drawn at random, or for a search the largest level survived and what fails first.
 
     Options given here replace the values of the sweep file's [simulation] table.
     """
