@@ -99,7 +99,7 @@ INVALID_FLAGS: Final = (
 
 
 def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> tuple[Verdict, Reason]:
-    """The verdict of a world, on all engines: is it invalid; if not, did a placed box drop, tilt or shift, in this order.
+    """The verdict of a world and its reason, for all engines (docs/metrics.md, section "Verdict").
 
     Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
     20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.

@@ -21,8 +21,8 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
     """Forces of the contacts that have constraint rows.
 
     Pyramidal rows are forces along the four edges of the cone: the normal part is their sum, each tangent is the
-    difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3. Source: as in
-    ``force_jax.contact_force_z``.
+    difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3. Source: as
+    in ``force_jax.contact_force_z``.
 
     Returns:
         (k,) indices of those contacts and (k, 3) forces in the contact frame (normal, tangents), N, as

@@ -1,1 +1,1 @@
-"""What both MJX engines share: padded batches of worlds in stages; and the engine mjx-jax."""
+"""The base of both MJX engines, which simulate padded batches of worlds in stages; and the engine mjx-jax."""

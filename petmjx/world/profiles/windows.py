@@ -26,9 +26,9 @@ PET_PHYSICS = "PET-Physics, the reference implementation"
 class Window:
     """One push: ``vector`` acts from ``start_s`` for ``duration_s``.
 
-    ``offset_s`` is where in a chain the window's profile begins. It is kept apart from ``start_s`` because the reference
-    implementation adds profile start + offset first, and the window's start last. Another order can change the last
-    digit, and so the step to which a time is truncated.
+    ``offset_s`` is where in a chain the window's profile begins. It is kept apart from ``start_s`` because the
+    reference implementation adds profile start + offset first, and the window's start last. Another order can change
+    the last digit, and so the step to which a time is truncated.
     """
 
     start_s: float
