@@ -1,13 +1,13 @@
-"""Columns of the result tables: names, types, units, and what each one means. Metrics come from petmjx.metrics.spec.
+"""Columns of the result tables: name, type, unit and meaning. Metrics come from petmjx.metrics.spec.
 
 Types, and why:
 
-- Texts are plain strings. Parquet dictionary-encodes them on disk anyway, and in memory they stay one type
-  for every reader: comparing two pandas categoricals whose categories differ is an error.
-- ``worlds`` is float64: times are float64 sums of the timestep and are compared to the step. ``boxes``, forty
-  times as long, holds measured values as float32 and only its times as float64.
-- A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is
-  null. ``reason`` of a stable world is the empty string instead, since pandas drops null keys when grouping.
+- Texts are plain strings. Parquet encodes them with a dictionary on disk anyway. In memory they have the same type for
+  all readers; two pandas categoricals with different categories could not even be compared.
+- ``worlds`` is float64: times are float64 sums of the timestep, and are compared to the step. ``boxes`` is forty times
+  as long: measured values are float32, only times are float64.
+- A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is null. The
+  ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.verdict import Flag, Verdict
 
 SCHEMA_VERSION: Final = 1
-"""Raised when a column is renamed, removed or changes its meaning; new columns alone do not raise it."""
+"""Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""
 
 _FLAG_BITS = ", ".join(f"{flag.value} {(flag.name or '').lower().replace('_', '-')}" for flag in Flag)
 
@@ -91,7 +91,7 @@ _WORLD_COLUMNS = (
     *_texts(verdict=_one_of(Verdict), reason="why it is not stable; empty where it is"),
     *_counts(culprit="box that first crossed a threshold (packing order from 0); null where none did"),
 )
-"""Before the metrics; the flags come after them."""
+"""Columns before the metrics. The flags come after the metrics."""
 
 _BOX_COLUMNS = (
     *_KEY,
@@ -99,7 +99,7 @@ _BOX_COLUMNS = (
     *_texts(item_id="id of the item in the plan", article="article of the item"),
     Column("sequence", pa.int64(), DIMENSIONLESS, "sequence number of the item in the plan"),
 )
-"""Before the metrics."""
+"""Columns before the metrics."""
 
 
 def _schema(table: str, columns: Iterable[Column]) -> pa.Schema:
@@ -108,10 +108,10 @@ def _schema(table: str, columns: Iterable[Column]) -> pa.Schema:
 
 
 def worlds_schema(params: Iterable[Param] = ()) -> pa.Schema:
-    """Schema of ``worlds``; a sweep's parameters come last, a column each.
+    """Schema of ``worlds``; a sweep's parameters come last.
 
     Raises:
-        ValueError: two columns of one name.
+        ValueError: two columns with the same name.
     """
     metrics = _metrics(spec.world_columns()).values()
     columns = (*_WORLD_COLUMNS, *metrics, *_FLAGS, *(param.column() for param in params))
@@ -123,12 +123,12 @@ def worlds_schema(params: Iterable[Param] = ()) -> pa.Schema:
 
 
 def boxes_schema(dynamic: bool = False) -> pa.Schema:
-    """Schema of ``boxes``; runs with profiles (``dynamic``) have the metrics that only they have in addition."""
+    """Schema of ``boxes``; ``dynamic``: with the metrics that only runs with profiles have."""
     return _schema("boxes", (*_BOX_COLUMNS, *_metrics(spec.box_columns(driven=dynamic)).values()))
 
 
 def attempts_schema() -> pa.Schema:
-    """Schema of ``attempts``: a row for each attempt at worlds that needed more than one."""
+    """Schema of ``attempts``: one row per attempt, for worlds that needed more than one."""
     columns = (
         *_KEY,
         *_counts(attempt="number of the attempt, from 1; the last one gave the verdict"),
@@ -157,7 +157,7 @@ def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: 
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The version a file's schema metadata names; 0 where it names none."""
+    """The schema version in a file's metadata; 0 if there is none."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)

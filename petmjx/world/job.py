@@ -20,7 +20,7 @@ class Excitation:
     Attributes:
         name: for messages.
         kind: "force" (on the carrier, samples in units of total mass × 9.81 m/s²) or "acceleration"
-            (of the carrier, samples in m/s²; simulated as gravity − a with the carrier held fast).
+            (of the carrier, samples in m/s²; simulated as gravity − a with the carrier clamped).
         samples: (n_steps, 3); row i acts during step i + 1 of the profile; zero beyond its end.
     """
 

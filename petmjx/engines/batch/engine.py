@@ -299,8 +299,7 @@ class MjxEngine(ABC):
         return self._stages[key]
 
     def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
-        """Run chunks and refill lanes until the stage's worlds are finished, or so few run that the next stage is
-        better.
+        """Run chunks and refill lanes until the stage's worlds are finished, or few enough run to end the stage.
 
         The counters that decide are one chunk old: the host starts the next chunk before it reads them, so that the
         device never waits for the host.

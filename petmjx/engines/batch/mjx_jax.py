@@ -15,8 +15,9 @@ from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 
-LINE_SEARCH_ITERATIONS = 10 """Under ``vmap`` all iterations of a line search are computed, also those not needed:
-MuJoCo's 50 cost five times more."""
+LINE_SEARCH_ITERATIONS = 10
+"""Under ``vmap`` all iterations of a line search are computed, even those not needed: MuJoCo's 50 cost five times
+more."""
 
 
 class JaxStepper:

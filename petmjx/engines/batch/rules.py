@@ -114,7 +114,7 @@ class Rules:
 
         Args:
             state: poses, velocities and step counters as the step left them.
-            seen_pose: poses at the beginning of the step, to which contacts and accelerations belong. Samples see these.
+            seen_pose: poses at the beginning of the step, to which contacts and accelerations belong.
             acceleration: linear (m/s²) and angular (rad/s²) of each box in that step.
             top_force: N.
             overflow: non-zero where a buffer was too small for the step to be right.
@@ -192,7 +192,7 @@ class Rules:
         )
 
     def count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> State:
-        """For lanes in ``poll``, count the steps for which all boxes have been slow. If one creeps, the count starts again.
+        """In lanes with ``poll``, count the steps for which all boxes were slow. If one creeps, start again.
 
         A pallet is quiet from ``quiet.steps`` on, counted in ``state.quiet_steps``.
         """

@@ -1,9 +1,9 @@
 """Sets up JAX and Warp for petmjx: device memory shared between the two, compiled programs kept between runs.
 
 XLA's programs are kept in JAX's persistent cache, Warp's kernels in Warp's cache. Both are under ``$PETMJX_CACHE_DIR``
-(default: ``~/.cache/petmjx``). The folders of the caches, and that Warp prints nothing, are settings of the process. The
-first engine makes them; they stay, and they also apply to the caller's own JAX and Warp programs. If the caller has set
-one of them before, it is not changed.
+(default: ``~/.cache/petmjx``). The folders of the caches, and that Warp prints nothing, are settings of the process.
+The first engine makes them; they stay, and they also apply to the caller's own JAX and Warp programs. If the caller has
+set one of them before, it is not changed.
 """
 
 from __future__ import annotations
