@@ -23,11 +23,11 @@ _OLD_ONE_PLAN = {
     "mujoco adaptive": "adaptive",
     "mujoco brisk": "brisk",
 }
-"""Case of the lines that a script of its own once wrote → end of today's name."""
+"""Case in lines of a former script → end of its present name."""
 
 
 def tables(results: Sequence[Result]) -> str:
-    """All tables for which there are results, with a heading each."""
+    """All tables for which there are results, each with a heading."""
     shown = latest([today(result) for result in results])
     rows = {group: [row for row in shown if row["group"] == group and row["way"] != "agreement"] for group in SECTIONS}
     rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
@@ -42,12 +42,12 @@ def tables(results: Sequence[Result]) -> str:
 
 
 def latest(results: Iterable[Result]) -> list[Result]:
-    """Of results that measure the same on the same device, the last one; in the order of their first."""
+    """The last of all results that measure the same on the same device, in the order of the first ones."""
     return list({(*(result.get(name) for name in _IDENTITY), _device(result)): result for result in results}.values())
 
 
 def today(line: Result) -> Result:
-    """A line in today's form, whichever script wrote it. Lines from before there was one form have no group."""
+    """A line in the present form. Lines of former scripts have other forms, and no group."""
     if "group" in line:
         return line
     line = {"case": "", "way": "", "engine": "mujoco", **line}
@@ -76,7 +76,7 @@ def today(line: Result) -> Result:
 
 
 def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
-    """Of runs that took turns the quickest of each case, with how many times as quick it is as the others."""
+    """The fastest run of each case in a group that took turns, with its speed relative to other cases."""
     best: dict[tuple[str, str], Result] = {}
     for row in rows:
         key = (row["case"], _device(row))
@@ -95,7 +95,7 @@ def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
 
 
 _IN_TURNS = {"one-plan": "cpu_s", "threads": "wall_s"}
-"""Groups whose cases take turns, with the time that counts: other work on the machine only slows a run down."""
+"""Groups whose cases take turns → the time that counts. Other work on the machine can only slow a run down."""
 
 _WHO = {"case": "case", "engine": "engine", "on": "on", "": "width"}
 _PLANS, _RATE, _STEPS = {"plans": "plans|,"}, {"plans/s": "plans_per_s|.3g"}, {"steps/s": "world_steps_per_s|,.0f"}
@@ -151,7 +151,7 @@ SECTIONS: dict[str, tuple[str, dict[str, str]]] = {
         {**_WHO, "against": "yardstick", "each share in the other's 95 % interval": "agree", "overlap": "overlap"},
     ),
 }
-"""Group → title and columns of its table; a column's cells are ``field|format|unit`` of a result or of ``_derived``."""
+"""Group → title and columns of its table. A column shows ``field|format|unit`` of a result or of ``_derived``."""
 
 
 def _section(title: str, columns: Mapping[str, str], rows: Sequence[Result]) -> str:
@@ -167,7 +167,7 @@ def _cell(row: Result, column: str) -> str:
 
 
 def _derived(row: Result) -> Result:
-    """What is made of a result's fields; None where one of them is missing."""
+    """Values made from a result's fields; None if one of them is missing."""
     found, counts, timings = row.get("found", {}), row.get("counts", {}), row.get("timings", {})
     force, shares = found.get("rest_top_force", {}), found.get("shares", {})
     missed, plans, drives = found.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")

@@ -12,9 +12,11 @@ import pandas as pd
 
 
 def plain(value: Any) -> Any:
-    """The value as plain JSON values: NumPy scalars, enums and tuples are unpacked; a data frame is a list of rows; a
-    path
-    is text; missing and non-finite numbers are None."""
+    """The value as plain JSON values.
+
+    NumPy scalars, enums and tuples are unpacked, a data frame becomes a list of rows, a path becomes text. Missing and
+    non-finite numbers become None.
+    """
     if isinstance(value, Mapping):
         return {str(plain(key)): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):

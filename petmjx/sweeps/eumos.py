@@ -1,4 +1,4 @@
-"""EUMOS 40509:2020's own limits for a pallet that has been through its test."""
+"""The limits of EUMOS 40509:2020 for a pallet after its test."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
 
 EUMOS_PROFILE = "eumos-40509"
-"""The profile whose worlds are also held against the standard's own limits."""
+"""Worlds with this profile are also compared with the limits of the standard."""
 
 EUMOS_ELASTIC_SHARE = 0.10
 """Largest displacement during the test as a share of the load's height."""
@@ -29,7 +29,7 @@ EUMOS_COLUMNS = (
     Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
     Param("eumos_passed", TEXT, "whether all limits of EUMOS 40509 hold and nothing fell", bool),
 )
-"""Columns that its worlds have in addition."""
+"""Additional columns of these worlds."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class EumosAssessment:
 
     Attributes:
         load_height_m: top of the settled load above the carrier.
-        elastic_share: largest horizontal displacement of a box during the test ÷ load height; the part that
-            stays is included, as on film the two cannot be told apart until the end.
-        permanent_share: largest horizontal displacement left ÷ load height.
+        elastic_share: largest horizontal displacement of a box during the test ÷ load height. It includes the part that
+            remains after the test: in a film of the test the two cannot be distinguished.
+        permanent_share: largest horizontal displacement after the test ÷ load height.
         foot_permanent_m: the same in metres, among boxes that reach into the lowest 20 cm; 0 if there is none.
-        dropped: whether a box fell; no standard accepts that, however small the shares.
+        dropped: whether a box fell. Then the test is not passed.
     """
 
     load_height_m: float
@@ -61,7 +61,7 @@ class EumosAssessment:
 
     @property
     def passed(self) -> bool:
-        """False too where a figure is NaN, because the profile never ran to its end."""
+        """Also False if a value is NaN, because the profile did not run to its end."""
         return self.elastic_ok and self.permanent_ok and not self.dropped
 
     def columns(self) -> dict[str, Any]:
@@ -71,12 +71,12 @@ class EumosAssessment:
 
 
 def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> EumosAssessment:
-    """Apply EUMOS 40509:2020's limits to one world that has been through the test.
+    """Apply the limits of EUMOS 40509:2020 to one world after the test.
 
-    Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
-    of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from where
-    they had settled; the load's height counts from the carrier's top, z = 0. Source: EUMOS 40509:2020,
-    criteria as published by ESTL, the laboratory behind the standard.
+    During the test: elastic deformation of at most 10 % of the load's height. After it: permanent deformation of at
+    most 5 % of this height, and of at most 4 cm in the lowest 20 cm. Displacements are those of box centres from their
+    settled positions; the load's height is measured from the carrier's top, z = 0. Source: EUMOS 40509:2020, criteria
+    as published by ESTL, the laboratory behind the standard.
 
     Args:
         settled_pos: (n, 3) centres before the profile, m.

@@ -1,7 +1,7 @@
-"""Runs a sweep: places every plan once per placement, forks the settled states into all drives, searches levels.
+"""Runs a sweep: simulates each placement once, forks the settled states into all drives, and searches levels.
 
-Placements and drives are handed to the engine as batches over many plans, since a device is fast with large batches.
-``Batching`` bounds what is held at a time, for sweeps of any size.
+The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
+``Batching`` limits what is in memory, for sweeps of any size.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1)
-"""The retry procedure of placements whose states are kept, and of their forks. A state counts time in steps, so
-no world can start from one that was reached with half the timestep; the attempt that halves it is left out."""
+"""The attempts at placements whose states are kept, and at their forks. A state counts time in steps, so no world can
+start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
 
 
 @dataclass(frozen=True)
 class Batching:
-    """How much of a sweep is held and simulated at a time. None of it changes a result.
+    """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
 
     Attributes:
-        undriven: worlds without a drive handed to the engine at a time; their states are not kept. Their scenes take
-            160 MB, of 43 boxes each; fewer would have the MJX engines choose (and compile) their shapes more often.
-        placements: settled states kept at a time; one of 43 boxes takes 10 to 20 KB.
-        worlds: variants that these states are forked into, at most (a single placement with more is one chunk).
-        drives: forked worlds handed to the engine at a time; in a search a round of tests, whose outcomes are held.
+        undriven: most worlds without a drive in one call of the engine; their states are not kept. With 43 boxes each,
+            their scenes take 160 MB. With fewer, the MJX engines would choose (and compile) their shapes more often.
+        placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
+        worlds: most variants into which these states are forked (a single placement may have more).
+        drives: most forked worlds in one call of the engine; in a search also the tests of one round.
     """
 
     undriven: int = DEFAULT_CHUNK_WORLDS
@@ -48,7 +48,7 @@ class Batching:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """A placement that is over: what it came to, with the state that drives start from."""
+    """A placement that has settled: its outcome, with the state from which drives start."""
 
     group: PlacementGroup
     scene: Scene
@@ -61,9 +61,9 @@ class SweptWorld:
     """One world of a sweep with its final outcome.
 
     Attributes:
-        settled: the placement it was forked from; None for a world without a drive.
-        driven: whether its drive was simulated. A placement that collapsed or is invalid is not shaken:
-            its worlds have its outcome.
+        settled: the placement from which it was forked; None for a world without a drive.
+        driven: whether its drive was simulated. A placement that collapsed or is invalid is not shaken: its worlds have
+            its outcome.
     """
 
     plan: Plan
@@ -77,13 +77,13 @@ class SweptWorld:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a search found for one placement, profile and direction.
+    """The answer of a search for one placement, profile and direction.
 
     Attributes:
         stands_at_rest: whether the placement stands without a drive; if not, nothing was tested.
-        largest_survived, first_failed: level in g, or scale; None where there is none.
-        at_largest, at_failure: the worlds that say so; None where no world was simulated for it.
-        box, mode: which box went first at ``first_failed`` (or at rest), −1 for none, and how it failed.
+        largest_survived, first_failed: level in g, or scale; None if there is none.
+        at_largest, at_failure: the worlds with these levels; None if there is none.
+        box, mode: the box that failed first at ``first_failed`` (or at rest), −1 for none, and how it failed.
         monotone: whether no tested level above ``first_failed`` was survived.
     """
 
@@ -104,7 +104,7 @@ class Answer:
 
 @dataclass
 class Tally:
-    """What a sweep has cost. Steps are world-steps after the soft start, of each world's last attempt."""
+    """What a sweep has cost so far. Steps are world-steps after the soft start, of each world's last attempt."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -116,7 +116,7 @@ class Tally:
 
 @dataclass(frozen=True, eq=False)
 class _Placing(World):
-    """A placement on its way through the runner."""
+    """A placement as a world that the engine simulates."""
 
     group: PlacementGroup
     scene: Scene
@@ -124,7 +124,7 @@ class _Placing(World):
 
 @dataclass(frozen=True, eq=False)
 class _Driving(World):
-    """A fork on its way through the runner; ``test`` is its number among a round's tests."""
+    """A fork as a world that the engine simulates; ``test``: its number among the tests of a round."""
 
     settled: Settled
     change: Variant
@@ -137,10 +137,10 @@ class SweepRun:
 
     Args:
         plan: what to simulate.
-        engine: states are its own: placements and drives run on the same instance.
-        progress: kept up to date; its message says what is going on while no world finishes.
-        on_answer: is called with each answer of a search. It should keep only what it needs: an answer holds worlds
-            with all their boxes.
+        engine: placements and drives run on this one object, since only it can use its states.
+        progress: kept up to date; its message says what happens while no world finishes.
+        on_answer: called with each answer of a search. It should keep only what it needs: an answer has worlds with all
+            their boxes.
     """
 
     plan: SweepPlan
@@ -152,11 +152,11 @@ class SweepRun:
 
     @cached_property
     def sim(self) -> Simulation:
-        """The configuration of every world, before retries change it."""
+        """The options of every world, before attempts change them."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[SweptWorld]:
-        """Simulate everything; each world once, as it becomes final, in any order."""
+        """Simulate everything; yield each world when it is final, in any order."""
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
             yield from self._run_placements(group for group in self.plan.groups() if not _is_driven(group))
@@ -167,7 +167,7 @@ class SweepRun:
             yield from self._search(settled) if self.plan.search is not None else self._fork(settled)
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
-        """Placements with drives, as many at a time as may be held."""
+        """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.search
         most = self.batching.worlds
         per_search = 0
@@ -198,7 +198,7 @@ class SweepRun:
         self.tally.placement_steps += outcome.n_steps
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
-        """Worlds without a drive: the placement's own outcome, rest window included."""
+        """Worlds without a drive: they have the placement's outcome, with rest window."""
         watch = _Stopwatch()
         results = score_worlds(
             self._placing(groups, keep_state=False),
@@ -241,7 +241,7 @@ class SweepRun:
         return [found[index] for index in range(len(groups))]
 
     def _can_be_driven(self, settled: Settled) -> bool:
-        """Not where the placement is invalid, or ended because a box dropped."""
+        """False if the placement is invalid, or ended because a box dropped."""
         outcome = settled.outcome
         collapsed = self.sim.early_stop and bool(outcome.boxes.dropped.any())
         return outcome.verdict is not Verdict.INVALID and not collapsed and outcome.state is not None
@@ -270,7 +270,7 @@ class SweepRun:
         return _Driving(plan, variant.index, job, start, variant, test)
 
     def _drive(self, worlds: Iterable[_Driving]) -> Iterator[tuple[int, SweptWorld]]:
-        """Simulate forks; yields the number of the test with each."""
+        """Simulate forks; yield each one with the number of its test."""
         watch = _Stopwatch()
         results = score_worlds(
             worlds,
@@ -291,10 +291,10 @@ class SweepRun:
     # Search.
 
     def _search(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
-        """Bisection over all placements, profiles and directions of a chunk at once, round by round.
+        """Bisection over all placements, profiles and directions of a chunk together, round by round.
 
         A placement that does not stand has one row per profile and direction, at the lowest level, with its own
-        outcome; nothing is simulated for it.
+        outcome. Nothing more is simulated for it.
         """
         if not settled:
             return
@@ -330,7 +330,7 @@ class SweepRun:
 
 
 def _is_driven(group: PlacementGroup) -> bool:
-    """Whether a placement's worlds have drives; all of a group have, or none. A search's group is empty."""
+    """Whether a placement's worlds have drives. All worlds of a group have one, or none has. True for a search."""
     return all(variant.drive is not None for variant in group.variants)
 
 
@@ -345,12 +345,12 @@ def _undriven(start: Settled, variant: Variant) -> SweptWorld:
 
 
 def _as_fork(outcome: Outcome) -> Outcome:
-    """The outcome of another world as this one's own: no step was taken for it."""
+    """The outcome of another world, for a world for which no step was simulated."""
     return replace(outcome, flags=outcome.flags | Flag.FORKED, n_steps=0, state=None)
 
 
 def _needed(worlds: dict[tuple[int, int], SweptWorld], bisection: Bisection) -> dict[tuple[int, int], SweptWorld]:
-    """The worlds that may yet be an answer: those at the bounds of each item's search."""
+    """The worlds that can still become an answer: those at the bounds of each item's search."""
     bounds = {(item, level) for item, pair in enumerate(bisection.bounds()) for level in pair}
     return {key: world for key, world in worlds.items() if key in bounds}
 

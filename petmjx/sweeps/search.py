@@ -1,4 +1,4 @@
-"""Searching for the largest level survived, and how a plan failed above it."""
+"""The search for the largest level survived, and how a plan failed above it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
 
 MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
-"""Reason of an unstable world → how it failed, as the answers of a search say it."""
+"""Reason of an unstable world → how it failed, as in the column ``mode``."""
 
 
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
-    """How the box that went first failed: "slide", "tilt" or "drop".
+    """How the first box failed: "slide", "tilt" or "drop".
 
-    It dropped; or it did not but tilted by more than ``tilt_deg``; or it moved too far. At the lowest level that
-    fails, which is where a search reads it, that is as a rule also how it began; far above that level a box that
-    slides also falls. The reason itself for invalid worlds, "" for stable ones.
+    "drop" if it dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at the
+    lowest level that fails. There it usually says how the failure began; far above that level, a box that slides also
+    falls. For invalid worlds: the reason; for stable worlds: "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -37,21 +37,21 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 class Bisection:
     """Search for the largest level survived, for many items (placement × profile × direction) at once.
 
-    Levels lie on a common grid, so an answer is exact to the grid's step, and the same levels are tested
-    whatever the order of answers. Each round tests up to ``sections`` levels an item, evenly spread between
-    the largest survived and the smallest failed: a device is faster with fewer, larger rounds.
+    Levels are on a common grid, so an answer is exact to the grid's step, and the same levels are tested in any order
+    of answers. Each round tests up to ``sections`` levels per item, evenly spread between the largest survived and the
+    smallest failed: a device is faster with fewer, larger rounds.
 
-    It assumes that what survives a level survives all lower ones. A pallet need not: a stronger push may throw
-    a box against its neighbour and jam it. Where a tested level survived above one that
-    failed, the answer is the largest level below every failure, and ``monotone`` is False for that item.
+    It assumes that a pallet that survives a level survives all lower ones. This can be wrong: a stronger push may press
+    a box against its neighbour, where it jams. If a tested level above a failed one was survived, the answer is the
+    largest level below every failure, and ``monotone`` is False for that item.
 
     Args:
         levels: (n_levels,) rising; g, or scale.
         n_items: number of searches.
-        stands_at_rest: (n_items,) which items stood before any profile; the others are through at once,
-            with nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
+        stands_at_rest: (n_items,) which items stand before any profile. The others are finished at once, with no level
+            survived. If ``levels[0]`` is 0, an item that stands at rest has survived it.
         sections: levels tested per item and round, ≥ 1; 1 is plain bisection.
-        tilt_deg: from where on a box that failed is said to have tilted.
+        tilt_deg: a box that failed with a larger tilt has the mode "tilt".
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Bisection:
 
     @property
     def converged(self) -> NDArray[np.bool_]:
-        """(n_items,) whose largest level survived is known to the grid's step."""
+        """(n_items,) whether the largest level survived is known to the grid's step."""
         done: NDArray[np.bool_] = self._failed - self._survived <= 1
         return done
 
@@ -94,15 +94,15 @@ class Bisection:
         return bool(self.converged.all())
 
     def bounds(self) -> list[tuple[int, int]]:
-        """Of each item, the indices of the largest level survived (−1: none) and of the smallest that failed."""
+        """For each item: indices of the largest level survived (−1: none) and of the smallest level that failed."""
         return list(zip(self._survived.tolist(), self._failed.tolist(), strict=True))
 
     def mode_of(self, outcome: Outcome) -> str:
-        """`failure_mode` with this search's threshold of tilt."""
+        """`failure_mode` with this search's tilt threshold."""
         return failure_mode(outcome, self._tilt_deg)
 
     def next_tests(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(items, level indices) of the next round, item by item; both empty when all have converged."""
+        """(items, level indices) of the next round; both are empty when all items have converged."""
         items, indices = [], []
         for item in np.flatnonzero(~self.converged):
             low, high = int(self._survived[item]), int(self._failed[item])
@@ -125,9 +125,9 @@ class Bisection:
         modes: Sequence[str] | None = None,
         boxes: ArrayLike | None = None,
     ) -> None:
-        """Take the results of a round's tests, given as outcomes or as plain arrays (survived, failure modes, boxes).
+        """Take the results of a round's tests, as outcomes or as plain arrays (survived, failure modes, boxes).
 
-        A world without a verdict that can be believed has not survived: its mode is why it is invalid.
+        An invalid world has not survived; its mode is the reason why it is invalid.
         """
         item_list = np.asarray(items, dtype=np.int64)
         index_list = np.asarray(level_indices, dtype=np.int64)
@@ -144,7 +144,7 @@ class Bisection:
         if not len(item_list) == len(index_list) == len(lived) == len(mode_list) == len(box_list):
             raise ValueError("record needs one answer for each test")
         np.add.at(self._tests, item_list, 1)
-        # Failures first: a survivor above a failure must not raise the answer.
+        # Failures first: a level survived above a failed one must not raise the answer.
         for test in np.flatnonzero(~lived):
             item = item_list[test]
             if index_list[test] < self._failed[item]:
@@ -156,8 +156,8 @@ class Bisection:
         self.rounds += 1
 
     def result(self) -> pd.DataFrame:
-        """One row an item: stands_at_rest, largest_survived (NaN: none), first_failed (NaN: none up to the
-        highest level), box and mode of that failure, monotone, n_tests, n_invalid, converged."""
+        """One row per item: stands_at_rest, largest_survived (NaN: none), first_failed (NaN: none up to the highest
+        level), box and mode of that failure, monotone, n_tests, n_invalid, converged."""
         survived, failed = self._survived, self._failed
         top = len(self.levels) - 1
         has_failed = self._stands & (failed <= top)

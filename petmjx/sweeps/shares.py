@@ -1,4 +1,4 @@
-"""Shares of worlds that stand, with their intervals."""
+"""Shares of worlds that stand, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It stays inside [0, 1] and has a width also at shares
-    of 0 and 1, where the usual ± interval has none.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It is always inside [0, 1], and it has a width at shares of
+    0 and 1 too, where the usual ± interval has none.
 
     Raises:
         ValueError: successes outside 0 … n, or a confidence outside (0, 1).
@@ -53,13 +53,13 @@ def share_standing(
 ) -> pd.DataFrame:
     """The share of worlds that stand, for every value of every axis, with its Wilson interval.
 
-    Invalid worlds say nothing about the pallet: they are counted apart and left out of the share. Worlds
-    without a value on an axis (the nominal one) do not count there.
+    Invalid worlds say nothing about the pallet: they are counted separately and are not in the share. Worlds without a
+    value on an axis (the nominal one) do not count there.
 
     Args:
         worlds: rows with ``plan_id``, ``verdict`` and a column for each axis.
-        axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
-        per_plan: also one row per plan, beside the row over all plans (``plan_id`` "*").
+        axes: parameter columns. A row of the summary has one value of one of them, over all the others.
+        per_plan: also make rows for each plan, in addition to the rows over all plans (``plan_id`` "*").
 
     Returns:
         Columns plan_id, axis, value (text), n_worlds, n_standing, n_invalid, share, low, high; a row with
