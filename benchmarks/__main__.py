@@ -85,7 +85,7 @@ def compare(
     case: Annotated[str, typer.Option(metavar="NAME", help="Name of the case, for the tables.")],
     out: Out = DEFAULT_OUT,
 ) -> None:
-    """Compare runs that were made before, also in several pieces, and append a line."""
+    """Compare runs that were made earlier, also in several pieces, and append a line."""
     from benchmarks.agreement import agreement, joint_run
     from benchmarks.cases import chosen_cases
     from benchmarks.record import append_line, environment
@@ -111,7 +111,7 @@ def make_tables(
     files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Files of results.")],
     readme: Annotated[Path | None, typer.Option(metavar="FILE", help="Write between this file's markers.")] = None,
 ) -> None:
-    """Make Markdown tables of results."""
+    """Make Markdown tables from results."""
     from benchmarks.record import read_lines
     from benchmarks.table import tables, write_between_markers
 

@@ -22,14 +22,14 @@ _STARTING_JAX = threading.Lock()
 
 
 def cpu_threads() -> int:
-    """Threads this process may use at once (its CPU affinity, where the system tells)."""
+    """Threads this process may use at once (its CPU affinity, if the system tells it)."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def cpu_name() -> str:
-    """The processor's marketing name, or the architecture where the system does not tell."""
+    """The name of the processor, or its architecture if the system does not tell the name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -40,7 +40,7 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices, from the driver itself: takes milliseconds, allocates nothing on them."""
+    """Names of the CUDA devices, asked from the driver: this takes milliseconds and allocates no device memory."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -59,10 +59,10 @@ def cuda_devices() -> tuple[str, ...]:
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:
-    """JAX's devices, started so that XLA leaves device memory to Warp.
+    """JAX's devices, started in a way that leaves device memory to Warp.
 
-    XLA would take three quarters of a GPU's memory when JAX first asks for its devices, unless the environment says
-    otherwise at that moment. It does for that moment alone; what the user has set stays.
+    XLA takes three quarters of a GPU's memory when JAX first asks for its devices, unless an environment variable
+    forbids it at that moment. The variable is set for that moment only. If the user has set it, it stays as it is.
 
     Args:
         platform: such as "cuda"; None: JAX's default.
@@ -85,7 +85,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Package → version of what results depend on; packages that are not installed are left out."""
+    """Package → version, of the packages that results depend on and that are installed."""
     versions = {}
     for package in PACKAGES:
         try:
@@ -96,7 +96,7 @@ def package_versions() -> dict[str, str]:
 
 
 def device_name(engine: str, threads: int | None = None) -> str:
-    """The device that an engine's worlds run on, as text.
+    """The name of the device on which an engine's worlds run.
 
     Args:
         threads: CPU threads of the engine ``mujoco``; None: all.
@@ -110,9 +110,9 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp() -> str | None:
-    """Why mjx-warp cannot run here, cheapest check first; None where it can.
+    """Why mjx-warp cannot run here; None if it can. The cheapest check comes first.
 
-    Imports jax only where a CUDA device and Warp are present.
+    JAX is imported only if a CUDA device and Warp are present.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"

@@ -1,4 +1,4 @@
-"""What the command line shows of a sweep's answers."""
+"""The tables of a sweep's answers."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from petmjx.show.layout import Column, FittedTable, number, percent
 from petmjx.sweeps.shares import ALL_PLANS
 
 FEW_ROWS: Final = 40
-"""Up to so many worlds or searches a table with a row for each is shown."""
+"""Most worlds or searches for which a table with one row each is shown."""
 
 MAX_VALUES: Final = 50
-"""Axis values shown, at most; all of them are in ``summary``."""
+"""Most axis values that are shown; ``summary`` has all of them."""
 
 _QUANTILES: Final = {"smallest": 0.0, "lower\nquarter": 0.25, "median": 0.5, "upper\nquarter": 0.75, "largest": 1.0}
 
@@ -36,7 +36,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """Share standing for each value of each axis that has several, over all plans."""
+    """The share that stands, for each value of each axis with several values, over all plans."""
     overall = summary[summary["plan_id"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
     shown = overall[several | (overall["axis"] == "")]
@@ -68,7 +68,7 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
-    """How the largest levels survived are spread over plans, for each profile and direction.
+    """Quantiles over plans of the largest levels survived, for each profile and direction.
 
     A placement that does not stand, or survives no level, counts as 0.
     """
@@ -89,7 +89,7 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def answers_table(summary: pd.DataFrame) -> FittedTable:
-    """A row a search: largest level survived, and what fails first above it."""
+    """One row per search: the largest level survived, and the box that fails first above it."""
     column, name = _largest(summary)
     table = FittedTable(
         Column("plan", "left", least=20, middle=True),
@@ -113,6 +113,6 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def _largest(summary: pd.DataFrame) -> tuple[str, str]:
-    """The column with the largest level or scale, and what that is called."""
+    """The column with the largest level or scale, and its name for people."""
     names = {"largest_level_g": "level, g", "largest_scale": "scale"}
     return next((column, name) for column, name in names.items() if column in summary)

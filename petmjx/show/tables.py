@@ -1,4 +1,4 @@
-"""What the command line shows of a run: one report for scores and sweeps."""
+"""The tables of a run, for scores and sweeps."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
 SHOWN_SKIPPED: Final = 10
-"""Lines shown of skipped plans, at most; all of them are in ``run.json``."""
+"""Most skipped plans that are shown; ``run.json`` has all of them."""
 
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
 def run_tables(results: RunResults) -> Iterator[RenderableType]:
-    """All that is shown of a run: answers or worlds where they are few, what was skipped, and the counts."""
+    """All tables and lines: a sweep's answers, or the worlds if there are few; skipped plans; the counts."""
     sweep = results.info["config"]["command"] == "sweep"
     if results.summary is not None:
         for table in sweep_tables(results.summary):
@@ -38,7 +38,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Skipped plans, a line each as far as there is room, and how many plans are odd."""
+    """One line for each of the first ``SHOWN_SKIPPED`` skipped plans, and the number of plans with warnings."""
     skipped, odd = info["skipped"], len(info["warnings"])
     for entry in skipped[:SHOWN_SKIPPED]:
         yield line(f"skipped: {entry['error']}", style="yellow")
@@ -49,11 +49,11 @@ def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
 
 
 def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
-    """The short table of a run.
+    """The table of counts.
 
     Args:
         info: ``run.json``, or ``RunWriter.info``.
-        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
+        what: the user's word for worlds: ``plans``, or ``worlds`` in sweeps.
     """
     counts = info.get("counts", {})
     worlds = int(counts.get("worlds", 0))

@@ -1,4 +1,4 @@
-"""The axes of a sweep: which there are, in which units, and what may stand on them."""
+"""The axes of a sweep: their names, units and allowed values. Users read about them in docs/sweeps.md."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, Shape
 
 MAX_AXIS_VALUES: Final = 100_000
-"""Values one axis may have; a range with a mistyped step must not fill the memory."""
+"""Most values of one axis: a range with a typing error in its step must not fill the memory."""
 
 MAX_STRENGTH: Final = 10_000.0
-"""Largest level (g), scale or factor. More is a slip of the pen, and would end as an infinity in the engines."""
+"""Largest level (g), scale or factor. A larger one is a typing error, and would become infinite in the engines."""
 MIN_MASS_FACTOR: Final = 0.001
-"""Smallest factor on masses: MuJoCo takes no body without mass."""
+"""Smallest factor on masses: MuJoCo refuses bodies without mass."""
 MAX_ERROR: Final = 10_000.0
 """Largest error of a size or a place, mm or degrees."""
 
@@ -112,9 +112,9 @@ class Range(Checked, Generic[Number]):
         return self.step is None and self.count is None
 
     def values(self) -> tuple[float, ...]:
-        """Rounded, so that 0.1 + 2 × 0.1 is 0.3."""
+        """The values, rounded so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
-            # A hair more than the quotient, so that 0.1 … 1.6 by 0.1 includes 1.6.
+            # slightly more than the quotient, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
         else:
             count = self.count or 2
@@ -262,7 +262,7 @@ _Axes = create_model("_Axes", __base__=Checked, **_FIELDS)
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a sweep: its values, or for samples a continuous range."""
+    """One axis of a sweep: its values, or (mode ``sample``) a continuous range."""
 
     name: str
     values: tuple[Value, ...] = ()
@@ -279,19 +279,19 @@ class Axis:
 
     @property
     def random(self) -> bool:
-        """Whether two replicates differ on it."""
+        """Whether replicates differ in it."""
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """One value at random, depending on the key and the axis alone."""
+        """A random value. It depends only on the key and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as it stands in the results: distributions by their number where the axis has one shape
-        around zero, else written out."""
+        """A value as the results have it. A distribution is written as a plain number if all values of the axis can be,
+        else as text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)
@@ -299,7 +299,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number that stands for a value in a sweep file; None where it takes a table."""
+        """The plain number that a sweep file can have for a value; None if it needs a table."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is Shape.FIXED:
@@ -314,10 +314,10 @@ class Axis:
 
 
 def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
-    """``[axes]`` as axes by name, in the order of the file; for a validator.
+    """The table ``[axes]`` as axes by name, in the order of the file. Called by a validator.
 
     Args:
-        sampled: whether values are drawn from the axes, so that {from, to} alone is a continuous range.
+        sampled: whether {from, to} without step or count is allowed (mode ``sample``).
 
     Raises:
         ValidationError: names the axis and what it should be.

@@ -1,7 +1,7 @@
-"""Runs a sweep: places every plan once per placement, forks the settled states into all drives, searches levels.
+"""Runs a sweep: simulates each placement once, forks the settled states into all drives, and searches levels.
 
-Placements and drives are handed to the engine as batches over many plans, since a device is fast with large batches.
-``Batching`` bounds what is held at a time, for sweeps of any size.
+The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
+``Batching`` limits what is in memory, for sweeps of any size.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1)
-"""The retry procedure of placements whose states are kept, and of their forks. A state counts time in steps, so
-no world can start from one that was reached with half the timestep; the attempt that halves it is left out."""
+"""The attempts at placements whose states are kept, and at their forks. A state counts time in steps, so no world can
+start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
 
 Test = tuple[int, int]
 """A search's item and the index of the level that is tested, as in `Bisection`."""
@@ -33,14 +33,14 @@ Test = tuple[int, int]
 
 @dataclass(frozen=True)
 class Batching:
-    """How much of a sweep is held and simulated at a time. None of it changes a result.
+    """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
 
     Attributes:
-        undriven: worlds without a drive handed to the engine at a time; their states are not kept. Their scenes take
-            160 MB, of 43 boxes each; fewer would have the MJX engines choose (and compile) their shapes more often.
-        placements: settled states kept at a time; one of 43 boxes takes 10 to 20 KB.
-        worlds: variants that these states are forked into, at most (a single placement with more is one chunk).
-        drives: forked worlds handed to the engine at a time; in a search a round of tests, whose outcomes are held.
+        undriven: most worlds without a drive in one call of the engine; their states are not kept. With 43 boxes each,
+            their scenes take 160 MB. With fewer, the MJX engines would choose (and compile) their shapes more often.
+        placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
+        worlds: most variants into which these states are forked (a single placement may have more).
+        drives: most forked worlds in one call of the engine; in a search also the tests of one round.
     """
 
     undriven: int = DEFAULT_CHUNK_WORLDS
@@ -51,7 +51,7 @@ class Batching:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """A placement that is over: what it came to, with the state that drives start from."""
+    """A placement that has settled: its outcome, with the state from which drives start."""
 
     group: PlacementGroup
     scene: Scene
@@ -80,7 +80,7 @@ class SweptWorld:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a search found for one placement, profile and direction.
+    """The answer of a search for one placement, profile and direction.
 
     Attributes:
         largest_survived, first_failed: level in g, or scale; None where there is none.
@@ -98,7 +98,7 @@ class Answer:
 
 @dataclass
 class Tally:
-    """What a sweep has cost. Steps are world-steps after the soft start, of each world's last attempt."""
+    """What a sweep has cost so far. Steps are world-steps after the soft start, of each world's last attempt."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -110,7 +110,7 @@ class Tally:
 
 @dataclass(frozen=True, eq=False)
 class _Placing(World):
-    """A placement on its way through the runner."""
+    """A placement as a world that the engine simulates."""
 
     group: PlacementGroup
 
@@ -130,10 +130,10 @@ class SweepRun:
 
     Args:
         plan: what to simulate.
-        engine: states are its own: placements and drives run on the same instance.
-        progress: kept up to date; its message says what is going on while no world finishes.
-        on_answer: is called with each answer of a search. It should keep only what it needs: an answer holds worlds
-            with all their boxes.
+        engine: placements and drives run on this one object, since only it can use its states.
+        progress: kept up to date; its message says what happens while no world finishes.
+        on_answer: called with each answer of a search. It should keep only what it needs: an answer has worlds with all
+            their boxes.
     """
 
     plan: SweepPlan
@@ -145,11 +145,11 @@ class SweepRun:
 
     @cached_property
     def sim(self) -> Simulation:
-        """The configuration of every world, before retries change it."""
+        """The options of every world, before attempts change them."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[SweptWorld]:
-        """Simulate everything; each world once, as it becomes final, in any order."""
+        """Simulate everything; yield each world when it is final, in any order."""
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
             yield from self._run_placements(group for group in self.plan.groups() if not _is_driven(group))
@@ -217,7 +217,7 @@ class SweepRun:
         return [found[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: Settled) -> bool:
-        """Not where the placement is invalid, or ended because a box dropped."""
+        """False if the placement is invalid, or ended because a box dropped."""
         outcome = settled.outcome
         collapsed = self.sim.early_stop and bool(outcome.boxes.dropped.any())
         return outcome.verdict is not Verdict.INVALID and not collapsed and outcome.state is not None
@@ -256,10 +256,10 @@ class SweepRun:
     # Search.
 
     def _search(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
-        """Bisection over all placements, profiles and directions of a chunk at once, round by round.
+        """Bisection over all placements, profiles and directions of a chunk together, round by round.
 
         A placement that does not stand has one row per profile and direction, at the lowest level, with its own
-        outcome; nothing is simulated for it.
+        outcome. Nothing more is simulated for it.
         """
         sweep, items = self.plan.sweep, self.plan.search_items()
         assert sweep.search is not None
@@ -298,7 +298,7 @@ class SweepRun:
 
 
 def _is_driven(group: PlacementGroup) -> bool:
-    """Whether a placement's worlds have drives; all of a group have, or none. A search's group is empty."""
+    """Whether a placement's worlds have drives. All worlds of a group have one, or none has. True for a search."""
     return all(variant.drive is not None for variant in group.variants)
 
 

@@ -1,7 +1,7 @@
-"""``mujoco.mjx``, imported without a word.
+"""``mujoco.mjx``, imported without its message.
 
-Where Warp is not installed, MJX says so on stdout (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine mjx-jax needs
-no Warp, and what petmjx prints may be a table that a program reads.
+If Warp is not installed, MJX prints a message to standard output (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine
+mjx-jax does not need Warp, and standard output may be JSON that a program reads.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _PRINTS = "mujoco.mjx.warp"
 
 
 class _SilentLoader(SourceFileLoader):
-    """Runs a module in which ``print`` does nothing while it is imported."""
+    """Imports a module in which ``print`` does nothing during the import."""
 
     def exec_module(self, module: ModuleType) -> None:
         module.__dict__["print"] = lambda *_, **__: None

@@ -37,7 +37,7 @@ class Status:
     """Placement is over and a drive follows."""
     FINISHED = 3
     OVERFLOWED = 4
-    """A buffer was too small: the stage is to be run again from where the world entered it."""
+    """A buffer was too small: the stage must run again from the state with which the world entered it."""
 
 
 class Worlds(NamedTuple):

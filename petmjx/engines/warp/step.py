@@ -1,8 +1,8 @@
 """One physics step of all lanes on Warp's kernels, as a JAX call with few arguments.
 
-``mjx.step`` hands every field of model and data through JAX, some 400 buffers that Python looks at in each call.
-Here the model, the contact pool and the workspace belong to the step, and JAX sees what changes: about 20 arrays.
-Collisions are mujoco_warp's as MJX carries it; contacts' rows, the solver and the integrator are petmjx's own.
+``mjx.step`` passes every field of model and data through JAX: about 400 buffers, which Python handles in each call.
+Here the model, the contact pool and the workspace belong to the step, and JAX sees only what changes: about 20 arrays.
+Collisions come from mujoco_warp, in the copy inside MJX. Contacts' rows, the solver and the integrator are petmjx's.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from petmjx.engines.warp import kernels, newton, records
 from petmjx.engines.warp.records import Collisions, Model, Out, State, Workspace, array_types, filled
 
 COLLIDERS = [(mjw.GeomType.PLANE, mjw.GeomType.BOX), (mjw.GeomType.BOX, mjw.GeomType.BOX)]
-"""Pairs of shapes that meet on a pallet."""
+"""Pairs of shapes that can collide on a pallet."""
 
 
 class StepResult(NamedTuple):
@@ -64,7 +64,7 @@ class PalletStepper:
 
     Args:
         pool: contacts of all lanes together.
-        room: contacts of one lane, at most; rounded up to what the kernels search at a time.
+        room: most contacts of one lane; rounded up to a multiple of ``kernels.SEARCH``.
     """
 
     def __init__(self, template: mujoco.MjModel, lanes: int, pool: int, room: int) -> None:
@@ -158,9 +158,9 @@ class PalletStepper:
         wp.launch(kernels.begin_step, dim=(self.lanes, self.n_geoms), inputs=[*r])
 
     def _collide(self, arrays: dict[str, Any]) -> None:
-        """mujoco_warp's ``collision`` for planes and boxes, without its allocations.
+        """mujoco_warp's ``collision`` for planes and boxes, without its memory allocations.
 
-        XLA may replay graphs only without any.
+        A graph with allocations could not be replayed by XLA.
         """
         own = {name: arrays[name] for name in array_types(Model) if name.startswith("geom_")}
         model = dataclasses.replace(self.warp_model, **own)
@@ -170,7 +170,7 @@ class PalletStepper:
         mjw.primitive_narrowphase(model, self.data, self.context, COLLIDERS)
 
     def _make_rows(self, r: Records) -> None:
-        """Each lane's contacts in a fixed order, their rows, and which of them each block has."""
+        """Each lane's contacts in a fixed order, their rows, and the contacts of each block."""
         wp.launch(kernels.list_contacts, dim=self.pool, inputs=[r.model, r.collisions, r.work, r.out])
         wp.launch(kernels.make_rows, dim=(self.lanes, self.room), inputs=[*r])
         wp.launch(kernels.link_blocks, dim=(self.lanes, self.n_blocks + 1), inputs=[r.model, r.work, r.out])
@@ -189,19 +189,19 @@ class PalletStepper:
 
 _INPUTS = array_types(State) | array_types(Model)
 _OUTPUTS = array_types(Out) | {"workspace": wp.array2d[float]}
-"""The arrays that JAX sees, by name."""
+"""Name → type of the arrays that JAX sees."""
 
 _IDS = itertools.count()
 _STEPS: weakref.WeakValueDictionary[int, PalletStepper] = weakref.WeakValueDictionary()
-"""Steps by number: JAX keeps what it calls for ever, and is not to keep their memory."""
+"""Steps by number. JAX never frees a function that it calls, so the function must not hold a step's memory."""
 
 
 def _step(step: int, *arrays: Any) -> None:
-    """Launch a step's kernels: what JAX calls, with the arrays of ``_INPUTS`` and ``_OUTPUTS``."""
+    """Launch a step's kernels. JAX calls this with the arrays of ``_INPUTS`` and ``_OUTPUTS``."""
     _STEPS[step].launch(dict(zip(_INPUTS | _OUTPUTS, arrays, strict=True)))
 
 
-# Warp reads the types of the buffers from the signature, and loads the module's kernels before it calls.
+# Warp reads the types of the buffers from the signature, and loads the kernels of this module before the call.
 _step.__module__ = kernels.__name__
 _step.__annotations__ = {"step": int} | _INPUTS | _OUTPUTS
 _step.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
