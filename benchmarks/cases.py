@@ -42,17 +42,17 @@ class Case:
     """One thing that is measured."""
 
     name: str
-    group: str  # cases that are run by this name, and shown in one table (``benchmarks.table``)
+    group: str  # cases that can be run together, and have one table (``benchmarks.table``)
     text: str  # what it measures, in one line
     way: Way = Way.FILES
-    count: int = 2_000  # the first so many plans; with ``boxes``, so many copies (0: as many as fill the engine)
-    source: str = ""  # file of plans; empty: generated samples of ``SEED``. ``--plans`` goes before it
-    boxes: int = 0  # for ``Way.ENGINE``: not many plans but copies of so many boxes of sample plan ``STACK_PLAN``
-    longest_first: bool = False  # plans with many boxes come first: no thread is left alone with the last one
+    count: int = 2_000  # number of plans; with ``boxes`` of copies (0: as many as fill the engine)
+    source: str = ""  # file of plans; empty: generated samples of ``SEED``. ``--plans`` replaces it
+    boxes: int = 0  # for ``Way.ENGINE``: copies of one stack, these many boxes of sample plan ``STACK_PLAN``
+    longest_first: bool = False  # plans with many boxes come first: at the end all threads have work
     simulation: Mapping[str, Any] = field(default_factory=dict)  # fields of ``petmjx.Simulation``
     sweep: str = ""  # a sweep's file or the name of a ready-made one; empty: each plan is scored once
-    only: str = ""  # the engine that the case is about; empty: those asked for
-    threads: int | None = None  # CPU threads that the case is about; None: those asked for
+    only: str = ""  # the engine of this case; empty: those asked for
+    threads: int | None = None  # CPU threads of this case; None: those asked for
 
     @property
     def sim(self) -> Simulation:

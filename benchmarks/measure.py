@@ -78,19 +78,19 @@ class _Watch:
 
 @dataclass
 class Bench:
-    """Measures cases one after the other. Engines are kept, so that what one case compiled serves the next."""
+    """Measures cases one after the other. Later cases use engines, and what they compiled, again."""
 
     work: Path  # folder that keeps what timed runs write
     plans: Path | None = None  # file of plans instead of the cases' own
-    limit: int | None = None  # at most so many plans
-    skip: int = 0  # without the first so many
+    limit: int | None = None  # most plans
+    skip: int = 0  # number of plans to leave out at the beginning
     lanes: int | None = None  # as for ``make_engine``; None: the engine's own choice
     threads: int | None = None  # the same
-    max_seconds: float | None = None  # a run is cut off after this (wall time), and the result says so
-    repeat: int = 1  # times each case is run. Cases take turns; each further run is compared with the first
+    max_seconds: float | None = None  # a run ends after this (wall time), and the result says so
+    repeat: int = 1  # runs of each case. Cases take turns; each further run is compared with the first
     oracles: Sequence[Schedule] = ()  # schedules of engine ``mujoco`` that runs are compared with; run first
     against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # label → folders of earlier runs
-    say: Callable[[str], None] = lambda text: None  # is told what begins
+    say: Callable[[str], None] = lambda text: None  # called with a line when something begins
     make: Callable[..., Engine] = make_engine  # builds engines
     _environment: Result = field(default_factory=environment, init=False)
     _engines: dict[tuple[str, int | None], Engine] = field(default_factory=dict, init=False)
@@ -174,7 +174,7 @@ class Bench:
         )
 
     def _engine_alone(self, case: Case, engine_name: str) -> Iterator[Result]:
-        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in what is timed."""
+        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in the measured time."""
         engine, start_s = self._engine(case, engine_name)
         threads, sim = _threads(engine), case.sim
         if case.boxes:
@@ -203,7 +203,7 @@ class Bench:
         )
 
     def _plain_loop(self, case: Case, engine_name: str) -> Iterator[Result]:
-        """One plan after the other, evenly spread over their sizes, until time is up."""
+        """Plans evenly spread over their sizes, one after the other, until the time is over."""
         plans, physics = self._plans(case), case.sim.physics
         max_seconds = self.max_seconds or LOOP_SECONDS
         sizes: list[int] = []
@@ -297,7 +297,7 @@ class Bench:
         return path, count
 
     def _stack(self, n_boxes: int) -> Plan:
-        """The first boxes of the plan that stacks are cut from."""
+        """The first boxes of the plan from which stacks are cut."""
         plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
         if len(placements) < n_boxes:
             raise InputError(f"plan {plan_id} has no {n_boxes} boxes to stack")

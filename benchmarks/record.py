@@ -32,7 +32,7 @@ Result = dict[str, Any]
 
 
 def commit() -> str:
-    """The source's commit, "-dirty" where files differ from it, or "unknown"."""
+    """The source's commit, with "-dirty" if files differ from it, or "unknown"."""
     if named := os.environ.get(COMMIT_VARIABLE):
         return named
     git = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty", "--exclude=*"]

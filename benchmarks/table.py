@@ -17,7 +17,7 @@ _IDENTITY = ("case", "physics", "engine", "threads", "lanes", "plans", "skip", "
 
 
 def tables(results: Sequence[Result]) -> str:
-    """All tables for which there are results, with a heading each."""
+    """All tables for which there are results, each with a heading."""
     shown = latest(results)
     rows = {group: [row for row in shown if row["group"] == group and row["way"] != "agreement"] for group in SECTIONS}
     rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
@@ -88,7 +88,7 @@ _COLUMNS = {
     "each share in the other's 95 % interval": "agree",
     "overlap": "overlap",
 }
-"""Head → what its cells show: ``field|format|unit`` of a result or of ``_derived``."""
+"""Heading → content of its cells: ``field|format|unit`` of a result or of ``_derived``."""
 
 SECTIONS = {
     "W": (

@@ -168,7 +168,7 @@ def describe(error: ValidationError) -> str:
 def _said(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
     """What comes after the field's path."""
     if kind in (_COMPLAINT, "value_error"):
-        # raised by a validator of petmjx's own, whose text says everything after the place
+        # raised by one of petmjx's validators, whose text is all that follows the path
         return message.removeprefix("Value error, ")
     if kind == "missing":  # an entry of a list; fields are asked for in Checked
         return "is missing"

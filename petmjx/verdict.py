@@ -131,6 +131,6 @@ class Attempt:
 
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
-        """What is kept of an outcome that was simulated with ``timestep_s`` (s)."""
+        """The record of an outcome that was simulated with ``timestep_s`` (s)."""
         kept = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
         return cls(timestep_s=timestep_s, **kept)

@@ -35,7 +35,7 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParamete
 
 
 _SETTINGS = SimpleNamespace(debug=False)
-"""What the options before the command ask for."""
+"""Values of the options before the command."""
 
 app = typer.Typer(
     name="petmjx",

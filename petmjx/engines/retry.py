@@ -93,7 +93,7 @@ AnyWorld = TypeVar("AnyWorld", bound=World)
 
 @dataclass(frozen=True, eq=False)
 class WorldResult(Generic[AnyWorld]):
-    """A world, the outcome of its last attempt, and all its attempts in order (one where it was valid at once)."""
+    """A world, the outcome of its last attempt, and all its attempts in order (often only one)."""
 
     world: AnyWorld
     outcome: Outcome
@@ -101,7 +101,7 @@ class WorldResult(Generic[AnyWorld]):
 
 
 _Pending = tuple[AnyWorld, tuple[Attempt, ...]]
-"""A world that waits for its next attempt, with the records of those it has had."""
+"""A world that waits for its next attempt, with the records of the attempts before."""
 
 
 def score_worlds(
@@ -113,7 +113,7 @@ def score_worlds(
     chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
 ) -> Iterator[WorldResult[AnyWorld]]:
-    """Simulate worlds and yield each one's result once, as it becomes final, in any order.
+    """Simulate worlds and yield the result of each one when it is final, in any order.
 
     ``chunk_worlds`` worlds are taken and simulated at a time. Invalid ones are collected and simulated again together,
     at the end or when a chunk is full. So memory does not grow with the number of worlds.
@@ -129,7 +129,7 @@ def score_worlds(
     def attempt_at(
         batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe
     ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
-        """Yields results that are final; returns the worlds that need another attempt."""
+        """Yield results that are final; return the worlds that need another attempt."""
         again = []
         for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress):
             if outcome.verdict is Verdict.INVALID and attempt is not attempts[-1]:
@@ -155,7 +155,7 @@ def score_worlds(
 def _run_attempt(
     batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
 ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-    """One attempt at each world of a batch: yields the world, the outcome, and its records with this attempt's."""
+    """Make one attempt at each world of a batch: yield world, outcome, and its records with this attempt's record."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))
     for outcome in engine.run(attempt.apply_to_jobs([world.job for world, _ in batch]), attempt_sim, progress):

@@ -98,7 +98,7 @@ class BoxMetric:
     relative: bool = False
 
     def world_columns(self) -> list[Column]:
-        """Its column of ``worlds``, if it has one. Worlds are few: all their measures are float64."""
+        """Its column of ``worlds``, if it has one. There are few worlds, so their measures are float64."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT
@@ -192,7 +192,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", When.END),
     WorldMetric("n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, np.int64, compared=False),
 )  # fmt: skip
-"""In the order of the columns; those of driven runs alone come last in ``boxes``."""
+"""In the order of the columns. Those with ``driven_only`` come last in ``boxes``."""
 
 
 def box_metrics(driven: bool = True) -> list[BoxMetric]:
@@ -207,7 +207,7 @@ def world_metrics() -> list[WorldMetric]:
 
 
 def box_columns(driven: bool = True) -> list[Column]:
-    """Columns of ``boxes`` that hold metrics."""
+    """Columns of ``boxes`` with metrics."""
     return [
         Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
         for m in box_metrics(driven)

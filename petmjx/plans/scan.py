@@ -191,7 +191,7 @@ class _Scan:
 
     @cached_property
     def _line_starts(self) -> array[int]:
-        """Where lines begin. Searched for in damaged files alone, and once, however many damaged spots they have."""
+        """Where lines begin. They are searched only in damaged files, and only once per file."""
         return array("Q", chain([0], (match.end() for match in re.finditer("\n", self.text))))
 
     def _place(self, position: int) -> tuple[int, int]:

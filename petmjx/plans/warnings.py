@@ -104,7 +104,7 @@ def _count_outside(
 
 
 def _count_floating(low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float) -> int:
-    """Boxes off the carrier under which no box placed before reaches up to them.
+    """Boxes above the carrier's top that no earlier box supports from below.
 
     A box into which another one reaches from below counts as overlapping, not as floating. A box that is placed before
     the box under it floats: placed one by one, it falls.

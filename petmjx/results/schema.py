@@ -107,7 +107,7 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
 
 
 def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa.Schema]:
-    """Schemas of ``worlds``, ``boxes`` and ``attempts`` (a row for each attempt at worlds that needed more than one).
+    """Schemas of ``worlds``, ``boxes`` and ``attempts`` (one row per attempt, for worlds that needed more than one).
 
     Args:
         params: of a sweep's variants; the last columns of ``worlds``.

@@ -34,13 +34,13 @@ SECONDS_PER_PART: Final = 60.0
 
 @dataclass
 class _Pending:
-    """The part being gathered, and what was written before it."""
+    """The part that is being collected, and what was written before it."""
 
     part: Part
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
     since_s: float = 0.0
-    """When its first world came (monotonic clock): compiling before that makes no part."""
+    """When its first world came (monotonic clock). Time before that, such as for compiling, does not count."""
 
     def following(self) -> _Pending:
         """The next part, once this one is written."""
@@ -209,14 +209,14 @@ class RunWriter:
 
     def _flush(self, last: bool = False) -> None:
         part = self._pending.part
-        # a run without any world still gets one empty part: its readers find the columns
+        # a run without worlds still gets one empty part, so that readers find the columns
         if not part.rows and not (last and part.number == 0):
             return
         try:
             part.write(self.out_dir, self.schemas)
         except OSError as error:
             raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
-        # one assignment: an interrupt before it writes the same part again, one after it begins the next
+        # one assignment: after an interrupt before it the same part is written again, after it the next part begins
         self._pending = self._pending.following()
 
     def _write_info(self) -> None:

@@ -107,7 +107,7 @@ def _rate(done: float, seconds: float, what: str) -> str:
 
 
 class _Words(ProgressColumn):
-    """A column that says something about the task in words."""
+    """A column with a text about the task."""
 
     def __init__(self, words: Callable[[Task], str]) -> None:
         super().__init__()
@@ -118,7 +118,7 @@ class _Words(ProgressColumn):
 
 
 class _Bar(RichProgress):
-    """A bar. The message stands below it, where there is room for it."""
+    """A bar, with its message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
         def rate(task: Task) -> str:

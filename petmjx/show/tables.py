@@ -86,7 +86,7 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
-    """One row per plan of a score: its verdict, which box went first and when, and its largest metrics."""
+    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics."""
     table = FittedTable(
         Column("plan", "left", least=24, middle=True),
         Column("boxes", spare=2),

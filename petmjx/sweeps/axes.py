@@ -62,7 +62,7 @@ def _shown(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Tells a table, or a list, from everything else."""
+    """The tag of a union: a table (or a list), or anything else."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -90,7 +90,7 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(Checked, Generic[Number]):
-    """Numbers from one to another: by a step, so many, or, where a sweep draws samples, any."""
+    """A range of numbers: with a step, with a count, or (mode ``sample``) all numbers between its ends."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, where the step leads there")
@@ -123,7 +123,7 @@ class Range(Checked, Generic[Number]):
 
 
 class DirectionRange(Range[Direction]):
-    """Of directions."""
+    """A range of directions."""
 
     low: Direction = Field(alias="from", description="the first direction")
     high: Direction = Field(alias="to", description="the last direction, where the step leads there")
@@ -200,16 +200,16 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 @dataclass(frozen=True)
 class AxisKind:
-    """What may stand on an axis, what it changes, and how the results have it.
+    """The values of an axis, what they change, and its column in the results.
 
     Attributes:
         unit: of its column in the results; "1" for factors, "" for names.
         values: the type that checks its values.
-        meaning: in words.
-        changes: fields of `PlacementChange` that take its value; none: it is about the drive.
-        suffix: what its column's name has after the axis's own.
-        plain: of an axis of errors, the distribution that a plain number stands for: the standard deviation of a
-            normal one around 0, or the fixed value itself.
+        meaning: one line.
+        changes: fields of `PlacementChange` that get its value; none: the axis changes the drive.
+        suffix: end of the column's name, after the name of the axis.
+        plain: for axes of errors: the distribution that a plain number means. Normal: the number is the standard
+            deviation, around 0. Fixed: it is the value itself.
     """
 
     name: str
@@ -226,7 +226,7 @@ class AxisKind:
 
     @property
     def placement(self) -> bool:
-        """Whether another value needs a new placement."""
+        """Whether a new value needs a new placement."""
         return bool(self.changes)
 
 
@@ -254,7 +254,7 @@ AXIS_KINDS: Final = {
         ),
     )
 }
-"""Every axis a sweep file may have. Order is the order of nesting: the last axis varies fastest among its half."""
+"""All axes of sweep files, in the order of nesting: of each half the last axis varies fastest."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=Checked, **_FIELDS)

@@ -142,7 +142,7 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes; each is a replicate of its own and the same for every plan."""
+        """Variants drawn from the axes, the same for every plan. Each has its own replicate number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -165,7 +165,7 @@ class Design:
         return Variant(index, change, drive, replicate, parameters)
 
     def _change(self, point: Point) -> PlacementChange:
-        # Axes that change the same field are not in one sweep.
+        # Axes that change the same field are never in the same sweep.
         changes: dict[str, Any] = {field: value for name, value in point.items() for field in AXIS_KINDS[name].changes}
         return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
 

@@ -32,7 +32,7 @@ EUMOS_COLUMNS = (
 
 
 def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> dict[str, Any]:
-    """``EUMOS_COLUMNS`` of one world that has been through the test, beside petmjx's own thresholds.
+    """The values of ``EUMOS_COLUMNS`` for one world after the test.
 
     Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
     of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from where

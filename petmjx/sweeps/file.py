@@ -149,7 +149,7 @@ class Sweep(Checked):
 
     @cached_property
     def search_levels(self) -> FloatArray:
-        """(n,) the levels a search can test: from lower to upper by its tolerance. Index 0 is `lower`."""
+        """(n,) the levels that a search can test: from `lower` to `upper` in steps of its tolerance."""
         if self.search is None:
             return np.zeros(0)
         count = round((self.search.upper - self.search.lower) / self._tolerance) + 1

@@ -103,7 +103,7 @@ class SweepPlan(Design):
                 yield PlacementGroup(plan, number, placement, variants)
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The world of a placement that tests one level of one item of a search. Its index says which, in any order."""
+        """The world of a placement that tests one level of an item of a search. Its index is the same in any order."""
         items, levels = self.search_items(), self.sweep.search_levels
         asked, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index

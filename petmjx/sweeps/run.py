@@ -28,7 +28,7 @@ SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_d
 start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
 
 Test = tuple[int, int]
-"""A search's item and the index of the level that is tested, as in `Bisection`."""
+"""Item of a search and index of the tested level, as in `Bisection`."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class _Placing(World):
 
 @dataclass(frozen=True, eq=False)
 class _Driving(World):
-    """A fork on its way through the runner; ``test`` is what it answers in a search."""
+    """A fork as a world that the engine simulates; ``test``: the test of a search that it is."""
 
     settled: Settled
     change: Variant
@@ -160,7 +160,7 @@ class SweepRun:
             yield from self._search(settled) if self.plan.sweep.search is not None else self._fork(settled)
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
-        """Placements with drives, as many at a time as may be held."""
+        """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
         most = self.batching.worlds
         per_search = 0
@@ -200,7 +200,7 @@ class SweepRun:
         self.tally.placement_s += time.perf_counter() - begin
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
-        """Worlds without a drive: the placement's own outcome, rest window included."""
+        """Worlds without a drive: they have the placement's outcome, with rest window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             first, *others = placed.group.variants
             yield SweptWorld(placed.group.plan, first, placed.scene, placed.outcome, placed.attempts)
@@ -241,7 +241,7 @@ class SweepRun:
         return _Driving(plan, variant.index, job, start, variant, test)
 
     def _drive(self, worlds: Iterable[_Driving]) -> Iterator[tuple[Test, SweptWorld]]:
-        """Simulate forks; yields the test that it answers with each."""
+        """Simulate forks; yield each one with its test."""
         begin = time.perf_counter()
         for result in self._score(worlds, self.batching.drives, forks=True):
             world, outcome = result.world, result.outcome
@@ -281,7 +281,7 @@ class SweepRun:
                 worlds[test] = world
                 yield world
             bisection.record(tests, [worlds[test].outcome for test in tests])
-            # Only the worlds at the bounds of an item's search may yet be an answer.
+            # Only the worlds at the bounds of an item's search can still become an answer.
             worlds = {test: worlds[test] for test in bisection.bounds() if test in worlds}
         for which, ((start, number), found) in enumerate(zip(asked, bisection.items, strict=True)):
             self.on_answer(
@@ -303,6 +303,6 @@ def _is_driven(group: PlacementGroup) -> bool:
 
 
 def _undriven(start: Settled, variant: Variant) -> SweptWorld:
-    """A world that has the outcome of another one as its own: no step was taken for it."""
+    """A world with the outcome of another one: no step was simulated for it."""
     outcome = replace(start.outcome, flags=start.outcome.flags | Flag.FORKED, n_steps=0, state=None)
     return SweptWorld(start.group.plan, variant, start.scene, outcome, start.attempts, start)

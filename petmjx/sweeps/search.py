@@ -35,7 +35,7 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass
 class Found:
-    """What a search knows of one item: a placement, shaken by one profile in one direction.
+    """What a search knows about one item: a placement, a profile and a direction.
 
     Attributes:
         stands_at_rest: whether it stood before any profile; if not, nothing is tested.
@@ -119,7 +119,7 @@ class Bisection:
         return float(self.levels[found.failed]) if found.stands_at_rest and found.failed < len(self.levels) else None
 
     def next_tests(self) -> list[tuple[int, int]]:
-        """(item, level index) of the next round's tests, item by item; none when all answers are exact."""
+        """(item, level index) of the next round's tests; empty when all answers are exact."""
         tests = []
         for item, found in enumerate(self.items):
             untested = found.failed - found.survived - 1
@@ -129,7 +129,7 @@ class Bisection:
         return tests
 
     def record(self, tests: Sequence[tuple[int, int]], outcomes: Sequence[Outcome]) -> None:
-        """Take the outcomes of a round's tests.
+        """Record the outcomes of a round's tests.
 
         An invalid world has not survived; its mode is the reason why it is invalid.
         """
@@ -145,7 +145,7 @@ class Bisection:
             elif level < found.failed:
                 found.failed = level
                 found.box, found.mode = outcome.culprit, failure_mode(outcome, self._tilt_deg)
-        # Failures came first: a survivor above a failure must not raise the answer.
+        # Failures came first: a level survived above a failed one must not raise the answer.
         for found, level in survivors:
             found.highest = max(found.highest, level)
             if level < found.failed:

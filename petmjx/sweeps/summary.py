@@ -77,7 +77,7 @@ class SweepColumns:
         if drive.profile == EUMOS_PROFILE and world.settled is not None:
             settled = world.settled.outcome.boxes.pos
             found = eumos_assessment(world.outcome.boxes, settled, world.scene.half_size)
-            # a world that was not driven has no displacements during a test, and has not passed it
+            # a world that was not driven has no displacements during the test, and has not passed it
             values |= {name: None if value != value else value for name, value in found.items()}
             if world.outcome.verdict is Verdict.INVALID:
                 values["eumos_passed"] = None

@@ -29,7 +29,7 @@ MAX_GROWTH = 8
 """Largest factor for buffers that overflow; they are doubled each time. A world that needs more is invalid."""
 
 MAX_STAGES = 6
-"""Capacities in use, at most; each is compiled once."""
+"""Most capacities of a run; each is compiled once."""
 
 MAX_LANES = 1 << 16
 MIN_LANES = 16
@@ -86,12 +86,12 @@ class _Group:
         return np.flatnonzero((flags & OVERFLOW_BITS != 0) & (self.status() != Status.FINISHED))
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Clear overflow bits: a re-run in buffers that are large enough is as true as any other, and says so."""
+        """Clear the overflow bits and set the bit for a re-run: in larger buffers the result is valid."""
         flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
         self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
-        """End worlds that this device cannot simulate."""
+        """End worlds that cannot be simulated on this device."""
         flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
         self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
@@ -100,12 +100,12 @@ class MjxEngine(ABC):
     """Simulates worlds in batches on one JAX device.
 
     Args:
-        lanes: worlds stepped side by side, at most; fewer where fewer worlds are there or memory runs out.
-        group_size: worlds whose states are on the device at a time; bounds memory whatever the number of jobs.
-        capacities: fixed capacities instead of ones chosen from the plans (tests).
-        chunk_steps: steps between two looks at which lanes are through.
-        drain_share: a stage hands worlds that lag on to the next capacity once fewer than this share of its lanes
-            run. The last stage, and a single one, runs all to their end.
+        lanes: most worlds stepped side by side; fewer if there are fewer worlds, or if memory runs out.
+        group_size: worlds whose states are on the device at the same time; it bounds memory for any number of jobs.
+        capacities: fixed capacities, instead of capacities chosen from the plans (for tests).
+        chunk_steps: steps between two looks at which lanes have finished.
+        drain_share: when fewer than this share of a stage's lanes run, the stage ends, and its worlds continue in the
+            next capacity. The last stage simulates all its worlds to their end.
     """
 
     name = "mjx"
@@ -123,7 +123,7 @@ class MjxEngine(ABC):
         self.lanes, self.capacities, self.group_size = lanes, capacities, group_size
         self.chunk_steps, self.drain_share = chunk_steps, drain_share
         self.stages: dict[StageKey, Stage] = {}
-        """The stages that are compiled and kept."""
+        """The stages that are compiled, and kept for later runs."""
         self._warm: set[Stage] = set()
         self._growth: dict[tuple[Cone, int], int] = {}
         self._running = RunLock(self.name)

@@ -31,7 +31,7 @@ class _SilentFinder(MetaPathFinder):
     """Finds the module that prints, and no other."""
 
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
-        # ``path`` is a list of folders or an iterable of importlib's own
+        # ``path`` is a list of folders, or an iterable that importlib makes
         spec = PathFinder.find_spec(fullname, path) if fullname == _PRINTS else None
         if spec is None or not isinstance(spec.loader, SourceFileLoader):
             return None

@@ -177,7 +177,7 @@ def filled(kind: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...], int]]:
-    """Name, element type, shape and 32-bit words of the workspace's arrays, as they lie in its buffer."""
+    """Name, element type, shape and 32-bit words of the workspace's arrays, in the order of its buffer."""
     types = array_types(Workspace)
     for name, shape in array_shapes(Workspace, sizes).items():
         words = wp.types.type_size_in_bytes(types[name].dtype) // 4 * math.prod(shape)
@@ -204,5 +204,5 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
 
 
 def lane_bytes(n_blocks: int, room: int) -> int:
-    """Device memory that a lane takes, bytes: nearly all of it is the workspace."""
+    """Device memory of a lane, bytes. Nearly all of it is the workspace."""
     return 4 * buffer_shape(axes(1, n_blocks, room, 0))[1]

@@ -78,7 +78,7 @@ class PalletStepper:
         self.n_geoms, self.floor_z = template.ngeom, float(template.geom_pos[0, 2])
         self.timestep, self.tolerance = float(template.opt.timestep), float(template.opt.tolerance)
         self.limit, self.trials = int(template.opt.iterations), int(template.opt.ls_iterations)
-        # What per-world fields are made from (template.override_fields), in MJX-Warp's shapes.
+        # template.override_fields makes per-world fields from these; the shapes are those of MJX-Warp.
         self.model = SimpleNamespace(
             geom_size=jnp.asarray(template.geom_size, jnp.float32),
             geom_rbound=jnp.asarray(template.geom_rbound, jnp.float32),
@@ -86,7 +86,7 @@ class PalletStepper:
         )
         self.sizes = records.axes(lanes, self.n_blocks, room, n_boxes=self.n_geoms - 2)
         self.out_shapes = records.array_shapes(Out, self.sizes)
-        # One world's data but for the pool: collision reads geoms' poses alone, and those are replaced.
+        # Data of one world, except the pool: collision reads only the poses of geoms, and those are replaced.
         self.warp_model = mjw.put_model(template)
         data = mjw.make_data(template, nworld=1, naconmax=pool, njmax=1)
         self.data = dataclasses.replace(
@@ -116,7 +116,7 @@ class PalletStepper:
             "gravity": overrides["opt.gravity"],
             "carrier_pose": carrier,
         }
-        # XLA captures the kernels into its own command buffer and replays that without Python, whatever the addresses.
+        # XLA captures the kernels into its command buffer and replays it without Python, for any addresses of arrays.
         # Graphs captured by Warp failed here ("unknown capture stream", Warp 1.18, JAX 0.11).
         call = wp.jax_callable(_step, num_outputs=len(_OUTPUTS), graph_mode=wp.JaxCallableGraphMode.JAX)
         shapes = self.out_shapes | {"workspace": records.buffer_shape(self.sizes)}
@@ -139,7 +139,7 @@ class PalletStepper:
     # ------------------------------------------------------------------ kernels, phase by phase
 
     def launch(self, arrays: dict[str, Any]) -> None:
-        """Launch the step's kernels on Warp arrays, by the names of ``_INPUTS`` and ``_OUTPUTS``."""
+        """Launch the step's kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_OUTPUTS``."""
         r = Records(
             model=filled(Model, vars(self) | arrays),  # its numbers are attributes of this object
             state=filled(State, arrays),
@@ -154,7 +154,7 @@ class PalletStepper:
         self._end(r)
 
     def _begin(self, r: Records) -> None:
-        """Poses of geoms, inertia, and what accelerations would be without contacts."""
+        """Poses of geoms, inertia, and accelerations without contacts."""
         wp.launch(kernels.begin_step, dim=(self.lanes, self.n_geoms), inputs=[*r])
 
     def _collide(self, arrays: dict[str, Any]) -> None:
@@ -182,7 +182,7 @@ class PalletStepper:
         wp.launch(newton.solver(threads, together), dim=(self.lanes, threads), inputs=inputs, block_dim=threads)
 
     def _end(self, r: Records) -> None:
-        """The next poses and velocities, forces on boxes' tops, and whether contacts were lost."""
+        """Next poses and velocities, forces on boxes' tops, and overflow flags."""
         wp.launch(kernels.end_step, dim=(self.lanes, self.n_blocks), inputs=[*r])
         wp.launch(kernels.note_overflow, dim=self.lanes, inputs=[r.model, r.collisions, r.out])
 

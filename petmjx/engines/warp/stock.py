@@ -33,7 +33,7 @@ class StockStepper:
     def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics, contacts: int, rows: int) -> None:
         self.template, self.lanes, self.physics = template, lanes, physics
         self.contacts, self.rows = contacts, rows
-        # Overflow is read from its mask; Warp's kernels would print a line per world and step.
+        # Overflow is read from the mask; otherwise Warp's kernels print a line per world and step.
         self.model: Any = mjx.put_model(template, impl="warp").tree_replace({"opt._impl.warn_overflow": 0})
 
     def scratch(self) -> Any:

@@ -124,7 +124,7 @@ def chain(
 
 
 def _pushes(duration_s: float, *pushes: tuple[float, Vector]) -> tuple[Window, ...]:
-    """Windows of one length; each push is its begin (s) and its vector."""
+    """Windows of one length. A push: its beginning (s) and its vector."""
     return tuple(Window(start_s, duration_s, vector) for start_s, vector in pushes)
 
 
