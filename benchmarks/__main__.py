@@ -21,6 +21,7 @@ app = typer.Typer(
     help="Measures speed and agreement; benchmarks/README.md says what and how.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 
@@ -80,7 +81,7 @@ def run(
 
 @app.command("agreement")
 def compare(
-    oracle: Annotated[str, typer.Option(metavar="LABEL=DIR,…", help="The yardstick, and its folders.")],
+    oracle: Annotated[str, typer.Option(metavar="LABEL=DIR,…", help="The reference run: its label and folders.")],
     runs: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of the run that is judged.")],
     case: Annotated[str, typer.Option(metavar="NAME", help="Name of the case, for the tables.")],
     out: Out = DEFAULT_OUT,

@@ -108,21 +108,21 @@ class Bench:
 
     def _compared(self, case: Case, engine: str) -> Iterator[Result]:
         """A run from file to Parquet, after the oracles with which it is compared."""
-        yardsticks = dict(self.against)
+        references = dict(self.against)
         for schedule in self.oracles:
             oracle = oracle_case(case, schedule)
             if (oracle.name, engine) == (case.name, MUJOCO):
                 continue
             if (oracle.name, MUJOCO) not in self._folders:
                 yield self._files(oracle, MUJOCO, self.against)
-            yardsticks[f"{MUJOCO}-{schedule.value}"] = self._folders[oracle.name, MUJOCO]
+            references[f"{MUJOCO}-{schedule.value}"] = self._folders[oracle.name, MUJOCO]
         if (case.name, engine) in self._folders:
-            yardsticks["first run"] = self._folders[case.name, engine]
-        yield self._files(case, engine, yardsticks)
+            references["first run"] = self._folders[case.name, engine]
+        yield self._files(case, engine, references)
 
     # ------------------------------------------------------------------ the ways
 
-    def _files(self, case: Case, engine_name: str, yardsticks: Mapping[str, Sequence[Path]]) -> Result:
+    def _files(self, case: Case, engine_name: str, references: Mapping[str, Sequence[Path]]) -> Result:
         """From the plans' file to Parquet, through ``petmjx.score`` or ``petmjx.sweep``."""
         engine, start_s = self._engine(case, engine_name)
         path, count = self._plans_file(case)
@@ -164,7 +164,7 @@ class Bench:
             schedule=sim["schedule"],
             physics=sim["physics"]["name"],
             check=sim["check"],
-            agreement={label: agreement(there, folders) for label, there in yardsticks.items()},
+            agreement={label: agreement(there, folders) for label, there in references.items()},
             stages={name: value for progress in watch.progress for name, value in progress.extra.items()},
             timings=timings,
             plans_file=str(self.plans or case.source or f"samples, seed {SEED}"),

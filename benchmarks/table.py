@@ -22,7 +22,7 @@ def tables(results: Sequence[Result]) -> str:
     rows = {group: [row for row in shown if row["group"] == group and row["way"] != "agreement"] for group in SECTIONS}
     rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
     found = [
-        {**result, "yardstick": label, "found": found}
+        {**result, "reference": label, "found": found}
         for result in shown
         for label, found in result.get("agreement", {}).items()
     ]
@@ -81,7 +81,7 @@ _COLUMNS = {
     "host memory": "rss_gb|.2f| GB",
     "stable / unstable / invalid": "verdicts",
     "note": "note",
-    "against": "yardstick",
+    "against": "reference",
     "same verdict": "same",
     "stable here, dropped there": "dropped",
     "resting forces, median / 95 %": "force",

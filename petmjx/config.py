@@ -218,13 +218,13 @@ class Simulation(Checked):
         0.1, ge=0, description="each box dimension is reduced by this, so that neighbours do not start in contact, mm"
     )
     interval_s: Annotated[float, Flag("--interval", "S")] = Field(
-        0.7, gt=0, description="time between two placements, s; the longest unless the schedule is fixed"
+        0.7, gt=0, description="time between two placements, s; at most, unless the schedule is fixed"
     )
     duration_s: Annotated[float, Flag("--duration", "S")] = Field(
         10.0, gt=0, description="length of the static check, s"
     )
     settle_s: Annotated[float, Flag("--settle", "S")] = Field(
-        2.0, ge=0, description="rest between the last placement and a profile, s; the longest unless fixed"
+        2.0, ge=0, description="rest between the last placement and a profile, s; at most, unless fixed"
     )
     rest_s: Annotated[float, Flag("--rest", "S")] = Field(
         1.0, ge=0, description="time to come to rest after a profile's last sample, s"
@@ -247,7 +247,7 @@ class Simulation(Checked):
         Solver.NEWTON, description="constraint solver of the first attempt"
     )
     solver_iterations: int | None = Field(
-        None, gt=0, description="most solver iterations a step; none: the engine's own choice"
+        None, gt=0, description="solver iterations per step, at most; none: the engine's own choice"
     )
     solver_tolerance: float | None = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"

@@ -12,8 +12,10 @@ import threading
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("petmjx", "mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
-"""Packages whose versions are written beside every result."""
+import petmjx
+
+PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
+"""Packages whose versions are written beside every result, after petmjx's own."""
 
 _NAME_BYTES = 128
 
@@ -86,7 +88,8 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 def package_versions() -> dict[str, str]:
     """Package → version, of the packages that results depend on and that are installed."""
-    versions = {}
+    # petmjx's own from the code: an editable installation has the metadata of the day it was installed
+    versions = {"petmjx": petmjx.__version__}
     for package in PACKAGES:
         try:
             versions[package] = importlib.metadata.version(package)

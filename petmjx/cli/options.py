@@ -129,7 +129,7 @@ def takes(*fields: str, without: Collection[str] = (), simulated: str = SIMULATE
         own = inspect.signature(command, eval_str=True)
         parameters = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         parameters += [option.parameter for option in options if option.section == simulated]
-        parameters.append(_set_parameter(settable, simulated))
+        parameters += [_set_parameter(settable, simulated)] if settable else []
         parameters += [option.parameter for option in options if option.section != simulated]
         with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
         with_options.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
