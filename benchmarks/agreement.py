@@ -1,4 +1,4 @@
-"""Whether runs of the same plans say the same."""
+"""Agreement between runs of the same plans."""
 
 from __future__ import annotations
 
@@ -18,42 +18,39 @@ from petmjx.sweeps.shares import ONE_PLAN, share_standing
 from petmjx.verdict import Reason, Verdict
 
 LOADED_N = 1.0
-"""Boxes that carry less than this, N, have no resting force to compare."""
+"""Smallest resting force that is compared, N."""
 
 _FLIP_FIELDS = ("verdict", "reason", "culprit", "first_sign_s", "n_dropped", "shift_margin_m", "tilt_margin_deg")
 
 
 @dataclass(frozen=True, eq=False)
 class JointRun(RunResults):
-    """Runs of different plans under one configuration, as one run. A world that is in several counts once."""
+    """Runs of different plans with the same options, as one run. A world that is in several runs counts once."""
 
     runs: tuple[RunResults, ...] = ()
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """A row a world."""
+        """One row per world."""
         return pd.concat([run.worlds for run in self.runs]).drop_duplicates(KEY)
 
     @cached_property
     def boxes(self) -> pd.DataFrame:
-        """A row a box of a world."""
+        """One row per box of each world."""
         return pd.concat([run.boxes for run in self.runs]).drop_duplicates(BOX_KEY)
 
 
 def joint_run(folders: Sequence[Path]) -> JointRun:
-    """The runs in these folders as one, with the path and the configuration of the first."""
+    """The runs in these folders as one, with the path and the options of the first one."""
     runs = tuple(load_run(folder) for folder in folders)
     return JointRun(runs[0].path, runs[0].info, runs)
 
 
 def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
-    """How a run's verdicts and resting forces agree with the yardstick's, over the worlds that both have.
+    """How verdicts and resting forces of a run agree with those of the oracle, over the worlds that both have.
 
     Returns:
-        ``common``, ``same``, ``share``; ``flips``, each with both verdicts, by how much shift and tilt are over (+) or
-        under their thresholds, and a sweep's parameters; ``stable_here_dropped_there``; ``rest_top_force``, relative
-        differences over single boxes of plans that stand in both; ``plans`` that both have and ``plans_all_the_same``;
-        and of sweeps with replicates ``shares`` (:func:`compare_shares`).
+        The fields that benchmarks/README.md lists ("How to read a result"); ``shares``: :func:`compare_shares`.
     """
     there, here = joint_run(oracle), joint_run(run)
     found = compare_runs(there, here)
@@ -87,7 +84,7 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
 
 
 def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any]:
-    """|here − there| / there of ``rest_top_force_n``, over boxes with more than ``LOADED_N`` of standing plans."""
+    """|here − there| / there of ``rest_top_force_n``, over boxes with more than ``LOADED_N`` in plans that stand."""
     stands = [results.worlds.loc[results.worlds["verdict"] == Verdict.STABLE.value, KEY] for results in (oracle, run)]
     worlds = stands[0].merge(stands[1], on=KEY)
     columns = [*BOX_KEY, "rest_top_force_n"]
@@ -105,8 +102,8 @@ def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
     """How often plans stand in both runs, as shares of their worlds that are not invalid.
 
     Returns:
-        ``plans``; ``agree``, plans where each one's share lies in the other's Wilson 95 % interval;
-        ``intervals_overlap``; ``differ``, the plans that do not agree, with both shares.
+        ``plans``; ``agree``: plans whose share in each run is in the Wilson 95 % interval of the other run;
+        ``intervals_overlap``; ``differ``: the plans that do not agree, with both shares.
     """
     drawn = (results.worlds.assign(draw=results.worlds["replicate"]) for results in (oracle, run))
     shares = (share_standing(worlds, ()) for worlds in drawn)

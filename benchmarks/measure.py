@@ -37,26 +37,26 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 STACK_LANES = 2048
-"""Copies that fill an MJX engine where nothing else is said."""
+"""Default number of copies that fill an MJX engine."""
 
 LOOP_SECONDS = 60.0
-"""A plain loop begins no further plan after this where nothing else is said."""
+"""Default time after which a plain loop begins no further plan, s."""
 
 BLOCK_PLANS = 8
-"""Plans a block of a sweep whose time is limited: 512 EUMOS worlds keep 16 threads busy nearly to the end."""
+"""Plans per block of a sweep with limited time: 512 EUMOS worlds keep 16 threads busy nearly to the end."""
 
 
 class _TimeIsUp(KeyboardInterrupt):
-    """Ends a run as Ctrl-C would: what is finished is written."""
+    """Ends a run as Ctrl-C does: finished worlds are written."""
 
 
 class _Watch:
-    """Takes hold of a run's progress, and cuts the run off.
+    """Keeps a run's progress, and ends the run after some time.
 
     Args:
-        max_seconds: from now; None: never.
-        between_blocks: whether the run is ended between blocks only. An interrupted sweep does not tell what its
-            placements and drives took.
+        max_seconds: time from now; None: never.
+        between_blocks: whether the run ends only between blocks. An interrupted sweep does not report the time of its
+            placements and drives.
     """
 
     def __init__(self, max_seconds: float | None, between_blocks: bool = False) -> None:
@@ -78,26 +78,26 @@ class _Watch:
 
 @dataclass
 class Bench:
-    """Measures cases one after the other. Engines are kept, so that what one case compiled serves the next."""
+    """Measures cases one after the other. Later cases use engines, and what they compiled, again."""
 
     work: Path  # folder that keeps what timed runs write
     plans: Path | None = None  # file of plans instead of the cases' own
-    limit: int | None = None  # at most so many plans
-    skip: int = 0  # without the first so many
+    limit: int | None = None  # most plans
+    skip: int = 0  # number of plans to leave out at the beginning
     lanes: int | None = None  # as for ``make_engine``; None: the engine's own choice
     threads: int | None = None  # the same
-    max_seconds: float | None = None  # a run is cut off after this (wall time), and the result says so
-    repeat: int = 1  # times each case is run. Cases take turns; each further run is compared with the first
+    max_seconds: float | None = None  # a run ends after this (wall time), and the result says so
+    repeat: int = 1  # runs of each case. Cases take turns; each further run is compared with the first
     oracles: Sequence[Schedule] = ()  # schedules of engine ``mujoco`` that runs are compared with; run first
     against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # label → folders of earlier runs
-    say: Callable[[str], None] = lambda text: None  # is told what begins
+    say: Callable[[str], None] = lambda text: None  # called with a line when something begins
     make: Callable[..., Engine] = make_engine  # builds engines
     _environment: Result = field(default_factory=environment, init=False)
     _engines: dict[tuple[str, int | None], Engine] = field(default_factory=dict, init=False)
     _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)
 
     def run(self, cases: Sequence[Case], engines: Sequence[str]) -> Iterator[Result]:
-        """Results of cases on engines, as they come; an oracle's before the first that it judges."""
+        """Results of cases on engines, as they come. An oracle's result comes before the first one compared with it."""
         asked = ((case, case.only or engine) for engine in engines for case in cases)
         turns = {(case.name, engine): (case, engine) for case, engine in asked}
         ways = {Way.FILES: self._compared, Way.ENGINE: self._engine_alone}
@@ -107,22 +107,22 @@ class Bench:
                     yield {**result, "repetition": repetition}
 
     def _compared(self, case: Case, engine: str) -> Iterator[Result]:
-        """A run from file to Parquet, after the oracles that it is compared with."""
-        yardsticks = dict(self.against)
+        """A run from file to Parquet, after the oracles with which it is compared."""
+        references = dict(self.against)
         for schedule in self.oracles:
             oracle = oracle_case(case, schedule)
             if (oracle.name, engine) == (case.name, MUJOCO):
                 continue
             if (oracle.name, MUJOCO) not in self._folders:
                 yield self._files(oracle, MUJOCO, self.against)
-            yardsticks[f"{MUJOCO}-{schedule.value}"] = self._folders[oracle.name, MUJOCO]
+            references[f"{MUJOCO}-{schedule.value}"] = self._folders[oracle.name, MUJOCO]
         if (case.name, engine) in self._folders:
-            yardsticks["first run"] = self._folders[case.name, engine]
-        yield self._files(case, engine, yardsticks)
+            references["first run"] = self._folders[case.name, engine]
+        yield self._files(case, engine, references)
 
     # ------------------------------------------------------------------ the ways
 
-    def _files(self, case: Case, engine_name: str, yardsticks: Mapping[str, Sequence[Path]]) -> Result:
+    def _files(self, case: Case, engine_name: str, references: Mapping[str, Sequence[Path]]) -> Result:
         """From the plans' file to Parquet, through ``petmjx.score`` or ``petmjx.sweep``."""
         engine, start_s = self._engine(case, engine_name)
         path, count = self._plans_file(case)
@@ -164,7 +164,7 @@ class Bench:
             schedule=sim["schedule"],
             physics=sim["physics"]["name"],
             check=sim["check"],
-            agreement={label: agreement(there, folders) for label, there in yardsticks.items()},
+            agreement={label: agreement(there, folders) for label, there in references.items()},
             stages={name: value for progress in watch.progress for name, value in progress.extra.items()},
             timings=timings,
             plans_file=str(self.plans or case.source or f"samples, seed {SEED}"),
@@ -174,7 +174,7 @@ class Bench:
         )
 
     def _engine_alone(self, case: Case, engine_name: str) -> Iterator[Result]:
-        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in what is timed."""
+        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in the measured time."""
         engine, start_s = self._engine(case, engine_name)
         threads, sim = _threads(engine), case.sim
         if case.boxes:
@@ -203,7 +203,7 @@ class Bench:
         )
 
     def _plain_loop(self, case: Case, engine_name: str) -> Iterator[Result]:
-        """One plan after the other, evenly spread over their sizes, until time is up."""
+        """Plans evenly spread over their sizes, one after the other, until the time is over."""
         plans, physics = self._plans(case), case.sim.physics
         max_seconds = self.max_seconds or LOOP_SECONDS
         sizes: list[int] = []
@@ -283,7 +283,7 @@ class Bench:
         return self._engines[name, threads], time.perf_counter() - begin
 
     def _plans_file(self, case: Case) -> tuple[Path, int]:
-        """A file with a case's plans, and how many of them are taken after those that are skipped."""
+        """A file with a case's plans, and how many of them are used after the skipped ones."""
         count = min(case.count, self.limit or case.count)
         if self.plans or case.source:
             return self.plans or Path(case.source), count
@@ -297,7 +297,7 @@ class Bench:
         return path, count
 
     def _stack(self, n_boxes: int) -> Plan:
-        """The first boxes of the plan that stacks are cut from."""
+        """The first boxes of the plan from which stacks are cut."""
         plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
         if len(placements) < n_boxes:
             raise InputError(f"plan {plan_id} has no {n_boxes} boxes to stack")
@@ -311,7 +311,7 @@ class Bench:
         return load_plans(path, limit=self.skip + count).plans[self.skip :]
 
     def _blocks(self, case: Case, plans: list[Plan]) -> list[list[Plan]]:
-        """All plans at once; of a sweep whose time is limited a few at a time, evenly spread over their sizes."""
+        """All plans in one block; for a sweep with limited time, small blocks that are evenly spread over the sizes."""
         if case.sweep and self.max_seconds is not None:
             order = spread_over_sizes(plans)
             return [order[first : first + BLOCK_PLANS] for first in range(0, len(order), BLOCK_PLANS)]
@@ -320,23 +320,23 @@ class Bench:
         return [plans] if plans else []
 
     def _new_folder(self, name: str) -> Path:
-        """A folder for one run's results that is not there yet."""
+        """A new folder for one run's results."""
         folders = (self.work / f"{name}-{number}" for number in itertools.count(1))
         return next(folder for folder in folders if not folder.exists())
 
 
 def _threads(engine: Engine) -> int | None:
-    """CPU threads of an engine that has them."""
+    """CPU threads of an engine; None if it has none."""
     threads: int | None = getattr(engine, "threads", None)
     return threads
 
 
 def spread_over_sizes(plans: Sequence[Plan]) -> list[Plan]:
-    """The plans in an order of which every beginning is evenly spread over their sizes (van der Corput sequence)."""
+    """The plans in an order in which the first n are evenly spread over the sizes, for any n (van der Corput)."""
     by_size = sorted(plans, key=lambda plan: plan.n_boxes)
     bits = max(len(plans) - 1, 1).bit_length()
     numbers = np.arange(1 << bits)
     reverse = sum(((numbers >> bit) & 1) << (bits - 1 - bit) for bit in range(bits))
-    # the middle first: the sequence proper starts at 0, with the smallest plan
+    # begin in the middle: the original sequence starts at 0, with the smallest plan
     shifted = (np.asarray(reverse) + (1 << (bits - 1))) % (1 << bits)
     return [by_size[index] for index in shifted if index < len(by_size)]

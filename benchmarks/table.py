@@ -17,12 +17,12 @@ _IDENTITY = ("case", "physics", "engine", "threads", "lanes", "plans", "skip", "
 
 
 def tables(results: Sequence[Result]) -> str:
-    """All tables for which there are results, with a heading each."""
+    """All tables for which there are results, each with a heading."""
     shown = latest(results)
     rows = {group: [row for row in shown if row["group"] == group and row["way"] != "agreement"] for group in SECTIONS}
     rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
     found = [
-        {**result, "yardstick": label, "found": found}
+        {**result, "reference": label, "found": found}
         for result in shown
         for label, found in result.get("agreement", {}).items()
     ]
@@ -32,12 +32,12 @@ def tables(results: Sequence[Result]) -> str:
 
 
 def latest(results: Iterable[Result]) -> list[Result]:
-    """Of results that measure the same on the same device, the last one; in the order of their first."""
+    """The last of all results that measure the same on the same device, in the order of the first ones."""
     return list({(*(result.get(name) for name in _IDENTITY), _device(result)): result for result in results}.values())
 
 
 def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
-    """Of runs that took turns the quickest of each case, with how many times as quick it is as the others."""
+    """The fastest run of each case in a group that took turns, with its speed relative to other cases."""
     best: dict[tuple[str, str], Result] = {}
     for row in rows:
         key = (row["case"], _device(row))
@@ -56,7 +56,7 @@ def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
 
 
 _IN_TURNS = {"one-plan": "cpu_s", "threads": "wall_s"}
-"""Groups whose cases take turns, with the time that counts: other work on the machine only slows a run down."""
+"""Groups whose cases take turns → the time that counts. Other work on the machine can only slow a run down."""
 
 _COLUMNS = {
     "case": "case",
@@ -81,14 +81,14 @@ _COLUMNS = {
     "host memory": "rss_gb|.2f| GB",
     "stable / unstable / invalid": "verdicts",
     "note": "note",
-    "against": "yardstick",
+    "against": "reference",
     "same verdict": "same",
     "stable here, dropped there": "dropped",
     "resting forces, median / 95 %": "force",
     "each share in the other's 95 % interval": "agree",
     "overlap": "overlap",
 }
-"""Head → what its cells show: ``field|format|unit`` of a result or of ``_derived``."""
+"""Heading → content of its cells: ``field|format|unit`` of a result or of ``_derived``."""
 
 SECTIONS = {
     "W": (
@@ -121,7 +121,7 @@ def _cell(row: Result, column: str) -> str:
 
 
 def _derived(row: Result) -> Result:
-    """What is made of a result's fields; None where one of them is missing."""
+    """Values made from a result's fields; None if one of them is missing."""
     found, counts, timings = row.get("found", {}), row.get("counts", {}), row.get("timings", {})
     force, shares = found.get("rest_top_force", {}), found.get("shares", {})
     missed, plans, drives = found.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")

@@ -1,4 +1,4 @@
-"""What a simulated world came to: verdict, reason, flags, metrics per box; and how a verdict is reached."""
+"""The outcome of a world: verdict, reason, flags, metrics per box. And the function that decides, ``judge``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Reason(StrEnum):
 
 
 class Flag(IntFlag):
-    """What happened to a world that the metrics alone do not tell. Kept in the results."""
+    """What happened to a world, where the metrics do not tell it. The bits of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -50,7 +50,7 @@ class Flag(IntFlag):
 
 @dataclass(eq=False)
 class BoxMetrics:
-    """Metrics of one world's n boxes, in packing order. What each one is, and its unit: petmjx.metrics.spec.
+    """Metrics of one world's n boxes, in packing order. Meaning and unit of each: petmjx.metrics.spec.
 
     ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN: there is no value.
     """
@@ -70,7 +70,7 @@ class BoxMetrics:
 
 @dataclass(eq=False)
 class Outcome:
-    """What one simulated world came to. ``culprit`` is a box index (packing order from 0), −1 for none."""
+    """The outcome of one world. ``culprit`` is a box index (packing order, from 0), −1 for none."""
 
     job: int
     verdict: Verdict
@@ -86,7 +86,7 @@ class Outcome:
     solver: str = "newton"
     attempt: int = 1
     state: Any = None
-    """The settled state, where the job asked for it: opaque to all but the engine that made it."""
+    """The settled state, if the job asked for it. Only the engine that made it can use it."""
 
 
 INVALID_FLAGS: Final = (
@@ -95,14 +95,14 @@ INVALID_FLAGS: Final = (
     (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
     (Flag.EXPLOSION, Reason.EXPLOSION),
 )
-"""Flags that make a world invalid, with their reason, in the order in which they are looked at."""
+"""Flags that make a world invalid, with their reasons. The first one that is set decides."""
 
 
 def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> tuple[Verdict, Reason]:
-    """The verdict of a world, on any engine: is it valid, then did a placed box drop, tilt or shift, in this order.
+    """The verdict of a world and its reason, for all engines (docs/metrics.md, section "Verdict").
 
-    Metrics may come from float32. Against the default thresholds the comparison in float64 is the same as in float32:
-    20 is a float32, and of 0.02 the nearest float32 lies below, so that no float32 lies between the two.
+    Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
+    20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
     """
     for bits, reason in INVALID_FLAGS:
         if flags & bits:
@@ -119,7 +119,7 @@ def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds)
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt at a world that needed more than one; the last one gave the verdict."""
+    """One attempt at a world. The last attempt gives the verdict."""
 
     attempt: int
     solver: str
@@ -131,6 +131,6 @@ class Attempt:
 
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
-        """What is kept of an outcome that was simulated with ``timestep_s`` (s)."""
+        """The record of an outcome that was simulated with ``timestep_s`` (s)."""
         kept = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
         return cls(timestep_s=timestep_s, **kept)

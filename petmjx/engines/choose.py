@@ -1,4 +1,4 @@
-"""Which engine to use: the user's, or for ``auto`` the one that is expected to finish first."""
+"""Which engine a run uses: the one that the user names, or for ``auto`` the one that should finish first."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ ENGINES: dict[str, tuple[str, str]] = {
     "mjx-jax": ("petmjx.engines.batch.mjx_jax", "MjxJaxEngine"),
     "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine"),
 }
-"""Engine name → module and class. A module is imported only when its engine is asked for."""
+"""Engine name → module and class. A module is imported only when its engine is used."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """An engine's name, why it was taken (one line), and how long it is expected to take (None: not known)."""
+    """An engine's name, why it was chosen (one line), and the expected time in s (None: not known)."""
 
     name: str
     reason: str
@@ -30,7 +30,8 @@ class Choice:
 
 
 def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tuple[Engine, Choice]:
-    """The engine of a run, built, and why it was taken. ``auto`` uses whichever of threads and lanes applies.
+    """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
+    engine does not have.
 
     Raises:
         InputError, EngineUnavailable: as ``make_engine``.
@@ -71,8 +72,8 @@ def make_engine(name: str, *, threads: int | None = None, lanes: int | None = No
         lanes: worlds at once of the MJX engines; None: chosen from the device's memory.
 
     Raises:
-        InputError: no such engine, or an option that it does not have.
-        EngineUnavailable: it cannot run here; the text says why.
+        InputError: no such engine, or it does not have this option.
+        EngineUnavailable: it cannot run here; the line says why.
     """
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")

@@ -1,9 +1,8 @@
-"""Runs worlds through an engine, runs the invalid ones again, and hands on each world's last outcome.
+"""Simulates worlds with an engine, repeats the invalid ones with other settings, and yields each world's last outcome.
 
-The procedure is that of the PET-Physics paper (Newton, then CG, up to two attempts each), with half the timestep
-after it. The reference implementation repeats a deterministic run bit for bit on its second attempts; here they
-differ: the solver gets up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, so that an attempt
-that failed because the solver stopped early has another chance.
+The attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each), and then one with half the
+timestep. The second attempts of the reference implementation repeat the same deterministic run. Here they differ: the
+solver gets up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ from petmjx.verdict import Attempt, Outcome, Verdict
 from petmjx.world.job import Excitation, Job
 
 CAREFUL_ITERATIONS = 400
-"""Most solver iterations a step in a second attempt: four times MuJoCo's default, which CG often exhausts."""
+"""Most solver iterations per step in a second attempt: four times MuJoCo's default, which CG often reaches."""
 
 CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
 
 DEFAULT_CHUNK_WORLDS = 32_768
-"""Worlds handed to an engine at once. Scenes of 43 boxes take 160 MB then, whatever the number of plans; a smaller
-chunk would have the MJX engines choose (and compile) their shapes more often than they need to."""
+"""Worlds given to an engine at once. With 43 boxes each their scenes take 160 MB, for any number of plans. With smaller
+chunks the MJX engines would choose (and compile) their shapes more often."""
 
 
 @dataclass(frozen=True)
 class AttemptRecipe:
-    """One row of the retry procedure."""
+    """One attempt: the settings that it changes (docs/rules.md, section 9)."""
 
     number: int
     solver: Solver | None
@@ -42,7 +41,7 @@ class AttemptRecipe:
     timestep_divisor: int = 1
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
-        """The run's configuration, changed as this attempt asks. Durations in seconds stay what they were."""
+        """The run's options with this attempt's changes. Times in seconds stay the same."""
         update: dict[str, Any] = {}
         if self.solver is not None:
             update["solver"] = self.solver
@@ -56,7 +55,7 @@ class AttemptRecipe:
         return sim.changed(**update)
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
-        """The same jobs, their force profiles resampled to this attempt's timestep (and still shared)."""
+        """The same jobs, with profiles resampled to this attempt's timestep (and still shared)."""
         if self.timestep_divisor == 1:
             return list(jobs)
         profiles = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
@@ -77,12 +76,12 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(4, Solver.CG, careful=True),
     AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2),
 )
-"""The retry procedure, in order. Attempt 1 takes the run's own solver (Newton unless configured otherwise)."""
+"""The attempts, in order. Attempt 1 uses the run's own solver (Newton by default)."""
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One plan × one variant: what is simulated once (again where it turns out invalid)."""
+    """One plan in one variant. It is simulated once, and again if it is invalid."""
 
     plan: Plan
     variant: int
@@ -94,7 +93,7 @@ AnyWorld = TypeVar("AnyWorld", bound=World)
 
 @dataclass(frozen=True, eq=False)
 class WorldResult(Generic[AnyWorld]):
-    """A world, the outcome of its last attempt, and all its attempts in order (one where it was valid at once)."""
+    """A world, the outcome of its last attempt, and all its attempts in order (often only one)."""
 
     world: AnyWorld
     outcome: Outcome
@@ -102,7 +101,7 @@ class WorldResult(Generic[AnyWorld]):
 
 
 _Pending = tuple[AnyWorld, tuple[Attempt, ...]]
-"""A world that waits for its next attempt, with the records of those it has had."""
+"""A world that waits for its next attempt, with the records of the attempts before."""
 
 
 def score_worlds(
@@ -114,10 +113,10 @@ def score_worlds(
     chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
 ) -> Iterator[WorldResult[AnyWorld]]:
-    """Simulate worlds and yield each one's result once, as it becomes final, in any order.
+    """Simulate worlds and yield the result of each one when it is final, in any order.
 
-    Worlds are drawn and simulated ``chunk_worlds`` at a time; invalid ones gather and run again as one
-    batch, at the end or when there is a chunk of them. So memory does not grow with the number of worlds.
+    ``chunk_worlds`` worlds are taken and simulated at a time. Invalid ones are collected and simulated again together,
+    at the end or when a chunk is full. So memory does not grow with the number of worlds.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
@@ -130,7 +129,7 @@ def score_worlds(
     def attempt_at(
         batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe
     ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
-        """Yields results that are final; returns the worlds that need another attempt."""
+        """Yield results that are final; return the worlds that need another attempt."""
         again = []
         for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress):
             if outcome.verdict is Verdict.INVALID and attempt is not attempts[-1]:
@@ -156,7 +155,7 @@ def score_worlds(
 def _run_attempt(
     batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
 ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-    """One attempt at each world of a batch: yields the world, the outcome, and its records with this attempt's."""
+    """Make one attempt at each world of a batch: yield world, outcome, and its records with this attempt's record."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))
     for outcome in engine.run(attempt.apply_to_jobs([world.job for world, _ in batch]), attempt_sim, progress):

@@ -1,10 +1,10 @@
-"""Every metric, said once: name, unit, type, meaning, when it is taken, how boxes become a world.
+"""The table of all metrics: name, unit, type, meaning, when it is taken, how values of boxes become one of the world.
 
-From this table are made the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
-(petmjx.results.parts), what is compared between two runs (petmjx.results.compare) and the tables of docs/metrics.md
-(``python -m petmjx.metrics.spec`` prints them). The arithmetic stands twice, in NumPy and in JAX, beside this file.
+It defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled (petmjx.results.parts),
+what is compared between two runs (petmjx.results.compare), and the tables of docs/metrics.md
+(``python -m petmjx.metrics.spec`` prints them). The arithmetic is in the files beside this one, in NumPy and in JAX.
 
-A new metric of boxes is an entry here, a field of ``petmjx.verdict.BoxMetrics``, and its arithmetic in both twins.
+How to add a metric, step by step: docs/extending.md.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
 
 TEXT: Final = ""
-"""Unit of columns that hold no quantity: texts, yes or no."""
+"""Unit of columns without a quantity: texts, yes or no."""
 
 
 class When(StrEnum):
-    """At which moments of a run a metric is taken."""
+    """When in a run a metric is taken."""
 
     SAMPLES = "samples"
     SAMPLES_AND_END = "samples, end"
@@ -36,7 +36,7 @@ class When(StrEnum):
 
 
 class Reduction(StrEnum):
-    """How the values of a world's boxes become one value of the world. Boxes without a value do not count."""
+    """How values of a world's boxes become one value of the world. Boxes without a value do not count."""
 
     LARGEST = "largest magnitude"
     SMALLEST = "smallest"
@@ -49,9 +49,9 @@ class Column:
 
     Attributes:
         dtype: NumPy type of the column on disk.
-        meaning: one line, kept in the Parquet file.
-        compared: whether two runs are compared by |b - a| of it.
-        relative: whether they are also compared by |b - a| / a.
+        meaning: one line, written into the Parquet file.
+        compared: whether a comparison of two runs shows |b - a|.
+        relative: whether it also shows |b - a| / a.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Column:
 
 @dataclass(frozen=True)
 class OfWorld:
-    """The column of ``worlds`` into which a metric of boxes is reduced."""
+    """The column of ``worlds`` that is made from a metric of boxes."""
 
     name: str
     reduction: Reduction
@@ -73,17 +73,17 @@ class OfWorld:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity of boxes: a column of ``boxes``, or one for each of its components.
+    """A quantity of boxes: a column of ``boxes``, or one column for each component.
 
     Attributes:
         attribute: field of ``BoxMetrics``: (n,) values or (n, components).
-        columns: name → meaning, one a component.
+        columns: name → meaning, for each component.
         definition: the formula, for docs/metrics.md.
-        dtype: float32 for measured values (a micrometre at 8 m; what the MJX engines compute in), float64 for times,
+        dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines compute in it), float64 for times,
             bool for yes or no.
         of_world: the column of ``worlds`` made from it, if there is one.
         driven_only: only runs with profiles have it.
-        compared, relative: as of :class:`Column`. Yes or no is compared by the number of boxes of a world.
+        compared, relative: as of :class:`Column`. Yes or no is compared only as the number of boxes of a world.
     """
 
     attribute: str
@@ -98,7 +98,7 @@ class BoxMetric:
     relative: bool = False
 
     def world_columns(self) -> list[Column]:
-        """Its column of ``worlds``, if it has one. Worlds are few: all their measures are float64."""
+        """Its column of ``worlds``, if it has one. There are few worlds, so their measures are float64."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT
@@ -108,7 +108,7 @@ class BoxMetric:
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a world as a whole: a column of ``worlds``, and a field of ``Outcome``, both of this name."""
+    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome``, both with this name."""
 
     name: str
     unit: str
@@ -125,7 +125,7 @@ class WorldMetric:
 def _largest(
     name: str, unit: str, when: When, definition: str, of_box: str, of_world: str, relative: bool = False
 ) -> BoxMetric:
-    """A metric of one column, with the largest of a world's boxes under the same name; ``of_…``: the two meanings."""
+    """A metric with one column. ``worlds`` has the largest value under the same name. ``of_…``: the two meanings."""
     reduced = OfWorld(name, Reduction.LARGEST, of_world)
     return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
 
@@ -192,22 +192,22 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", When.END),
     WorldMetric("n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, np.int64, compared=False),
 )  # fmt: skip
-"""In the order of the columns; those of driven runs alone come last in ``boxes``."""
+"""In the order of the columns. Those with ``driven_only`` come last in ``boxes``."""
 
 
 def box_metrics(driven: bool = True) -> list[BoxMetric]:
-    """Metrics of boxes in the order of their columns; ``driven``: with those that only runs with profiles have."""
+    """Metrics of boxes in the order of their columns; ``driven``: include those that only runs with profiles have."""
     found = [metric for metric in METRICS if isinstance(metric, BoxMetric) and (driven or not metric.driven_only)]
     return sorted(found, key=lambda metric: metric.driven_only)
 
 
 def world_metrics() -> list[WorldMetric]:
-    """Metrics that an outcome has for the world as a whole."""
+    """Metrics of whole worlds."""
     return [metric for metric in METRICS if isinstance(metric, WorldMetric)]
 
 
 def box_columns(driven: bool = True) -> list[Column]:
-    """Columns of ``boxes`` that hold metrics."""
+    """Columns of ``boxes`` with metrics."""
     return [
         Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
         for m in box_metrics(driven)
@@ -216,16 +216,16 @@ def box_columns(driven: bool = True) -> list[Column]:
 
 
 def world_columns() -> list[Column]:
-    """Columns of ``worlds`` that hold metrics."""
+    """Columns of ``worlds`` with metrics."""
     return [column for metric in METRICS for column in metric.world_columns()]
 
 
 def reduce_boxes(reduction: Reduction, values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
-    """One value a world from those of its boxes; NaN where no box has one, 0 for counts.
+    """One value for each world from those of its boxes; NaN if no box has a value, 0 for counts.
 
     Args:
         values: (rows, components) of all worlds' boxes, one world after the other; NaN: no value.
-        starts: (worlds,) row at which each world begins; every world has a box.
+        starts: (worlds,) row at which each world begins; every world has at least one box.
     """
     if not len(starts):
         return np.empty(0)

@@ -1,4 +1,4 @@
-"""Plans from whatever a caller has: files, folders, a plan, several; and without those that cannot be simulated."""
+"""Plans from files, folders or objects, without those that cannot be simulated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     """The plans that can be simulated; None: the bundled samples.
 
     Raises:
-        InputError: there is none; or with ``options.strict`` anything would be skipped.
+        InputError: there is none, or with ``options.strict`` a plan would be skipped.
     """
     found = without_vanishing_boxes(gather_plans(plans, sim, options), sim.size_reduction_mm, options.strict)
     if not found.plans:
@@ -34,7 +34,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """Files are read and checked; plans are taken as they are, each id once."""
+    """Read and check files; take plans as they are, each id once."""
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
@@ -55,7 +55,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:
-    """As files are read: of plans with one id the first is kept, and ``options.limit`` plans are enough."""
+    """The same rules as for files: of plans with one id the first is kept, and ``options.limit`` is the most."""
     kept: dict[str, Plan] = {}
     skipped = list(found.skipped)
     for plan in found.plans:
@@ -87,10 +87,10 @@ def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bo
 
 
 def find_plan(found: PlanSet, plan_id: str) -> Plan:
-    """The plan of that id.
+    """The plan with that id.
 
     Raises:
-        InputError: there is none; the line says why it was skipped, if it was.
+        InputError: there is none. If it was skipped, the line says why.
     """
     for plan in found.plans:
         if plan.plan_id == plan_id:

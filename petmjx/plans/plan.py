@@ -24,7 +24,7 @@ class Plan:
         corner_mm: (n, 3) front-left-bottom corners; z = 0 is the top of the carrier.
         mass_kg: (n,).
         item_ids, articles: n names each.
-        sequence: (n,) the order's own running number of each item.
+        sequence: (n,) number of each item in the customer's order.
     """
 
     plan_id: str
@@ -46,9 +46,9 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """Something that was not read. ``message`` is the whole line, file and plan included.
+    """Something that was not used. ``message`` is the whole line, with file and plan.
 
-    ``plan_id`` is None where no single plan is concerned (a file, or a damaged spot between plans).
+    ``plan_id`` is None if it is not about one plan (a file, or damage between plans).
     """
 
     source: str
@@ -76,7 +76,7 @@ class Skipped:
 
 @dataclass(frozen=True, repr=False)
 class PlanSet:
-    """What `load_plans` found: plans in the order of the files, what was skipped, what is odd.
+    """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
 
     ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box.
     """

@@ -1,4 +1,4 @@
-"""BED-BPP packing plans: from files to validated plans, with a line for everything that was not usable."""
+"""BED-BPP packing plans: from files to validated plans, with one line about each unusable part."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from petmjx.plans.warnings import check_layout
 from petmjx.text import printable, shown
 
 DEFAULT_MAX_BOXES: Final = 256
-"""Largest plan that is taken by default: six times BED-BPP's mean of 43 boxes. A world of 256 boxes has 1,542
-degrees of freedom, and its dense Hessian takes 10 MB a world in float32, beyond which batches make no sense."""
+"""Boxes of the largest plan that is taken by default: six times BED-BPP's mean of 43. A world of 256 boxes has 1,542
+degrees of freedom, and its dense Hessian takes 10 MB in float32. Beyond that, batches make no sense."""
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"
 _GZIP_CHUNK: Final = 1 << 16
@@ -39,20 +39,20 @@ def load_plans(
     """Read and validate packing plans.
 
     Args:
-        paths: a file, a folder, or several of either. Files are JSON, gzipped or not (told by content, not by
-            name); of a folder, all ``*.json`` and ``*.json.gz`` directly in it are read, sorted by name.
+        paths: a file, a folder, or several of them. Files are JSON, plain or gzipped (the content decides, not the
+            name). Of a folder all ``*.json`` and ``*.json.gz`` directly in it are read, sorted by name.
         limit: stop after this many good plans.
         strict: raise at the first thing that would be skipped.
         max_boxes: plans with more boxes are skipped.
         carrier_extent_mm: x–y extent within which boxes are not reported as outside; None: the plan's footprint.
 
     Returns:
-        The good plans; bad plans, damaged spots and unusable files are in ``skipped``. Of plans with one id
-        the first good one is kept.
+        The good plans. Bad plans, damaged spots and unusable files are in ``skipped``. Of plans with the same id the
+        first good one is kept.
 
     Raises:
-        InputError: a path does not exist, a folder holds no plan files, an option makes no sense, or, with
-            ``strict``, anything at all was wrong.
+        InputError: a path does not exist, a folder has no plan files, or an option makes no sense. With ``strict``
+            also if anything would be skipped.
     """
     if limit is not None and limit < 1:
         raise InputError(f"limit must be at least 1, got {limit}")
@@ -68,7 +68,7 @@ def load_plans(
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
-    """Files in reading order. All paths are checked before any is read: a typing error should not cost minutes."""
+    """Files in the order of reading. All paths are checked first, so that a typing error is found at once."""
     if not paths:
         raise InputError("no plan files were given")
     files: list[Path] = []
@@ -94,7 +94,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
 
 @dataclass
 class _Loading:
-    """The state of one `load_plans`: what was found, and which ids are taken."""
+    """The state of one `load_plans`: what was found, and which ids are in use."""
 
     limit: int | None
     strict: bool
@@ -170,10 +170,10 @@ def _orders_message(source: str, order_ids: list[str]) -> str:
 
 
 def _read_text(path: Path) -> tuple[str, str | None]:
-    """A file's text, and what is wrong with the file as a whole (None: nothing).
+    """A file's text, and what is wrong with the whole file (None: nothing).
 
-    Bytes that are no UTF-8 become lone surrogates: JSON around them is still read, and a plan whose names
-    hold them is refused by name.
+    Bytes that are not UTF-8 become lone surrogates. The JSON around them is still read, and a plan with such a name
+    is refused with its name.
     """
     data = path.read_bytes()
     fault = None
@@ -185,7 +185,7 @@ def _read_text(path: Path) -> tuple[str, str | None]:
 
 
 def _gunzip(data: bytes) -> tuple[bytes, str | None]:
-    """Unpack the sound part of a gzip stream (of one or more members), and say what is wrong if that is not all."""
+    """Unpack a gzip stream (one or more members) as far as it is undamaged; also say what is wrong, or None."""
     view = memoryview(data)
     parts: list[bytes] = []
     position = 0
@@ -208,7 +208,7 @@ def _gunzip(data: bytes) -> tuple[bytes, str | None]:
 
 
 def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview) -> Iterator[bytes]:
-    """The sound beginning of a chunk with an error in it, byte by byte: a failing call returns none of its output."""
+    """The undamaged beginning of a chunk, byte by byte: a call that fails on the whole chunk returns nothing."""
     for position in range(len(chunk)):
         try:
             yield inflate.decompress(chunk[position : position + 1])

@@ -1,8 +1,8 @@
-"""A file of plans, decoded one plan at a time, so that damage loses only the plans in which it is.
+"""A file of plans, decoded one plan at a time, so that damage in the file costs only the plans that it hits.
 
-The text is walked as ``{ "id": value, "id": value, … }``. Each value is decoded on its own: only one plan's
-JSON tree exists at a time, repeated ids are seen (a decoder of the whole file would silently keep the last),
-and where the text is damaged, reading goes on at the next ``"id": [ {``.
+The text is read as ``{ "id": value, "id": value, … }``, and each value is decoded on its own. So only one plan's JSON
+tree is in memory, and repeated ids are noticed (a decoder of the whole file would silently keep the last one). After
+damage, reading goes on at the next ``"id": [ {``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from petmjx.text import shown
 
-# JSON's white space is less than \s. Possessive quantifiers keep every match linear, also in malicious text.
+# JSON has less white space than \s. Possessive quantifiers keep the time of a match linear, also in malicious text.
 _WS: Final = r"[ \t\n\r]*+"
 _STRING: Final = r'"([^"\\]*+(?:\\.[^"\\]*+)*+)"'
 _KEY: Final = re.compile(rf"{_WS}{_STRING}{_WS}:{_WS}", re.DOTALL)
@@ -40,21 +40,21 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """A spot that is not JSON. ``plan_id`` is the plan it lies in, where that is known."""
+    """A place in the text that is not JSON. ``plan_id``: the plan around it, if known."""
 
     plan_id: str | None
     message: str
 
 
 def _parse_any_integer(digits: str) -> int | float:
-    """Integers of any length; those beyond float64 become infinite and are refused as not finite."""
+    """An integer of any length. One that float64 cannot hold becomes infinite, and is refused later as not finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 
 _WINDOWS: Final = (1 << 15, 1 << 19, sys.maxsize)
 """Characters; a plan of BED-BPP takes 10,000 to 25,000."""
 _LONGEST_TOKEN: Final = 12
-"""Characters of a token other than a string or a number (``-Infinity``, an escape) that a window's end may cut."""
+"""Length of the longest token that is no string or number (``-Infinity``): the end of a window may cut one."""
 
 _DECODER: Final = json.JSONDecoder()
 _PATIENT_DECODER: Final = json.JSONDecoder(parse_int=_parse_any_integer)
@@ -66,7 +66,7 @@ def scan_plans(text: str) -> Iterator[Entry | Damage]:
 
 
 class _Broken(Exception):
-    """Text that is no JSON value: what the decoder says, where, and whether the text just ends there."""
+    """The text is no JSON value: what the decoder says, where, and whether the text simply ends there."""
 
     def __init__(self, what: str, position: int, cut_off: bool) -> None:
         super().__init__(what)
@@ -76,7 +76,7 @@ class _Broken(Exception):
 
 
 class _Scan:
-    """The walk through one text. `run` is to be used once; `position` is where the next entry begins."""
+    """Reads one text. Use `run` once; `position` is where the next entry begins."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -114,7 +114,7 @@ class _Scan:
         return self._damage(start, "expected {")
 
     def _read_one(self) -> Iterator[Entry | Damage]:
-        """Read one entry and what follows it; afterwards the walk is at the next one, or done."""
+        """Read one entry and what follows it. Afterwards the position is at the next entry, or the text is done."""
         text, begin = self.text, self.position
         key = _KEY.match(text, begin)
         if key is None:
@@ -160,7 +160,7 @@ class _Scan:
     def _damage(
         self, at: int, what: str, resume_from: int | None = None, *, plan_id: str | None = None, cut_off: bool = False
     ) -> Damage:
-        """Describe damage at ``at`` and move to the next plan start from ``resume_from`` on (default: ``at``)."""
+        """Describe damage at ``at``, and move to the first start of a plan after ``resume_from`` (default: ``at``)."""
         line, column = self._place(at)
         resume_at = self._next_plan_start(at if resume_from is None else resume_from)
         if resume_at is None:
@@ -176,8 +176,8 @@ class _Scan:
     def _next_plan_start(self, position: int) -> int | None:
         """Where the next ``"id": [ {`` begins.
 
-        A quote that closes a string can look like one that opens a key where an opening quote is lost. A
-        key therefore has to follow a comma or a bracket, or else look like a name.
+        Where an opening quote is lost, a quote that closes a string looks like one that opens a key. So a key must
+        follow a comma or a bracket, or contain none of the characters of JSON's structure.
         """
         while (match := _PLAN_START.search(self.text, position)) is not None:
             start = match.start()
@@ -191,7 +191,7 @@ class _Scan:
 
     @cached_property
     def _line_starts(self) -> array[int]:
-        """Where lines begin. Searched for in damaged files alone, and once, however many damaged spots they have."""
+        """Where lines begin. They are searched only in damaged files, and only once per file."""
         return array("Q", chain([0], (match.end() for match in re.finditer("\n", self.text))))
 
     def _place(self, position: int) -> tuple[int, int]:
@@ -208,10 +208,10 @@ class _Scan:
 
 
 def _decode(text: str, position: int) -> tuple[Any, int]:
-    """One JSON value and its end. Raises _Broken, or RecursionError where it is nested too deeply.
+    """One JSON value and its end. Raises _Broken, or RecursionError if it is nested too deeply.
 
-    A window of the text is tried first: the decoder's errors count lines from the beginning of what they
-    were given, which in a long file with many damaged spots would take minutes.
+    A window of the text is tried first. The decoder's errors count lines from the beginning of their text; in a long
+    file with damage in many places this would take minutes.
     """
     for characters in _WINDOWS:
         window = text[position : position + characters]

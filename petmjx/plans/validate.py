@@ -1,4 +1,4 @@
-"""One plan of BED-BPP's format: from decoded JSON to validated arrays, or one line that says what is wrong."""
+"""One plan in BED-BPP's format: from decoded JSON to checked arrays, or one line that says what is wrong."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 100_000.0
 SMALLEST_KG: Final = 1e-6
 LARGEST_KG: Final = 100_000.0
-"""Beyond these a number has the wrong unit or a damaged digit, and contact physics in float32 means nothing."""
+"""A number beyond these has the wrong unit or a damaged digit, and contact physics in float32 would fail."""
 
 _RANGES: Final = {
     **dict.fromkeys(("length/mm", "width/mm", "height/mm"), (SMALLEST_MM, LARGEST_MM, "millimetres")),
@@ -37,7 +37,7 @@ def parse_plan(plan_id: str, source: str, value: object, max_boxes: int, names: 
     Args:
         value: what JSON held under the plan's id.
         max_boxes: plans with more boxes are refused, never cut.
-        names: item ids and articles seen so far; repeated ones share one string (BED-BPP repeats each 20 times).
+        names: item ids and articles read so far; equal ones share one string (BED-BPP repeats each about 20 times).
 
     Raises:
         PlanError: naming file, plan, placement (counted from 0, as boxes are everywhere) and field.
@@ -62,10 +62,10 @@ def parse_plan(plan_id: str, source: str, value: object, max_boxes: int, names: 
 
 
 def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str, str]) -> Plan | None:
-    """Read all placements column by column; None if anything at all is wrong.
+    """Read all placements column by column; None if anything is wrong.
 
-    10,003 plans hold 3 million numbers, so the checks of a good plan run in C over whole columns. What
-    exactly is wrong with a bad one is for `find_fault`, which says the same thing one value at a time.
+    10,003 plans have 3 million numbers, so a good plan is checked in C, over whole columns. For a bad plan `find_fault`
+    does the same checks value by value, and says what is wrong.
     """
     try:
         items = [placement["item"] for placement in value]
@@ -99,7 +99,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         return None
     size = np.ascontiguousarray(numbers[:3].T)
     mass = numbers[3].copy()
-    # Comparisons with NaN are false, so each range also asks for a finite number.
+    # Comparisons with NaN are false, so each range also refuses NaN.
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()

@@ -1,8 +1,8 @@
 """Warnings about plans that are legal but odd: overlapping, overhanging and floating boxes.
 
-Solvers do produce such plans, and what physics makes of them is what petmjx is asked; so they are counted,
-never refused. Everything here works on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both
-(n, 3), rows in packing order, sizes as they stand.
+Packing algorithms do produce such plans, and physics shall judge them: they are counted, never refused. Everything
+here works on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), rows in packing order, sizes as the
+boxes stand.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from petmjx.text import counted
 from petmjx.units import FloatArray
 
 DEFAULT_TOLERANCE_MM = 0.5
-"""Gaps and overlaps up to this are taken as touching. Plans are written in whole millimetres, and neighbours
-touch on paper: half the last digit separates rounding from intent."""
+"""Gaps and overlaps up to this count as touching. Plans are written in whole millimetres, in which neighbours touch:
+half of the last digit separates rounding from intent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +62,8 @@ def check_layout(
     """Count what is odd about one plan's layout.
 
     Args:
-        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the
-            plan's own footprint, so that only negative coordinates are outside.
+        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's own
+            footprint, so only negative coordinates are outside.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side = _shared(low[0], high[0], tolerance_mm) & _shared(low[1], high[1], tolerance_mm)
@@ -104,10 +104,10 @@ def _count_outside(
 
 
 def _count_floating(low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float) -> int:
-    """Boxes off the carrier under which no box placed before reaches up to them.
+    """Boxes above the carrier's top that no earlier box supports from below.
 
-    A box that is cut into from below counts as overlapping, not as floating. A box that is put in mid-air
-    before its supporter floats: placed one by one, it falls.
+    A box into which another one reaches from below counts as overlapping, not as floating. A box that is placed before
+    the box under it floats: placed one by one, it falls.
     """
     bottom, top = low[2], high[2]
     begins_below = np.less.outer(bottom, bottom)

@@ -1,4 +1,4 @@
-"""One part of a run's results: worlds gathered row by row, turned into tables."""
+"""One part of a run's results: worlds are collected row by row and become tables."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _OF_OUTCOME: Final = ("solver", "attempt", "n_boxes", "n_placed", "verdict", "re
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One finished world as it waits for its part. Holds copies, so an engine may reuse its arrays.
+    """One finished world that waits to be written. It has copies, so an engine may reuse its arrays.
 
     Attributes:
         cells: columns of ``worlds`` that are not made from boxes.
         block: (boxes, columns) metrics of boxes, in the order of ``box_columns``.
-        attempts: empty where there was one only.
+        attempts: empty if there was only one.
     """
 
     plan: Plan
@@ -47,7 +47,7 @@ class Row:
         attempts: Sequence[Attempt],
         params: Mapping[str, Any],
     ) -> Row:
-        """Take what is written of an outcome; its ``state`` is let go.
+        """Copy from an outcome what is written; its ``state`` is not kept.
 
         Raises:
             ValueError: the outcome does not belong to the plan (another number of boxes).
@@ -80,7 +80,7 @@ class Part:
                 write_table(table, directory / name / part_name(self.number))
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
-        """The ``worlds`` table; reductions over boxes are made here, for the whole part at once."""
+        """The ``worlds`` table, with reductions over boxes, for the whole part at once."""
         blocks, counts = self._blocks()
         starts = np.cumsum(counts) - counts
         columns: dict[str, Any] = {}
@@ -94,7 +94,7 @@ class Part:
         return _table(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
-        """The ``boxes`` table: the worlds' boxes one world after the other, in packing order."""
+        """The ``boxes`` table: world after world, boxes in packing order."""
         blocks, counts = self._blocks()
         world = np.repeat(np.arange(len(self.rows)), counts)
         columns: dict[str, Any] = {
@@ -110,13 +110,13 @@ class Part:
         return _table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """The ``attempts`` table: no rows where every world needed one attempt only."""
+        """The ``attempts`` table: no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _table({name: [cell[name] for cell in cells] for name in schema.names}, schema)
 
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
-        """All box metrics of the part, and how many boxes each world has."""
+        """All box metrics of the part, and the number of boxes of each world."""
         blocks = np.concatenate([np.empty((0, len(box_columns()))), *(row.block for row in self.rows)])
         return blocks, np.array([len(row.block) for row in self.rows], dtype=np.int64)
 

@@ -1,13 +1,13 @@
-"""Columns of the result tables: names, types, units, and what each one means. Metrics come from petmjx.metrics.spec.
+"""Columns of the result tables: name, type, unit and meaning. Metrics come from petmjx.metrics.spec.
 
 Types, and why:
 
-- Texts are plain strings. Parquet dictionary-encodes them on disk anyway, and in memory they stay one type
-  for every reader: comparing two pandas categoricals whose categories differ is an error.
-- ``worlds`` is float64: times are float64 sums of the timestep and are compared to the step. ``boxes``, forty
-  times as long, holds measured values as float32 and only its times as float64.
-- A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is
-  null. ``reason`` of a stable world is the empty string instead, since pandas drops null keys when grouping.
+- Texts are plain strings. Parquet encodes them with a dictionary on disk anyway. In memory they have the same type for
+  all readers; two pandas categoricals with different categories could not even be compared.
+- ``worlds`` is float64: times are float64 sums of the timestep, and are compared to the step. ``boxes`` is forty times
+  as long: measured values are float32, only times are float64.
+- A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is null. The
+  ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.verdict import Flag, Verdict
 
 SCHEMA_VERSION: Final = 2
-"""Raised when a column is renamed, removed or changes its meaning; new columns alone do not raise it."""
+"""Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""
 
 _FLAG_BITS = ", ".join(f"{flag.value} {(flag.name or '').lower().replace('_', '-')}" for flag in Flag)
 
@@ -80,7 +80,7 @@ _WORLD_COLUMNS = (
     *_texts(verdict=_one_of(Verdict), reason="why it is not stable; empty where it is"),
     *_counts(culprit="box that first crossed a threshold (packing order from 0); null where none did"),
 )
-"""Before the metrics; the flags come after them."""
+"""Columns before the metrics. The flags come after the metrics."""
 
 _BOX_COLUMNS = (
     *_KEY,
@@ -88,7 +88,7 @@ _BOX_COLUMNS = (
     *_texts(item_id="id of the item in the plan", article="article of the item"),
     _column("sequence", pa.int64(), DIMENSIONLESS, "sequence number of the item in the plan"),
 )
-"""Before the metrics."""
+"""Columns before the metrics."""
 
 
 _ATTEMPT_COLUMNS = (
@@ -107,14 +107,14 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
 
 
 def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa.Schema]:
-    """Schemas of ``worlds``, ``boxes`` and ``attempts`` (a row for each attempt at worlds that needed more than one).
+    """Schemas of ``worlds``, ``boxes`` and ``attempts`` (one row per attempt, for worlds that needed more than one).
 
     Args:
         params: of a sweep's variants; the last columns of ``worlds``.
         dynamic: of a run with profiles: ``boxes`` has the metrics that only they have in addition.
 
     Raises:
-        ValueError: two columns of one name.
+        ValueError: two columns with the same name.
     """
     worlds = (*_WORLD_COLUMNS, *_metrics(spec.world_columns()), *_FLAGS, *(param.column() for param in params))
     names = [column.name for column in worlds]
@@ -141,7 +141,7 @@ def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: 
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The version a file's schema metadata names; 0 where it names none."""
+    """The schema version in a file's metadata; 0 if there is none."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)

@@ -1,4 +1,4 @@
-"""How far a run is: a bar in a terminal, lines elsewhere. All of it goes to standard error."""
+"""Progress of a run on standard error: a bar in a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from petmjx.sweeps.run import SweptWorld
 from petmjx.text import counted, printable, three_digits, time_left
 
 REFRESH_S: Final = 0.5
-"""The bar is drawn anew this often also while no world finishes: its message changes."""
+"""Time after which the bar is drawn again while no world finishes, s: its message may have changed."""
 
 LINE_S: Final = 10.0
-"""Time between two lines where there is no terminal, s."""
+"""Time between two lines if there is no terminal, s."""
 
 
 class Shown(Protocol):
-    """Handle of a progress that is shown, made by :func:`progress`."""
+    """What :func:`progress` gives to its caller."""
 
     def update(self, done: int, message: str = "") -> None:
-        """Show that ``done`` worlds are finished, and what is going on besides (compiling, retrying)."""
+        """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds)."""
 
 
 @contextmanager
 def progress(total: int | None, what: str = "plan", console: Console | None = None) -> Iterator[Shown]:
-    """Shows how many are done, how many a second, the time left and a message.
+    """Shows the number of finished worlds, worlds per second, the time left and a message.
 
     Args:
-        total: how many there will be; None where that is not known.
-        what: what one of them is to the user: ``plan``, or ``world`` in sweeps.
-        console: where it is shown; standard error by default, so that standard output holds results alone.
+        total: number of worlds; None if it is not known.
+        what: the user's word for a world: ``plan``, or ``world`` in sweeps.
+        console: where it is shown; by default standard error, so that standard output has only results.
     """
     console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
     if console.is_interactive:
@@ -60,12 +60,12 @@ def _is_terminal() -> bool:
 
 
 def _broken(text: str) -> str:
-    """A line, broken between words where a terminal is too narrow for it."""
+    """A line, wrapped between words if the terminal is too narrow."""
     return textwrap.fill(text, shutil.get_terminal_size().columns) if _is_terminal() else text
 
 
 class ProgressLines:
-    """A line every ``LINE_S``, and a last one. That nobody reads them is no reason to stop a run."""
+    """A line every ``LINE_S`` seconds, and a last one. If they cannot be written, the run continues."""
 
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
@@ -102,12 +102,12 @@ def _count(done: int, total: int | None, what: str) -> str:
 
 
 def _rate(done: float, seconds: float, what: str) -> str:
-    """Those done a second, over the whole run so far."""
+    """Finished worlds per second, over the whole run so far."""
     return f"{three_digits(done / seconds)} {what}s/s"
 
 
 class _Words(ProgressColumn):
-    """A column that says something about the task in words."""
+    """A column with a text about the task."""
 
     def __init__(self, words: Callable[[Task], str]) -> None:
         super().__init__()
@@ -118,7 +118,7 @@ class _Words(ProgressColumn):
 
 
 class _Bar(RichProgress):
-    """A bar. The message stands below it, where there is room for it."""
+    """A bar, with its message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
         def rate(task: Task) -> str:
@@ -141,11 +141,11 @@ class _Bar(RichProgress):
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Tells on standard error what a run is going to do, and shows its progress.
+    """Prints to standard error what a run will do, and shows its progress.
 
     Attributes:
-        what: what a world is to the user: "plan", or "world" in sweeps.
-        total: worlds there will be; None before the run begins, and where it is not known.
+        what: the user's word for a world: "plan", or "world" in sweeps.
+        total: number of worlds; None before the run begins, and if it is not known.
     """
 
     def __init__(self) -> None:

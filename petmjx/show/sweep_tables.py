@@ -1,4 +1,4 @@
-"""What the command line shows of a sweep's answers."""
+"""The tables of a sweep's answers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from petmjx.sweeps.shares import ALL_PLANS
 from petmjx.units import FloatArray
 
 FEW_ROWS: Final = 40
-"""Up to so many worlds or searches a table with a row for each is shown."""
+"""Most worlds or searches for which a table with one row each is shown."""
 
 MAX_VALUES: Final = 50
-"""Axis values shown, at most; all of them are in ``summary``."""
+"""Most axis values that are shown; ``summary`` has all of them."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
@@ -39,7 +39,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """Share standing for each value of each axis that has several, over all plans; with its interval if drawn."""
+    """The share that stands, for each value of each axis with several values, over all plans."""
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
     shown = overall[several | (overall["axis"] == "")]
@@ -74,7 +74,7 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
-    """The spread of the largest levels survived over searches whose placement stands, for each profile and direction.
+    """Quantiles of the largest levels survived, for each profile and direction, over searches whose placement stands.
 
     "survive none" counts those of them that survive no level above 0. Below the lowest level there is no number: there
     stands "none".
@@ -107,7 +107,7 @@ def _quantile(levels: FloatArray, q: float) -> str:
 
 
 def answers_table(summary: pd.DataFrame) -> FittedTable:
-    """A row a search: largest level survived, and what fails first above it."""
+    """One row per search: the largest level survived, and the box that fails first above it."""
     column, name = _largest(summary)
     table = FittedTable(
         Column("plan", "left", least=20, middle=True),
@@ -131,6 +131,6 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def _largest(summary: pd.DataFrame) -> tuple[str, str]:
-    """The column with the largest level or scale, and what that is called."""
+    """The column with the largest level or scale, and its name for people."""
     names = {"largest_level_g": "level, g", "largest_scale": "scale"}
     return next((column, name) for column, name in names.items() if column in summary)

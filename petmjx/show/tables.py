@@ -1,4 +1,4 @@
-"""What the command line shows of a run: one report for scores and sweeps."""
+"""The tables of a run, for scores and sweeps."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
 SHOWN_SKIPPED: Final = 10
-"""Lines shown of skipped plans, at most; all of them are in ``run.json``."""
+"""Most skipped plans that are shown; ``run.json`` has all of them."""
 
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
 def run_tables(results: RunResults) -> Iterator[RenderableType]:
-    """All that is shown of a run: answers or worlds where they are few, what was skipped, and the counts."""
+    """All tables and lines: a sweep's answers, or the worlds if there are few; skipped plans; the counts."""
     sweep = results.info["config"]["command"] == "sweep"
     if results.summary is not None:
         for table in sweep_tables(results.summary):
@@ -43,7 +43,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Skipped plans, a line each as far as there is room, how many plans are odd, and warnings about the whole run."""
+    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, the number of plans with warnings, and other warnings."""
     skipped, warnings = info["skipped"], info["warnings"]
     odd = info.get("counts", {}).get("odd_plans", len(warnings))
     for entry in skipped[:SHOWN_SKIPPED]:
@@ -57,11 +57,11 @@ def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
 
 
 def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
-    """The short table of a run.
+    """The table of counts.
 
     Args:
         info: ``run.json``, or ``RunWriter.info``.
-        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
+        what: the user's word for worlds: ``plans``, or ``worlds`` in sweeps.
     """
     counts = info.get("counts", {})
     worlds = int(counts.get("worlds", 0))
@@ -131,7 +131,7 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
-    """A row a plan of a score: what became of it, which box went first and when, and its largest metrics."""
+    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics."""
     table = FittedTable(
         Column("plan", "left", least=24, middle=True),
         Column("boxes", spare=2),

@@ -1,4 +1,4 @@
-"""The axes of a sweep: which there are, in which units, and what may stand on them."""
+"""The axes of a sweep: their names, units and allowed values. Users read about them in docs/sweeps.md."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, Shape
 
 MAX_AXIS_VALUES: Final = 100_000
-"""Values one axis may have; a range with a mistyped step must not fill the memory."""
+"""Most values of one axis: a range with a typing error in its step must not fill the memory."""
 
 MAX_STRENGTH: Final = 10_000.0
-"""Largest level (g), scale or factor. More is a slip of the pen, and would end as an infinity in the engines."""
+"""Largest level (g), scale or factor. A larger one is a typing error, and would become infinite in the engines."""
 MIN_MASS_FACTOR: Final = 0.001
-"""Smallest factor on masses: MuJoCo takes no body without mass."""
+"""Smallest factor on masses: MuJoCo refuses bodies without mass."""
 MAX_ERROR: Final = 10_000.0
 """Largest error of a size or a place, mm or degrees."""
 
@@ -62,7 +62,7 @@ def _shown(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Tells a table, or a list, from everything else."""
+    """The tag of a union: a table (or a list), or anything else."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -90,7 +90,7 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(Checked, Generic[Number]):
-    """Numbers from one to another: by a step, so many, or, where a sweep draws samples, any."""
+    """A range of numbers: with a step, with a count, or (mode ``sample``) all numbers between its ends."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, where the step leads there")
@@ -112,9 +112,9 @@ class Range(Checked, Generic[Number]):
         return self.step is None and self.count is None
 
     def values(self) -> tuple[float, ...]:
-        """Rounded, so that 0.1 + 2 × 0.1 is 0.3."""
+        """The values, rounded so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
-            # A hair more than the quotient, so that 0.1 … 1.6 by 0.1 includes 1.6.
+            # slightly more than the quotient, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
         else:
             count = self.count or 2
@@ -123,7 +123,7 @@ class Range(Checked, Generic[Number]):
 
 
 class DirectionRange(Range[Direction]):
-    """Of directions."""
+    """A range of directions."""
 
     low: Direction = Field(alias="from", description="the first direction")
     high: Direction = Field(alias="to", description="the last direction, where the step leads there")
@@ -200,16 +200,16 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 @dataclass(frozen=True)
 class AxisKind:
-    """What may stand on an axis, what it changes, and how the results have it.
+    """The values of an axis, what they change, and its column in the results.
 
     Attributes:
         unit: of its column in the results; "1" for factors, "" for names.
         values: the type that checks its values.
-        meaning: in words.
-        changes: fields of `PlacementChange` that take its value; none: it is about the drive.
-        suffix: what its column's name has after the axis's own.
-        plain: of an axis of errors, the distribution that a plain number stands for: the standard deviation of a
-            normal one around 0, or the fixed value itself.
+        meaning: one line.
+        changes: fields of `PlacementChange` that get its value; none: the axis changes the drive.
+        suffix: end of the column's name, after the name of the axis.
+        plain: for axes of errors: the distribution that a plain number means. Normal: the number is the standard
+            deviation, around 0. Fixed: it is the value itself.
     """
 
     name: str
@@ -226,7 +226,7 @@ class AxisKind:
 
     @property
     def placement(self) -> bool:
-        """Whether another value needs a new placement."""
+        """Whether a new value needs a new placement."""
         return bool(self.changes)
 
 
@@ -254,7 +254,7 @@ AXIS_KINDS: Final = {
         ),
     )
 }
-"""Every axis a sweep file may have. Order is the order of nesting: the last axis varies fastest among its half."""
+"""All axes of sweep files, in the order of nesting: of each half the last axis varies fastest."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=Checked, **_FIELDS)
@@ -262,7 +262,7 @@ _Axes = create_model("_Axes", __base__=Checked, **_FIELDS)
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a sweep: its values, or for samples a continuous range."""
+    """One axis of a sweep: its values, or (mode ``sample``) a continuous range."""
 
     name: str
     values: tuple[Value, ...] = ()
@@ -279,19 +279,19 @@ class Axis:
 
     @property
     def random(self) -> bool:
-        """Whether two replicates differ on it."""
+        """Whether replicates differ in it."""
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """One value at random, depending on the key and the axis alone."""
+        """A random value. It depends only on the key and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as it stands in the results: distributions by their number where the axis has one shape
-        around zero, else written out."""
+        """A value as the results have it. A distribution is written as a plain number if all values of the axis can be,
+        else as text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)
@@ -299,7 +299,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number that stands for a value in a sweep file; None where it takes a table."""
+        """The plain number that a sweep file can have for a value; None if it needs a table."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is Shape.FIXED:
@@ -314,10 +314,10 @@ class Axis:
 
 
 def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
-    """``[axes]`` as axes by name, in the order of the file; for a validator.
+    """The table ``[axes]`` as axes by name, in the order of the file. Called by a validator.
 
     Args:
-        sampled: whether values are drawn from the axes, so that {from, to} alone is a continuous range.
+        sampled: whether {from, to} without step or count is allowed (mode ``sample``).
 
     Raises:
         ValidationError: names the axis and what it should be.

@@ -1,4 +1,4 @@
-"""What a sweep varies: its variants, the same for every plan, counted and enumerated."""
+"""The variants of a sweep, which are the same for every plan: their number, and each one."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class SearchItem:
 class Design:
     """The variants of a sweep.
 
-    They are numbered from 1 in the order of the axes; 0 is the nominal world, which is simulated only where the sweep
-    asks for it. Counting never enumerates a grid, so that one that is too large is refused at once.
+    They are numbered from 1, in the order of the axes. Number 0 is the nominal world, which is simulated only if the
+    sweep asks for it. A grid is counted without enumerating it, so that one that is too large is refused at once.
     """
 
     sweep: Sweep
@@ -55,7 +55,7 @@ class Design:
 
     @property
     def n_variants(self) -> int:
-        """Variants a plan, nominal included; in a search: at most, were every item to test all its rounds."""
+        """Variants per plan, with the nominal one. In a search: at most, if every item takes all its rounds."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
@@ -73,7 +73,7 @@ class Design:
 
     @property
     def n_placements(self) -> int:
-        """Placements a plan, without the nominal world."""
+        """Placements per plan, without the nominal world."""
         if self.sweep.sample is not None:
             return len({variant.placement_key for variant in self._sampled()})
         return sum(points * repeats for points, repeats in self._placement_counts())
@@ -89,14 +89,14 @@ class Design:
         return (calm, 1), (_n_points(axes) - calm, self.sweep.replicates)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """In the order of nesting, which is not the file's."""
+        """In the order of nesting, not in the order of the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with the worlds that share it; none of a search, which makes them level by level."""
+        """Each placement with the worlds that share it. In a search there are none: they are made level by level."""
         sweep = self.sweep
         if sweep.nominal:
             nominal = Variant(0, self._change({}))
@@ -143,7 +143,7 @@ class Design:
         return {variant.index: variant.replicate for variant in drawn}
 
     def search_items(self) -> tuple[SearchItem, ...]:
-        """What a search asks of each placement: every profile in every direction."""
+        """The questions of a search for each placement: every profile in every direction."""
         directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)
         return tuple(
             SearchItem(name, direction)
@@ -159,7 +159,7 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes; each is a replicate of its own and the same for every plan."""
+        """Variants drawn from the axes, the same for every plan. Each has its own replicate number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -182,13 +182,13 @@ class Design:
         return Variant(index, change, drive, replicate, parameters)
 
     def _change(self, point: Point) -> PlacementChange:
-        # Axes that change the same field are not in one sweep.
+        # Axes that change the same field are never in the same sweep.
         changes: dict[str, Any] = {field: value for name, value in point.items() for field in AXIS_KINDS[name].changes}
         return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
 
 
 def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
-    """The full grid, the last axis varying fastest; one empty point where there is no axis."""
+    """The full grid; the last axis varies fastest. One empty point if there is no axis."""
     names = [axis.name for axis in axes]
     for values in itertools.product(*(axis.values for axis in axes)):
         yield dict(zip(names, values, strict=True))

@@ -1,4 +1,4 @@
-"""EUMOS 40509:2020's own limits for a pallet that has been through its test."""
+"""The limits of EUMOS 40509:2020 for a pallet after its test."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
 
 EUMOS_PROFILE = "eumos-40509"
-"""The profile whose worlds are also held against the standard's own limits."""
+"""Worlds with this profile are also compared with the limits of the standard."""
 
 EUMOS_ELASTIC_SHARE = 0.10
 """Largest displacement during the test as a share of the load's height."""
@@ -28,11 +28,11 @@ EUMOS_COLUMNS = (
     Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
     Param("eumos_passed", TEXT, "whether all limits of EUMOS 40509 hold and nothing fell", bool),
 )
-"""Columns that its worlds have in addition."""
+"""Additional columns of these worlds."""
 
 
 def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> dict[str, Any]:
-    """``EUMOS_COLUMNS`` of one world that has been through the test, beside petmjx's own thresholds.
+    """The values of ``EUMOS_COLUMNS`` for one world after the test.
 
     Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
     of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from where

@@ -1,4 +1,4 @@
-"""Sweep files (``sweeps/*.toml``): reading and checking. What may stand in one: sweeps/README.md."""
+"""Sweep files (``sweeps/*.toml``): reading and checking. What they may contain: docs/sweeps.md."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from petmjx.world.profiles.registry import resolve
 from petmjx.world.profiles.tables import define_profiles
 
 SAMPLES: Final = "samples"
-"""Value of ``plans`` that stands for the samples petmjx brings along."""
+"""Value of ``plans`` for the bundled samples."""
 
 DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
-"""To what a search narrows the largest level survived (g) or scale."""
+"""How exactly a search finds the largest level (g) or scale survived."""
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
 MIN_TOLERANCE: Final = 1e-5
@@ -64,7 +64,7 @@ class Search(Checked):
         return self
 
     def tests(self, n_levels: int) -> int:
-        """Worlds that one question needs, at most: rounds × levels a round."""
+        """Most worlds that one question needs: the sum of the levels over all rounds."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -132,7 +132,7 @@ class Sweep(Checked):
     _file: Path | None = None
 
     def model_post_init(self, context: Any) -> None:
-        """The context of reading is the file's path."""
+        """Keep the file's path, which is the context of the validation."""
         self._file = context
 
     @property
@@ -142,7 +142,7 @@ class Sweep(Checked):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """The profiles the sweep uses, by name."""
+        """The profiles that the sweep uses, by name."""
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
         return {name: resolve(name, self.own_profiles)[0] for name in names}
 
@@ -171,7 +171,7 @@ class Sweep(Checked):
         return given or DEFAULT_TOLERANCE[self.strength]
 
     def resolved(self) -> dict[str, Any]:
-        """What is written beside the results: every setting, defaults included, as plain JSON values."""
+        """What ``run.json`` has of the sweep: every setting, with defaults, as plain JSON values."""
         record = {"file": self.file, **self.model_dump(mode="json", exclude={"axes", "own_profiles"})}
         if self.search is not None:
             record["search"]["tolerance"] = self._tolerance
@@ -179,7 +179,7 @@ class Sweep(Checked):
         record["profiles"] = {name: {"kind": p.kind, "source": p.source} for name, p in self.profiles.items()}
         return record
 
-    # What contradicts what.
+    # Combinations that are refused.
 
     @model_validator(mode="after")
     def _mode(self) -> Self:
@@ -262,13 +262,11 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: plans come from the command line, so the file need not name any, and those it names
-            need not exist.
+        plans_given: the caller gives plans, so the file may name none, and those that it names may be missing.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
-        InputError: one line that names file and field, such as
-            "x.toml: axes.scale must be > 0, got -1".
+        InputError: one line with file and field, such as "x.toml: axes.scale must be > 0, got -1".
     """
     path = Path(path)
     tables = read_toml(path)
@@ -283,7 +281,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 
 
 def _existing(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """Plan files from the sweep file's folder on."""
+    """Plan files; their names are relative to the sweep file's folder."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip

@@ -1,7 +1,7 @@
-"""Runs a sweep: places every plan once per placement, forks the settled states into all drives, searches levels.
+"""Runs a sweep: simulates each placement once, forks the settled states into all drives, and searches levels.
 
-Placements and drives are handed to the engine as batches over many plans, since a device is fast with large batches.
-``Batching`` bounds what is held at a time, for sweeps of any size.
+The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
+``Batching`` limits what is in memory, for sweeps of any size.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1)
-"""The retry procedure of placements whose states are kept, and of their forks. A state counts time in steps, so
-no world can start from one that was reached with half the timestep; the attempt that halves it is left out."""
+"""The attempts at placements whose states are kept, and at their forks. A state counts time in steps, so no world can
+start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
 
 Test = tuple[int, int]
-"""A search's item and the index of the level that is tested, as in `Bisection`."""
+"""Item of a search and index of the tested level, as in `Bisection`."""
 
 
 @dataclass(frozen=True)
 class Batching:
-    """How much of a sweep is held and simulated at a time. None of it changes a result.
+    """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
 
     Attributes:
-        undriven: worlds without a drive handed to the engine at a time; their states are not kept. Their scenes take
-            160 MB, of 43 boxes each; fewer would have the MJX engines choose (and compile) their shapes more often.
-        placements: settled states kept at a time; one of 43 boxes takes 10 to 20 KB.
-        worlds: variants that these states are forked into, at most (a single placement with more is one chunk).
-        drives: forked worlds handed to the engine at a time; in a search a round of tests, whose outcomes are held.
+        undriven: most worlds without a drive in one call of the engine; their states are not kept. With 43 boxes each,
+            their scenes take 160 MB. With fewer, the MJX engines would choose (and compile) their shapes more often.
+        placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
+        worlds: most variants into which these states are forked (a single placement may have more).
+        drives: most forked worlds in one call of the engine; in a search also the tests of one round.
     """
 
     undriven: int = DEFAULT_CHUNK_WORLDS
@@ -51,7 +51,7 @@ class Batching:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """A placement that is over: what it came to, with the state that drives start from."""
+    """A placement that has settled: its outcome, with the state from which drives start."""
 
     group: PlacementGroup
     scene: Scene
@@ -80,7 +80,7 @@ class SweptWorld:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a search found for one placement, profile and direction.
+    """The answer of a search for one placement, profile and direction.
 
     Attributes:
         largest_survived, first_failed: level in g, or scale; None where there is none.
@@ -98,7 +98,7 @@ class Answer:
 
 @dataclass
 class Tally:
-    """What a sweep has cost. Steps are world-steps after the soft start, of each world's last attempt."""
+    """What a sweep has cost so far. Steps are world-steps after the soft start, of each world's last attempt."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -110,14 +110,14 @@ class Tally:
 
 @dataclass(frozen=True, eq=False)
 class _Placing(World):
-    """A placement on its way through the runner."""
+    """A placement as a world that the engine simulates."""
 
     group: PlacementGroup
 
 
 @dataclass(frozen=True, eq=False)
 class _Driving(World):
-    """A fork on its way through the runner; ``test`` is what it answers in a search."""
+    """A fork as a world that the engine simulates; ``test``: the test of a search that it is."""
 
     settled: Settled
     change: Variant
@@ -130,10 +130,10 @@ class SweepRun:
 
     Args:
         plan: what to simulate.
-        engine: states are its own: placements and drives run on the same instance.
-        progress: kept up to date; its message says what is going on while no world finishes.
-        on_answer: is called with each answer of a search. It should keep only what it needs: an answer holds worlds
-            with all their boxes.
+        engine: placements and drives run on this one object, since only it can use its states.
+        progress: kept up to date; its message says what happens while no world finishes.
+        on_answer: called with each answer of a search. It should keep only what it needs: an answer has worlds with all
+            their boxes.
     """
 
     plan: SweepPlan
@@ -145,11 +145,11 @@ class SweepRun:
 
     @cached_property
     def sim(self) -> Simulation:
-        """The configuration of every world, before retries change it."""
+        """The options of every world, before attempts change them."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[SweptWorld]:
-        """Simulate everything; each world once, as it becomes final, in any order."""
+        """Simulate everything; yield each world when it is final, in any order."""
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
             yield from self._run_placements(group for group in self.plan.groups() if not _is_driven(group))
@@ -160,7 +160,7 @@ class SweepRun:
             yield from self._search(settled) if self.plan.sweep.search is not None else self._fork(settled)
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
-        """Placements with drives, as many at a time as may be held."""
+        """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
         most = self.batching.worlds
         per_search = 0
@@ -200,7 +200,7 @@ class SweepRun:
         self.tally.placement_s += time.perf_counter() - begin
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
-        """Worlds without a drive: the placement's own outcome, rest window included."""
+        """Worlds without a drive: they have the placement's outcome, with rest window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             first, *others = placed.group.variants
             yield SweptWorld(placed.group.plan, first, placed.scene, placed.outcome, placed.attempts)
@@ -217,7 +217,7 @@ class SweepRun:
         return [found[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: Settled) -> bool:
-        """Not where the placement is invalid, or ended because a box dropped."""
+        """False if the placement is invalid, or ended because a box dropped."""
         outcome = settled.outcome
         collapsed = self.sim.early_stop and bool(outcome.boxes.dropped.any())
         return outcome.verdict is not Verdict.INVALID and not collapsed and outcome.state is not None
@@ -241,7 +241,7 @@ class SweepRun:
         return _Driving(plan, variant.index, job, start, variant, test)
 
     def _drive(self, worlds: Iterable[_Driving]) -> Iterator[tuple[Test, SweptWorld]]:
-        """Simulate forks; yields the test that it answers with each."""
+        """Simulate forks; yield each one with its test."""
         begin = time.perf_counter()
         for result in self._score(worlds, self.batching.drives, forks=True):
             world, outcome = result.world, result.outcome
@@ -256,10 +256,10 @@ class SweepRun:
     # Search.
 
     def _search(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
-        """Bisection over all placements, profiles and directions of a chunk at once, round by round.
+        """Bisection over all placements, profiles and directions of a chunk together, round by round.
 
         A placement that does not stand has one row per profile and direction, at the lowest level, with its own
-        outcome; nothing is simulated for it.
+        outcome. Nothing more is simulated for it.
         """
         sweep, items = self.plan.sweep, self.plan.search_items()
         assert sweep.search is not None
@@ -281,7 +281,7 @@ class SweepRun:
                 worlds[test] = world
                 yield world
             bisection.record(tests, [worlds[test].outcome for test in tests])
-            # Only the worlds at the bounds of an item's search may yet be an answer.
+            # Only the worlds at the bounds of an item's search can still become an answer.
             worlds = {test: worlds[test] for test in bisection.bounds() if test in worlds}
         for which, ((start, number), found) in enumerate(zip(asked, bisection.items, strict=True)):
             self.on_answer(
@@ -298,11 +298,11 @@ class SweepRun:
 
 
 def _is_driven(group: PlacementGroup) -> bool:
-    """Whether a placement's worlds have drives; all of a group have, or none. A search's group is empty."""
+    """Whether a placement's worlds have drives. All worlds of a group have one, or none has. True for a search."""
     return all(variant.drive is not None for variant in group.variants)
 
 
 def _undriven(start: Settled, variant: Variant) -> SweptWorld:
-    """A world that has the outcome of another one as its own: no step was taken for it."""
+    """A world with the outcome of another one: no step was simulated for it."""
     outcome = replace(start.outcome, flags=start.outcome.flags | Flag.FORKED, n_steps=0, state=None)
     return SweptWorld(start.group.plan, variant, start.scene, outcome, start.attempts, start)

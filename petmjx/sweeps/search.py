@@ -1,4 +1,4 @@
-"""Searching for the largest level survived, and how a plan failed above it."""
+"""The search for the largest level survived, and how a plan failed above it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from petmjx.verdict import Outcome, Reason, Verdict
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
 MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
-"""Reason of an unstable world → how it failed, as the answers of a search say it."""
+"""Reason of an unstable world → how it failed, as in the column ``mode``."""
 
 
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
-    """How the box that went first failed: "slide", "tilt" or "drop".
+    """How the first box failed: "slide", "tilt" or "drop".
 
-    It dropped; or it did not but tilted by more than ``tilt_deg``; or it moved too far. At the lowest level that
-    fails, which is where a search reads it, that is as a rule also how it began; far above that level a box that
-    slides also falls. The reason itself for invalid worlds, "" for stable ones.
+    "drop" if it dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at the
+    lowest level that fails. There it usually says how the failure began; far above that level, a box that slides also
+    falls. For invalid worlds: the reason; for stable worlds: "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -35,7 +35,7 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass
 class Found:
-    """What a search knows of one item: a placement, shaken by one profile in one direction.
+    """What a search knows about one item: a placement, a profile and a direction.
 
     Attributes:
         stands_at_rest: whether it stood before any profile; if not, nothing is tested.
@@ -63,13 +63,13 @@ class Found:
 class Bisection:
     """Search for the largest level survived, for many items (placement × profile × direction) at once.
 
-    Levels lie on a common grid, so an answer is exact to the grid's step, and the same levels are tested
-    whatever the order of answers. Each round tests up to ``sections`` levels an item, evenly spread between
-    the largest survived and the smallest failed: a device is faster with fewer, larger rounds.
+    Levels are on a common grid, so an answer is exact to the grid's step, and the same levels are tested in any order
+    of answers. Each round tests up to ``sections`` levels per item, evenly spread between the largest survived and the
+    smallest failed: a device is faster with fewer, larger rounds.
 
-    It assumes that what survives a level survives all lower ones. A pallet need not: a stronger push may throw
-    a box against its neighbour and jam it. Where a tested level survived above one that
-    failed, the answer is the largest level below every failure, and ``monotone`` is False for that item.
+    It assumes that a pallet that survives a level survives all lower ones. This can be wrong: a stronger push may press
+    a box against its neighbour, where it jams. If a tested level above a failed one was survived, the answer is the
+    largest level below every failure, and ``monotone`` is False for that item.
 
     Args:
         levels: (n_levels,) rising; g, or scale.
@@ -119,7 +119,7 @@ class Bisection:
         return float(self.levels[found.failed]) if found.stands_at_rest and found.failed < len(self.levels) else None
 
     def next_tests(self) -> list[tuple[int, int]]:
-        """(item, level index) of the next round's tests, item by item; none when all answers are exact."""
+        """(item, level index) of the next round's tests; empty when all answers are exact."""
         tests = []
         for item, found in enumerate(self.items):
             untested = found.failed - found.survived - 1
@@ -129,9 +129,9 @@ class Bisection:
         return tests
 
     def record(self, tests: Sequence[tuple[int, int]], outcomes: Sequence[Outcome]) -> None:
-        """Take the outcomes of a round's tests.
+        """Record the outcomes of a round's tests.
 
-        A world without a verdict that can be believed has not survived: its mode is why it is invalid.
+        An invalid world has not survived; its mode is the reason why it is invalid.
         """
         if len(tests) != len(outcomes):
             raise ValueError("record needs one answer for each test")
@@ -145,7 +145,7 @@ class Bisection:
             elif level < found.failed:
                 found.failed = level
                 found.box, found.mode = outcome.culprit, failure_mode(outcome, self._tilt_deg)
-        # Failures came first: a survivor above a failure must not raise the answer.
+        # Failures came first: a level survived above a failed one must not raise the answer.
         for found, level in survivors:
             found.highest = max(found.highest, level)
             if level < found.failed:

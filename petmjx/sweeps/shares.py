@@ -1,4 +1,4 @@
-"""Shares of worlds that stand, with their intervals."""
+"""Shares of worlds that stand, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It stays inside [0, 1] and has a width also at shares
-    of 0 and 1, where the usual ± interval has none.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It is always inside [0, 1], and it has a width at shares of
+    0 and 1 too, where the usual ± interval has none.
 
     Raises:
         ValueError: successes outside 0 … n, or a confidence outside (0, 1).
@@ -74,8 +74,8 @@ def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple
 def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     """The share of worlds that stand, for every value of every axis, with its Wilson 95 % interval where it has one.
 
-    Invalid worlds say nothing about the pallet: they are counted apart and left out of the share. Worlds
-    without a value on an axis (the nominal one) do not count there.
+    Invalid worlds say nothing about the pallet: they are counted separately and are not in the share. Worlds without a
+    value on an axis (the nominal one) do not count there.
 
     Only draws have an interval: a world without anything random comes out the same every time, and a row that has
     such a world has none. Worlds of one draw are not independent of each other. So the interval is that of as many

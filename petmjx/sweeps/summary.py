@@ -1,4 +1,4 @@
-"""What a sweep adds to the tables: parameters and answers as columns of ``worlds``, and the ``summary`` table."""
+"""What a sweep adds to the results: parameters and answers as columns of ``worlds``, and the table ``summary``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
 
 RANGE_BINS = 8
-"""Equal parts into which the summary divides an axis whose values were drawn from a range."""
+"""Number of equal parts into which the summary divides an axis with a continuous range."""
 
 MODE = Param("mode", TEXT, "what became of the box that went first: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
@@ -31,7 +31,7 @@ FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment
 
 
 class SweepColumns:
-    """The columns that a sweep's worlds have besides those of every run."""
+    """The additional columns of a sweep's worlds."""
 
     def __init__(self, plan: SweepPlan) -> None:
         self._plan = plan
@@ -48,7 +48,7 @@ class SweepColumns:
 
     @property
     def params(self) -> list[Param]:
-        """All of them, in their order."""
+        """All of these columns, in order."""
         columns = [*self.parameters, MODE]
         columns += [SIGN] if self.has_drives else []
         columns += [FAIL_ANGLE] if self.has_tilt else []
@@ -56,14 +56,14 @@ class SweepColumns:
         return columns
 
     def of(self, world: SweptWorld) -> dict[str, Any]:
-        """Column → value of one world; what is missing is null."""
+        """Column → value of one world; missing ones become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         values |= self.during_drive(world)
         return values
 
     def during_drive(self, world: SweptWorld) -> dict[str, Any]:
-        """Those of the columns that come from the drive."""
+        """The values that come from the drive."""
         values: dict[str, Any] = {}
         drive = world.variant.drive
         if drive is None:
@@ -77,17 +77,17 @@ class SweepColumns:
         if drive.profile == EUMOS_PROFILE and world.settled is not None:
             settled = world.settled.outcome.boxes.pos
             found = eumos_assessment(world.outcome.boxes, settled, world.scene.half_size)
-            # a world that was not driven has no displacements during a test, and has not passed it
+            # a world that was not driven has no displacements during the test, and has not passed it
             values |= {name: None if value != value else value for name, value in found.items()}
             if world.outcome.verdict is Verdict.INVALID:
                 values["eumos_passed"] = None
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
-        """Time from the profile's beginning to the first sign; None without one, or with one from before."""
+        """Time from the profile's beginning to the first sign; None if there is none, or one from before."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # half a step: the running sum of the timestep is not its multiple to the last digit
+        # half a step, because the running sum of the timestep differs from a multiple in the last digits
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 
@@ -102,10 +102,10 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 
 def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
-    """The summary of a grid or a sample: share standing by axis value, over all plans and for each plan.
+    """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
 
-    Axes drawn from a range are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile the share that the
-    standard passes stands beside, and with ``tilt`` the smallest angle at which a world failed.
+    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there is also the share that
+    passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
 
     Args:
         folder: the run's folder, with all parts written.

@@ -25,7 +25,7 @@ class Scene:
         half_size: (n, 3) box half extents, m.
         mass: (n,) kg.
         target: (n, 3) planned centres, m: what shifts are measured from.
-        start_pos: (n, 3) centres at which boxes are released, m (= target in the nominal variant).
+        start_pos: (n, 3) centres at which boxes are released, m; the same as ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
         box_friction, carrier_friction, floor_friction: sliding / torsional / rolling coefficients.
         carrier_half_size: (3,) m; the carrier's top is at z = 0 and its corner at the origin.
@@ -64,8 +64,8 @@ class Scene:
 def build_scene(plan: Plan, sim: Simulation) -> Scene:
     """The nominal scene of a plan.
 
-    Sizes shrink by ``sim.size_reduction_mm`` (absolute) with the front-left-bottom corner kept; half
-    sizes and centres are rounded half-up to 1 µm, as the reference implementation writes them.
+    Each size is reduced by ``sim.size_reduction_mm``; the front-left-bottom corner stays. Half sizes and centres are
+    rounded half up to 1 µm, as the reference implementation writes them.
     """
     physics = sim.physics
     size = plan.size_mm - sim.size_reduction_mm

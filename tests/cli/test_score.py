@@ -351,7 +351,7 @@ def test_every_command_explains_itself(
         for flag in (entry for record in (Simulation, Thresholds) for entry in flags_of(record)):
             assert re.search(rf"^  {flag}\b", printed, flags=re.MULTILINE), flag
         text = " ".join(printed.split())
-        assert "--interval S Time between two placements, s; the longest unless" in text
+        assert "--interval S Time between two placements, s; at most, unless" in text
         assert "[default: 0.7]" in text
         assert "petmjx-results/DATE-TIME" in text
 

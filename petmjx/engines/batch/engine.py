@@ -1,4 +1,4 @@
-"""What both MJX engines share: groups of worlds, stages, hand-over between capacities, streaming of outcomes."""
+"""The base class of the MJX engines: groups of worlds, stages, hand-over between capacities, outcomes as they come."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
 
 MAX_GROWTH = 8
-"""Buffers that overflowed are doubled up to this factor; a world that needs more is invalid."""
+"""Largest factor for buffers that overflow; they are doubled each time. A world that needs more is invalid."""
 
 MAX_STAGES = 6
-"""Capacities in use, at most; each is compiled once."""
+"""Most capacities of a run; each is compiled once."""
 
 MAX_LANES = 1 << 16
 MIN_LANES = 16
-"""Fewer lanes than this save no memory worth having."""
+"""With fewer lanes than this, no useful amount of memory is saved."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
@@ -54,8 +54,8 @@ class StageKey:
 class _Run:
     """One run: what its groups have in common.
 
-    ``capacities`` are those of the placement stages ("") and of each kind of drive; ``lane_limit`` is what device
-    memory was found to hold.
+    ``capacities``: of the placement stages ("") and of the stages of each kind of drive. ``lane_limit``: most lanes,
+    lowered when device memory runs out.
     """
 
     sim: Simulation
@@ -81,17 +81,17 @@ class _Group:
         return np.asarray(self.table.status)[: len(self.jobs)]
 
     def overflowed(self) -> NDArray[np.int64]:
-        """Rows that a stage gave back as they had entered it, because a buffer was too small."""
+        """Rows that a stage returned unchanged, because a buffer was too small."""
         flags = np.asarray(self.table.flags)[: len(self.jobs)]
         return np.flatnonzero((flags & OVERFLOW_BITS != 0) & (self.status() != Status.FINISHED))
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Clear overflow bits: a re-run in buffers that are large enough is as true as any other, and says so."""
+        """Clear the overflow bits and set the bit for a re-run: in larger buffers the result is valid."""
         flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
         self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
-        """End worlds that this device cannot simulate."""
+        """End worlds that cannot be simulated on this device."""
         flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
         self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
@@ -100,12 +100,12 @@ class MjxEngine(ABC):
     """Simulates worlds in batches on one JAX device.
 
     Args:
-        lanes: worlds stepped side by side, at most; fewer where fewer worlds are there or memory runs out.
-        group_size: worlds whose states are on the device at a time; bounds memory whatever the number of jobs.
-        capacities: fixed capacities instead of ones chosen from the plans (tests).
-        chunk_steps: steps between two looks at which lanes are through.
-        drain_share: a stage hands worlds that lag on to the next capacity once fewer than this share of its lanes
-            run. The last stage, and a single one, runs all to their end.
+        lanes: most worlds stepped side by side; fewer if there are fewer worlds, or if memory runs out.
+        group_size: worlds whose states are on the device at the same time; it bounds memory for any number of jobs.
+        capacities: fixed capacities, instead of capacities chosen from the plans (for tests).
+        chunk_steps: steps between two looks at which lanes have finished.
+        drain_share: when fewer than this share of a stage's lanes run, the stage ends, and its worlds continue in the
+            next capacity. The last stage simulates all its worlds to their end.
     """
 
     name = "mjx"
@@ -123,20 +123,20 @@ class MjxEngine(ABC):
         self.lanes, self.capacities, self.group_size = lanes, capacities, group_size
         self.chunk_steps, self.drain_share = chunk_steps, drain_share
         self.stages: dict[StageKey, Stage] = {}
-        """The stages that are compiled and kept."""
+        """The stages that are compiled, and kept for later runs."""
         self._warm: set[Stage] = set()
         self._growth: dict[tuple[Cone, int], int] = {}
         self._running = RunLock(self.name)
 
     @abstractmethod
     def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
-        """The implementation's stepper for a shape; ``growth`` multiplies its contact and constraint buffers."""
+        """The stepper for a shape; ``growth`` multiplies the sizes of its contact and constraint buffers."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once. Outcomes come stage by stage, as worlds reach their end.
 
         Raises:
-            RuntimeError: an earlier run of the same thread is not at its end. Other threads wait for theirs.
+            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
         """
         if not jobs:
             return
@@ -208,7 +208,7 @@ class MjxEngine(ABC):
         n_boxes: NDArray[np.int64],
         finished: Callable[[], Iterator[Outcome]],
     ) -> Iterator[Outcome]:
-        """All worlds of a stage before the next. ``n_boxes`` is NEVER for worlds that are none of these stages'."""
+        """Run the stages one after the other. ``n_boxes`` is NEVER for worlds that do not belong to these stages."""
         grows = drive == "" and group.run.sim.check is Check.ONE_BY_ONE
         waiting = (Status.SETTLED, Status.RUNNING) if drive else (Status.READY, Status.RUNNING)
         for capacity in capacities:
@@ -221,7 +221,7 @@ class MjxEngine(ABC):
                 yield from finished()
 
     def _run_stage(self, group: _Group, capacity: int, drive: str, rows: NDArray[np.int64], *, may_drain: bool) -> None:
-        """Run a stage over some worlds; again with larger buffers for those that overflowed."""
+        """Run a stage over some worlds, and again with larger buffers over those that overflowed."""
         run = group.run
         growth = self._growth.get((run.sim.physics.cone, capacity), 1)
         while len(rows):
@@ -256,7 +256,7 @@ class MjxEngine(ABC):
             group.retry(rows)
 
     def release(self) -> None:  # noqa: B027 (most implementations hold nothing)
-        """Give back device memory that an implementation holds between stages. Called when nothing runs."""
+        """Free device memory that an implementation keeps between stages. Called when nothing runs."""
 
     def _lane_count(self, run: _Run, capacity: int, n_worlds: int) -> int:
         """Lanes for a stage: a power of two, so that few shapes are compiled."""
@@ -265,7 +265,7 @@ class MjxEngine(ABC):
         return min(wanted, limit)
 
     def default_lanes(self, capacity: int) -> int:
-        """Lanes at a capacity where the user names no number."""
+        """Number of lanes at a capacity, if the user gives none."""
         return 256
 
     def _stage(self, group: _Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
@@ -281,10 +281,10 @@ class MjxEngine(ABC):
         return self.stages[key]
 
     def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
-        """Chunks and refills until the stage's worlds are through, or so few run that they are better handed on.
+        """Run chunks and refill lanes until the stage's worlds are finished, or few enough run to end the stage.
 
-        The counters that decide are those of the chunk before: the host asks for the next chunk first, so that the
-        device never waits for it.
+        The counters that decide are one chunk old: the host starts the next chunk before it reads them, so that the
+        device never waits for the host.
         """
         progress, capacity = group.run.progress, stage.rules.capacity
         padded = np.zeros(len(group.table.step), np.int32)
@@ -293,7 +293,7 @@ class MjxEngine(ABC):
         fresh = stage not in self._warm
         begin = time.perf_counter()
         chunks = lane_steps = 0
-        # Placement knows no profiles: with their table as it is, each new shape of it would compile again.
+        # Placement needs no profiles. Their table would make it compile again for each new shape of the table.
         profiles = group.profiles if stage.rules.driven else jnp.zeros((1, 1, 3))
         if fresh:
             progress.message = f"compiling capacity {capacity} for {stage.lanes} lanes"

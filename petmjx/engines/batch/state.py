@@ -37,7 +37,7 @@ class Status:
     """Placement is over and a drive follows."""
     FINISHED = 3
     OVERFLOWED = 4
-    """A buffer was too small: the stage is to be run again from where the world entered it."""
+    """A buffer was too small: the stage must run again from the state with which the world entered it."""
 
 
 class Worlds(NamedTuple):
@@ -80,7 +80,7 @@ class Metrics(NamedTuple):
 
 
 class State(NamedTuple):
-    """What a stage takes and hands on. Steps are counted from the end of the soft start."""
+    """The state of worlds between stages. Steps are counted from the end of the soft start."""
 
     # Positions and velocities as MuJoCo's qpos and qvel of free bodies, and the accelerations the solver starts from.
     pose: Float[Array, "world box 7"]
@@ -95,13 +95,13 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
 
-    # What the rules watch: steps for which all boxes have been slow, their squared pace at the first of these, and
-    # the first of the violent samples in a row.
+    # For the rules: steps for which all boxes have been slow, their squared pace at the first of these, and the first
+    # of consecutive violent samples.
     quiet_steps: Int[Array, " world"]
     quiet_pace: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
-    # How it goes on, as steps or NEVER: when the drive starts, the resting force is averaged, and the world ends.
+    # What follows, as steps or NEVER: when the drive starts, the rest window starts, and the world ends.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]

@@ -1,4 +1,4 @@
-"""The ``mujoco`` engine: the exact model of each plan on C MuJoCo, one world a thread."""
+"""The ``mujoco`` engine: the exact model of each plan on C MuJoCo, one world per thread."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from petmjx.world.job import Job
 
 
 class _QuietMujoco:
-    """Keeps MuJoCo from printing, and from writing MUJOCO_LOG.TXT where the user stands, while any run is on.
+    """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
 
-    What it would say (bad numbers, full buffers) is read from the data and reaches the results as flags. The setting
-    is the process's: the first run makes it and the last one puts back what was there before.
+    Its messages (bad numbers, full buffers) are read from its data instead and become flags in the results. The setting
+    belongs to the process: the first run changes it and the last one restores it.
     """
 
     def __init__(self) -> None:
@@ -50,13 +50,13 @@ _QUIET_MUJOCO = _QuietMujoco()
 
 
 class MujocoEngine:
-    """Simulates each world alone and exactly: the oracle, and the fast path without a GPU.
+    """Simulates each world alone, on its exact model: the oracle, and the fastest engine without a GPU.
 
-    ``mj_step`` releases the GIL for as many steps as there are to the next event, so threads scale with
-    cores. A world's outcome does not depend on the number of threads.
+    ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
+    does not depend on the number of threads.
 
     Args:
-        threads: worlds at a time; None: as many CPU threads as this process may use.
+        threads: number of worlds simulated at once; None: as many CPU threads as this process may use.
     """
 
     name = "mujoco"
@@ -69,9 +69,8 @@ class MujocoEngine:
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
-        Closing the generator, or an exception such as KeyboardInterrupt inside it, stops the threads
-        within a few dozen steps. At most two jobs a thread are submitted at a time, so memory does not
-        grow with the number of jobs.
+        If the generator is closed, or an exception such as KeyboardInterrupt comes, the threads stop within a few dozen
+        steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of jobs.
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()

@@ -1,6 +1,6 @@
-"""Running metrics of one world in NumPy: the oracle's half, sharing no arithmetic with the batched JAX half.
+"""Running metrics of one world in NumPy, for the oracle. It shares no arithmetic with the JAX side.
 
-Definitions are those of docs/metrics.md. Arrays have one row per box, in packing order.
+Definitions: docs/metrics.md. Arrays have one row per box, in packing order.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class OracleMetrics:
         self._sway_origin: FloatArray | None = None
 
     def fork(self) -> OracleMetrics:
-        """An independent copy, for worlds that go on from a shared state."""
+        """An independent copy, for a world that starts from this state."""
         twin = copy.copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
@@ -56,7 +56,7 @@ class OracleMetrics:
         All belong to the start of a step, where MuJoCo evaluates contacts and accelerations.
 
         Returns:
-            Whether some acceleration is above its threshold while no box has shown any sign of instability.
+            Whether an acceleration is above its threshold and no sign has been seen yet.
         """
         k = len(pos)
         lin = np.linalg.norm(acc[:, :3], axis=1)
@@ -72,7 +72,7 @@ class OracleMetrics:
         return too_fast and self.culprit < 0
 
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
-        """Look for drops and the first sign in one pose; the final state counts too. Returns the (k,) tilts."""
+        """Look for drops and for the first sign in these poses: a sample, or the final state. Returns (k,) tilts."""
         k = len(pos)
         tilt = tilt_deg(quat)
         dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
@@ -94,10 +94,10 @@ class OracleMetrics:
         self._rest_steps += 1
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """A profile starts, with the k boxes in these poses: sway is measured from here.
+        """A profile starts, with the k boxes in these poses. Sway is measured from here.
 
-        Where no box is over a threshold now, what passed during placement (a hard landing) is no sign any more:
-        the first sign is then the one that the profile brings.
+        If no box is over a threshold now, signs from the placement (a hard landing) are forgotten: the first sign is
+        then the first one during the profile.
         """
         k = len(pos)
         self._sway_origin = pos.copy()
@@ -108,7 +108,7 @@ class OracleMetrics:
             self.first_sign_s = float("nan")
 
     def finish(self, pos: FloatArray, quat: FloatArray, came_to_end: bool) -> BoxMetrics:
-        """The per-box results, from the final (n, 3) centres and (n, 4) orientations."""
+        """The metrics of all boxes, with the final (n, 3) centres and (n, 4) orientations."""
         n = self._scene.n_boxes
         rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics(
@@ -126,7 +126,7 @@ class OracleMetrics:
         )
 
     def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
-        """The box furthest over its thresholds in this pose."""
+        """The box with the largest excess in these poses."""
         dropped = np.isfinite(self.drop_s[: len(pos)])
         over, _ = self._excess(pos, tilt_deg(quat), dropped)
         return int(np.argmax(over))
@@ -134,7 +134,7 @@ class OracleMetrics:
     def _excess(
         self, pos: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_]
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(k,) how far each box is over its thresholds, and (k,) whether it has crossed one."""
+        """(k,) excess of each box, and (k,) whether it is over a threshold or has dropped."""
         limits = self._thresholds
         shift_m = shift(pos, self._scene.target[: len(pos)], limits.shift_floor_m)
         over = excess(shift_m, tilt, dropped, limits)

@@ -1,8 +1,8 @@
 """Sample plans in BED-BPP's format: generated ones, hand-made ones with a known answer, and packed orders.
 
 ``generate`` and ``write_samples`` draw orders with BED-BPP's statistics and pack them. A share of the plans
-(``loose_share``) is packed with a support rule too loose to be safe, so that a set holds plans that stand and
-plans that collapse. Plan i depends on (seed, i, loose_share) alone: ``n = 10`` is a prefix of ``n = 1000``.
+(``loose_share``) is packed with a support rule that is not safe, so that a set has plans that stand and plans that
+collapse. Plan i depends only on seed, i and loose_share: the plans of ``n = 10`` are the first of ``n = 1000``.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ def write_samples(
 ) -> None:
     """Write the first ``n`` plans of ``seed`` to a JSON file, gzipped if it is named ``*.gz``.
 
-    Plans are written as they are made, so memory does not grow with ``n``. ``progress`` is called with
-    the number of plans written so far.
+    Each plan is written as soon as it is made, so memory does not grow with ``n``. ``progress`` is called with the
+    number of plans written so far.
 
     Raises:
         InputError: ``n`` below 1, a negative seed, a share outside 0…1, or a path that cannot be written.
@@ -88,9 +88,9 @@ def write_plans(
     *,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Write (plan id, placements) pairs as one BED-BPP object, a line per placement.
+    """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The bytes depend on the plans alone (no time stamp in the gzip header).
+    The bytes depend only on the plans (no time stamp in the gzip header).
     """
     path = Path(path)
     try:
@@ -117,8 +117,8 @@ def pack_orders(
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
-    ``rules`` are the strict ones where not given. Boxes that find no place below 2 m are left out.
-    ``sequence`` is renumbered to the packing order, since the packer sorts.
+    Without ``rules`` the strict ones are used. Boxes that find no place below 2 m are left out. The packer sorts, so
+    ``sequence`` is numbered anew in packing order.
 
     Raises:
         InputError: the file is no orders file; or an order is bad and ``on_bad_order`` is not given
@@ -150,7 +150,7 @@ def as_placements(placed: Iterable[Placed]) -> list[Placement]:
 
 
 def bundled_path() -> Path:
-    """The bundled sample plans; :mod:`petmjx.plans.samples.bundled` says which they are and makes the file."""
+    """The file of the bundled plans. :mod:`petmjx.plans.samples.bundled` says which they are, and makes the file."""
     return Path(str(files(__package__) / "bundled.json"))
 
 
@@ -167,6 +167,6 @@ def _open_text(path: Path, stack: ExitStack) -> IO[str]:
 
 
 def _plain(value_mm: float) -> int | float:
-    """Whole millimetres as int, as BED-BPP writes them; others to the nanometre, free of float64 noise."""
+    """Whole millimetres as int, as BED-BPP writes them; others rounded to the nanometre, without float64 noise."""
     rounded = round(value_mm, 6)
     return int(rounded) if rounded == int(rounded) else rounded

@@ -1,7 +1,7 @@
-"""Small plans whose answer is known in closed form, with the reason. Checked one by one, carrier ``footprint``.
+"""Small plans whose answer is known in closed form, with the reason. Check ``one-by-one``, carrier ``footprint``.
 
-The carrier then reaches from the origin to the plan's farthest corner. The simulation takes 0.1 mm off each
-dimension and keeps the corner: margins here are centimetres, so that does not change an answer.
+The carrier reaches from the origin to the plan's farthest corner. The simulation makes each dimension 0.1 mm smaller
+and keeps the corner. Margins here are centimetres, so that changes no answer.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ CARTON_KG = 6.0
 
 @dataclass(frozen=True)
 class HandmadePlan:
-    """A plan and what physics says of it.
+    """A plan and its answer.
 
     Attributes:
         plan_id: starts with "hand-".
         why: one sentence.
         placements: as in a BED-BPP file.
         culprit: index of the box that goes first (packing order, from 0); −1 where the plan is stable.
-        rest_top_force_n: box index → force in N that the box bears from above at rest, where known.
+        rest_top_force_n: box index → force on top of the box at rest, N, where known.
     """
 
     plan_id: str
