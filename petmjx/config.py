@@ -214,7 +214,7 @@ class Simulation(Checked):
     )
     carrier: Annotated[Carrier, Flag("--carrier")] = Field(
         Carrier.FOOTPRINT,
-        description="what the boxes stand on: footprint: the plan's own extent; euro-pallet: 1200×800 mm; "
+        description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y)",
     )
     size_reduction_mm: Annotated[float, Flag("--size-reduction-mm", "MM")] = Field(
