@@ -153,10 +153,10 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     _largest(
         "max_tilt_deg",
         "deg",
-        When.SAMPLES,
+        When.SAMPLES_AND_END,
         "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
-        of_box="largest angle of the box's z axis to the world's, over samples",
-        of_world="largest angle of any box's z axis to the world's, over samples",
+        of_box="largest angle of the box's z axis to the world's, over samples and the final pose",
+        of_world="largest angle of any box's z axis to the world's, over samples and the final pose",
     ),
     BoxMetric(
         "dropped",
@@ -197,9 +197,9 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "max_top_force_n",
         "N",
         When.SAMPLES,
-        "max F, with F the force on the box's top (below)",
-        of_box="largest sampled force on its top",
-        of_world="largest sampled force on top of any box",
+        "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
+        of_box="largest sampled force on its top, at least the one at rest",
+        of_world="largest sampled force on top of any box, at least the one at rest",
         relative=True,
     ),
     _largest(

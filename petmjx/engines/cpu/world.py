@@ -324,7 +324,7 @@ class WorldRun:
         k = live.n_placed
         pos, quat = scene.start_pos.copy(), scene.start_quat.copy()
         pos[:k], quat[:k] = live.pose[:k, :3], live.pose[:k, 3:]
-        boxes = metrics.finish(pos, quat, came_to_end)
+        boxes = metrics.finish(pos, quat, k, came_to_end)
         verdict, reason = judge(self._flags, boxes, k, self._sim.thresholds)
         culprit, first_sign_s = metrics.culprit, metrics.first_sign_s
         if verdict is Verdict.STABLE:
