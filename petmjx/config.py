@@ -287,7 +287,8 @@ AUTO: Final = "auto"
 
 
 class RunOptions(Checked):
-    """How and where a run runs: none of it changes the outcome of a world."""
+    """How and where a run runs: none of it changes the outcome of a world, but for ``world_timeout_s``, which may take
+    it away (``invalid`` by ``timeout``)."""
 
     engine: Annotated[Any, Flag("--engine")] = Field(
         AUTO,
@@ -299,6 +300,11 @@ class RunOptions(Checked):
     )
     lanes: Annotated[int | None, Flag("--lanes", "N")] = Field(
         None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
+    )
+    world_timeout_s: Annotated[float | None, Flag("--world-timeout", "S")] = Field(
+        None,
+        gt=0,
+        description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
     )
     limit: Annotated[int | None, Flag("--limit", "N")] = Field(None, ge=1, description="take only this many plans")
     strict: Annotated[bool, Flag("--strict")] = Field(

@@ -41,10 +41,13 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tupl
         return asked, Choice(asked.name, "given")
     seconds = costs.seconds(work, options.threads or cpu_threads())
     if asked != AUTO:
-        engine = make_engine(asked, threads=options.threads, lanes=options.lanes)
+        engine = make_engine(
+            asked, threads=options.threads, lanes=options.lanes, world_timeout_s=options.world_timeout_s
+        )
         return engine, Choice(asked, "as asked for", seconds[asked])
     name, reason = choose(seconds, options.threads or cpu_threads())
-    limits: dict[str, Any] = {"threads": options.threads} if name == "mujoco" else {"lanes": options.lanes}
+    names = ("threads", "world_timeout_s") if name == "mujoco" else ("lanes",)
+    limits: dict[str, Any] = {option: getattr(options, option) for option in names}
     return make_engine(name, **limits), Choice(name, reason, seconds[name])
 
 
@@ -64,12 +67,15 @@ def choose(seconds: dict[str, float], threads: int) -> tuple[str, str]:
     return "mjx-warp", f"about {gpu_s:.0f} s, {cpu} would need about {cpu_s:.0f} s"
 
 
-def make_engine(name: str, *, threads: int | None = None, lanes: int | None = None) -> Engine:
+def make_engine(
+    name: str, *, threads: int | None = None, lanes: int | None = None, world_timeout_s: float | None = None
+) -> Engine:
     """Build an engine by name.
 
     Args:
         threads: CPU threads of ``mujoco``; None: all.
         lanes: worlds at once of the MJX engines; None: chosen from the device's memory.
+        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:
         InputError: no such engine, or an option that it does not have.
@@ -81,8 +87,10 @@ def make_engine(name: str, *, threads: int | None = None, lanes: int | None = No
     if name == "mujoco":
         if lanes is not None:
             raise InputError("lanes belong to the MJX engines; the engine mujoco has threads")
-        options["threads"] = threads
+        options |= {"threads": threads, "world_timeout_s": world_timeout_s}
     else:
+        if world_timeout_s is not None:
+            raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
         if threads is not None:
             raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
         options["lanes"] = lanes

@@ -1,9 +1,10 @@
 """Runs worlds through an engine, runs the invalid ones again, and hands on each world's last outcome.
 
 The procedure is that of the PET-Physics paper (Newton, then CG, up to two attempts each), with half the timestep
-after it. The reference implementation repeats a deterministic run bit for bit on its second attempts; here they
-differ: the solver gets up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, so that an attempt
-that failed because the solver stopped early has another chance.
+after it. Worlds that sank (``petmjx.engines.sinking``) have an attempt of their own. The reference implementation
+repeats a deterministic run bit for bit on its second attempts; here they differ: the solver gets up to
+``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, so that an attempt that failed because the solver stopped
+early has another chance.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ import numpy as np
 
 from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Engine, Progress
+from petmjx.engines.sinking import note_sinking, stiffened
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Attempt, Outcome, Verdict
+from petmjx.verdict import Attempt, Outcome, Reason, Verdict
 from petmjx.world.job import Excitation, Job
 
 CAREFUL_ITERATIONS = 400
@@ -40,6 +42,14 @@ class AttemptRecipe:
     solver: Solver | None
     careful: bool = False
     timestep_divisor: int = 1
+    stiff: bool = False
+    """With contacts that bear light boxes under heavy ones: for worlds that sank, and for no others."""
+
+    def is_for(self, outcome: Outcome) -> bool:
+        """Whether this attempt may give what the one before did not. More time is not given to a world."""
+        if outcome.verdict is not Verdict.INVALID or outcome.reason is Reason.TIMEOUT:
+            return False
+        return self.stiff == (outcome.reason is Reason.SINKING)
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
         """The run's configuration, changed as this attempt asks. Durations in seconds stay what they were."""
@@ -53,6 +63,8 @@ class AttemptRecipe:
             update["physics"] = sim.physics.changed(timestep_s=sim.physics.timestep_s / factor)
             quiet = {name: getattr(sim.quiet, name) * factor for name in ("steps", "min_steps", "poll_steps")}
             update["quiet"] = sim.quiet.changed(**quiet)
+        if self.stiff:
+            update["physics"] = stiffened(sim.physics)
         return sim.changed(**update)
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
@@ -78,8 +90,9 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(3, Solver.CG),
     AttemptRecipe(4, Solver.CG, careful=True),
     AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2),
+    AttemptRecipe(6, None, stiff=True),
 )
-"""The retry procedure, in order. Attempt 1 takes the run's own solver (Newton unless configured otherwise)."""
+"""The retry procedure, in order. Attempts 1 and 6 take the run's own solver (Newton unless configured otherwise)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +115,20 @@ class WorldResult:
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A world that waits for its next attempt, with the records of those it has had."""
+    """A world on its way through the attempts: those it has had, and what the last one came to."""
 
     world: World
     attempts: tuple[Attempt, ...] = ()
+    outcome: Outcome | None = None
+
+    def waits_for(self, attempts: Sequence[AttemptRecipe]) -> bool:
+        """Whether one of these attempts is for it."""
+        return self.outcome is not None and any(attempt.is_for(self.outcome) for attempt in attempts)
+
+    def result(self) -> WorldResult:
+        """The world with its last outcome."""
+        assert self.outcome is not None
+        return WorldResult(self.world, self.outcome, self.attempts)
 
 
 def score_worlds(
@@ -130,11 +153,11 @@ def score_worlds(
     source = iter(worlds)
     invalid: list[_Pending] = []
     while chunk := [_Pending(world) for world in islice(source, chunk_worlds)]:
-        for pending, outcome in _run_attempt(chunk, first, sim, engine, progress):
-            if retries and outcome.verdict is Verdict.INVALID:
+        for pending in _run_attempt(chunk, first, sim, engine, progress):
+            if pending.waits_for(retries):
                 invalid.append(pending)
             else:
-                yield WorldResult(pending.world, outcome, pending.attempts)
+                yield pending.result()
         if len(invalid) >= chunk_worlds:
             yield from _retry(invalid, retries, sim, engine, progress)
             invalid = []
@@ -145,33 +168,34 @@ def _retry(
     invalid: list[_Pending], attempts: Sequence[AttemptRecipe], sim: Simulation, engine: Engine, progress: Progress
 ) -> Iterator[WorldResult]:
     """Take invalid worlds through the attempts, all of them at one attempt before the next begins."""
-    for attempt in attempts:
-        if not invalid:
-            return
-        progress.message = f"{len(invalid)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
-        still_invalid = []
-        for pending, outcome in _run_attempt(invalid, attempt, sim, engine, progress):
-            if outcome.verdict is Verdict.INVALID and attempt is not attempts[-1]:
-                still_invalid.append(pending)
+    for number, attempt in enumerate(attempts, start=1):
+        batch = [pending for pending in invalid if pending.waits_for([attempt])]
+        if not batch:
+            continue
+        invalid = [pending for pending in invalid if not pending.waits_for([attempt])]
+        progress.message = f"{len(batch)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
+        for pending in _run_attempt(batch, attempt, sim, engine, progress):
+            if pending.waits_for(attempts[number:]):
+                invalid.append(pending)
             else:
-                yield WorldResult(pending.world, outcome, pending.attempts)
-        invalid = still_invalid
+                yield pending.result()
 
 
 def _run_attempt(
     batch: Sequence[_Pending], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
-) -> Iterator[tuple[_Pending, Outcome]]:
-    """One attempt at each world of a batch: yields the world with this attempt's record added, and the outcome."""
+) -> Iterator[_Pending]:
+    """One attempt at each world of a batch: yields the world with this attempt's record and outcome."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))
-    for outcome in engine.run(attempt.apply_to_jobs([p.world.job for p in batch]), attempt_sim, progress):
-        if outcome.job not in unanswered:
-            raise RuntimeError(f"engine {engine.name} answered job {outcome.job} twice, or it was never asked")
-        unanswered.remove(outcome.job)
+    for answer in engine.run(attempt.apply_to_jobs([p.world.job for p in batch]), attempt_sim, progress):
+        if answer.job not in unanswered:
+            raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
+        unanswered.remove(answer.job)
+        pending = batch[answer.job]
+        outcome = note_sinking(answer, pending.world.job.scene, attempt_sim)
         outcome.attempt = attempt.number
         outcome.solver = attempt_sim.solver.value
-        pending = batch[outcome.job]
         record = Attempt.of(outcome, attempt_sim.physics.timestep_s)
-        yield replace(pending, attempts=(*pending.attempts, record)), outcome
+        yield _Pending(pending.world, (*pending.attempts, record), outcome)
     if unanswered:
         raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")

@@ -7,12 +7,14 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 import mujoco
+import numpy as np
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.cpu.world import WorldRun
+from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.machine import cpu_threads
-from petmjx.verdict import Outcome
+from petmjx.text import one_line
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 
 
@@ -54,16 +56,21 @@ class MujocoEngine:
     ``mj_step`` releases the GIL for as many steps as there are to the next event, so threads scale with
     cores. A world's outcome does not depend on the number of threads.
 
+    A world whose simulation raises (a model that does not compile, no memory, an error of MuJoCo) is invalid; the
+    others go on.
+
     Args:
         threads: worlds at a time; None: as many CPU threads as this process may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: no limit.
     """
 
     name = "mujoco"
 
-    def __init__(self, threads: int | None = None) -> None:
+    def __init__(self, threads: int | None = None, world_timeout_s: float | None = None) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.threads = threads if threads is not None else cpu_threads()
+        self.world_timeout_s = world_timeout_s
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
@@ -78,7 +85,7 @@ class MujocoEngine:
         with _QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
                 for index, job in enumerate(jobs):
-                    pending.add(pool.submit(_simulate, index, job, sim, stop))
+                    pending.add(pool.submit(_simulate, index, job, sim, stop, self.world_timeout_s))
                     while len(pending) >= 2 * self.threads:
                         finished, pending = wait(pending, return_when=FIRST_COMPLETED)
                         yield from _collect(finished, progress)
@@ -90,8 +97,13 @@ class MujocoEngine:
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event) -> Outcome:
-    return WorldRun(index, job, sim, stop.is_set).run()
+def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event, timeout_s: float | None = None) -> Outcome:
+    try:
+        return WorldRun(index, job, sim, stop.is_set, timeout_s).run()
+    except Cancelled:
+        raise
+    except Exception as error:
+        return _failed(index, job, sim, one_line(error))
 
 
 def _collect(finished: set[Future[Outcome]], progress: Progress) -> Iterator[Outcome]:
@@ -100,3 +112,37 @@ def _collect(finished: set[Future[Outcome]], progress: Progress) -> Iterator[Out
         progress.worlds_done += 1
         progress.world_steps += outcome.n_steps
         yield outcome
+
+
+def _failed(index: int, job: Job, sim: Simulation, message: str) -> Outcome:
+    """The outcome of a world whose simulation raised an exception: it has no metrics."""
+    n = job.scene.n_boxes
+    unknown = np.full(n, np.nan)
+    boxes = BoxMetrics(
+        shift_m=np.full((n, 3), np.nan),
+        max_tilt_deg=unknown,
+        max_lin_acc=unknown,
+        max_ang_acc=unknown,
+        max_top_force_n=unknown,
+        rest_top_force_n=unknown,
+        dropped=np.zeros(n, np.bool_),
+        drop_s=unknown,
+        max_sway_m=unknown,
+        pos=job.scene.start_pos,
+        quat=job.scene.start_quat,
+    )
+    return Outcome(
+        job=index,
+        verdict=Verdict.INVALID,
+        reason=Reason.FAILED,
+        culprit=-1,
+        first_sign_s=np.nan,
+        n_boxes=n,
+        n_placed=0,
+        sim_time_s=np.nan,
+        n_steps=0,
+        flags=Flag.FAILED | (Flag.FORKED if job.start is not None else Flag.NONE),
+        boxes=boxes,
+        solver=sim.solver.value,
+        message=message,
+    )
