@@ -120,12 +120,14 @@ def note_sinking(outcome: Outcome, scene: Scene, sim: Simulation) -> Outcome:
     placed = np.arange(outcome.n_boxes) < outcome.n_placed
     force = np.where(placed, outcome.boxes.max_top_force_n, 0.0)
     limit_m = sim.thresholds.shift_m
-    sinking = sinking_m(scene, sim.physics, force)
-    sank = bool((sinking > BOUND_SHARE * limit_m).any())
+    bound_m = BOUND_SHARE * limit_m
+    sinking = sinking_m(scene, sim.physics, force, enough_m=0.0 if outcome.reason is Reason.SHIFT else bound_m)
+    sank = bool((sinking > bound_m).any())
     if outcome.reason is Reason.SHIFT and not sank:
         shift = outcome.boxes.shift_m[placed]
-        held_up = shift + np.where(shift[:, 2:] < 0, sinking[placed, None], 0.0) * (0.0, 0.0, 1.0)
-        sank = not (np.abs(held_up) > limit_m).any()
+        without = shift.copy()
+        without[:, 2] += np.where(shift[:, 2] < 0, sinking[placed], 0.0)
+        sank = bool((np.abs(shift) > limit_m).any() and not (np.abs(without) > limit_m).any())
     if not sank:
         return outcome
     flags = outcome.flags | Flag.SINKING

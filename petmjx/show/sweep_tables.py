@@ -36,7 +36,10 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """Share standing for each value of each axis that has several, over all plans."""
+    """Share standing for each value of each axis that has several, over all plans.
+
+    Shares are of the worlds named before them: those with a verdict, and those that were held against EUMOS's limits.
+    """
     overall = summary[summary["plan_id"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
     shown = overall[several | (overall["axis"] == "")]
@@ -44,11 +47,11 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
     table = FittedTable(
         Column("axis", "left", least=13, middle=True),
         Column("value", least=11, middle=True),
-        Column("worlds"),
+        Column("worlds\njudged"),
         Column("stand", spare=1),
         Column("share"),
         Column("95 %"),
-        *([Column("passes\nEUMOS")] if eumos else []),
+        *([Column("worlds\ntested"), Column("pass\nEUMOS")] if eumos else []),
         *([Column("fails\nfrom")] if angle else []),
         caption=f"{len(shown) - MAX_VALUES:,} more in summary" if len(shown) > MAX_VALUES else "",
     )
@@ -56,12 +59,12 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
         cells = [
             str(row["axis"]) or "all",
             str(row["value"]),
-            f"{row['n_worlds']:,}",
+            f"{row['n_worlds'] - row['n_invalid']:,}",
             f"{row['n_standing']:,}",
             percent(row["share"]),
             f"{percent(row['low'])} to {percent(row['high'])}",
         ]
-        cells += [percent(row["eumos_share"])] if eumos else []
+        cells += [f"{row['n_eumos']:,}", percent(row["eumos_share"])] if eumos else []
         cells += [number(row["smallest_fail_angle_deg"], ".1f", " °")] if angle else []
         table.add(*cells)
     return table

@@ -62,8 +62,8 @@ class SweptWorld:
 
     Attributes:
         settled: the placement it was forked from; None for a world without a drive.
-        driven: whether its drive was simulated. A placement that collapsed or is invalid is not shaken:
-            its worlds have its outcome.
+        driven: whether its drive was simulated. Where the placement does not stand, the world has its outcome;
+            without early stop it is shaken, too, but is not stable.
     """
 
     plan: Plan
@@ -241,10 +241,10 @@ class SweepRun:
         return [found[index] for index in range(len(groups))]
 
     def _can_be_driven(self, settled: Settled) -> bool:
-        """Not where the placement is invalid, or ended because a box dropped."""
+        """Not where the placement does not stand; without early stop, not where it is invalid."""
         outcome = settled.outcome
-        collapsed = self.sim.early_stop and bool(outcome.boxes.dropped.any())
-        return outcome.verdict is not Verdict.INVALID and not collapsed and outcome.state is not None
+        shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
+        return shaken and outcome.state is not None
 
     # Drives.
 
@@ -335,9 +335,12 @@ def _is_driven(group: PlacementGroup) -> bool:
 
 
 def _swept(world: _Driving, result: WorldResult) -> SweptWorld:
-    return SweptWorld(
-        world.plan, world.change, world.settled.scene, result.outcome, result.attempts, world.settled, driven=True
-    )
+    start, outcome, placed = world.settled, result.outcome, world.settled.outcome
+    if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
+        # what did not stand before it was shaken has not passed, even if it ends where the plan has it
+        kept = ("verdict", "reason", "culprit", "first_sign_s")
+        outcome = replace(outcome, **{name: getattr(placed, name) for name in kept})
+    return SweptWorld(world.plan, world.change, start.scene, outcome, result.attempts, start, driven=True)
 
 
 def _undriven(start: Settled, variant: Variant) -> SweptWorld:
