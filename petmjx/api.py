@@ -28,6 +28,7 @@ from petmjx.sweeps.ready import find_sweep
 from petmjx.sweeps.run import Batching, SweepRun, SweptWorld
 from petmjx.sweeps.sliding import hopeless_profiles
 from petmjx.sweeps.summary import SweepColumns, search_frame, search_row, summarise_shares, summary_units
+from petmjx.text import shown
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -196,6 +197,9 @@ def _simulate(
                     world.attempts,
                     values,
                 )
+                if world.outcome.message:
+                    variant = f", variant {world.variant.index}" if columns else ""
+                    writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
                 if watcher is not None:
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=progress.compile_s)

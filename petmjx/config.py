@@ -211,7 +211,7 @@ class Simulation(Checked):
     )
     carrier: Annotated[Carrier, Flag("--carrier")] = Field(
         Carrier.FOOTPRINT,
-        description="what the boxes stand on: footprint: the plan's own extent; euro-pallet: 1200×800 mm; "
+        description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y)",
     )
     size_reduction_mm: Annotated[float, Flag("--size-reduction-mm", "MM")] = Field(
@@ -284,7 +284,8 @@ AUTO: Final = "auto"
 
 
 class RunOptions(Checked):
-    """How and where a run runs. Except for ``engine``, nothing here changes the outcome of a world."""
+    """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
+    ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
 
     engine: Annotated[Any, Flag("--engine")] = Field(
         AUTO,
@@ -296,6 +297,11 @@ class RunOptions(Checked):
     )
     lanes: Annotated[int | None, Flag("--lanes", "N")] = Field(
         None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
+    )
+    world_timeout_s: Annotated[float | None, Flag("--world-timeout", "S")] = Field(
+        None,
+        gt=0,
+        description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
     )
     limit: Annotated[int | None, Flag("--limit", "N")] = Field(None, ge=1, description="take only this many plans")
     strict: Annotated[bool, Flag("--strict")] = Field(

@@ -27,6 +27,9 @@ class Reason(StrEnum):
     OVERFLOW = "overflow"
     EXPLOSION = "explosion"
     OUT_OF_MEMORY = "out-of-memory"
+    SINKING = "sinking"
+    FAILED = "failed"
+    TIMEOUT = "timeout"
     DROP = "drop"
     TILT = "tilt"
     SHIFT = "shift"
@@ -46,6 +49,12 @@ class Flag(IntFlag):
     OTHER_OVERFLOW = 128
     FORKED = 256
     """The world started from a settled state that another world had reached."""
+    SINKING = 512
+    """Boxes sank into what bears them, so far that a verdict may come from it (petmjx.engines.sinking)."""
+    FAILED = 1024
+    """The simulation ended with an exception; ``Outcome.message`` has its text."""
+    TIMEOUT = 2048
+    """The world took longer than ``RunOptions.world_timeout_s``."""
 
 
 @dataclass(eq=False)
@@ -87,15 +96,20 @@ class Outcome:
     attempt: int = 1
     state: Any = None
     """The settled state, if the job asked for it. Only the engine that made it can use it."""
+    message: str = ""
+    """Why there is no result, in one line, if ``reason`` is ``failed``."""
 
 
 INVALID_FLAGS: Final = (
+    (Flag.FAILED, Reason.FAILED),
     (Flag.NONFINITE, Reason.NONFINITE),
     (Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW, Reason.OVERFLOW),
     (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
     (Flag.EXPLOSION, Reason.EXPLOSION),
+    (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, with their reasons. The first one that is set decides."""
+"""Flags that make a world invalid, with their reasons. The first one that is set decides. ``Flag.SINKING`` is judged
+later, and makes a world invalid with elliptic cones only."""
 
 
 def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> tuple[Verdict, Reason]:

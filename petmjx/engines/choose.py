@@ -20,6 +20,10 @@ ENGINES: dict[str, tuple[str, str]] = {
 """Engine name → module and class. A module is imported only when its engine is used."""
 
 
+OF_MUJOCO = ("threads", "world_timeout_s")
+"""Options that only the engine ``mujoco`` has."""
+
+
 @dataclass(frozen=True)
 class Choice:
     """An engine's name, why it was chosen (one line), and the expected time in s (None: not known)."""
@@ -42,9 +46,10 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tupl
     threads = options.threads or cpu_threads()
     seconds = costs.seconds(work, threads)
     name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
-    limits = {"threads": options.threads, "lanes": options.lanes}
+    limits = {option: getattr(options, option) for option in (*OF_MUJOCO, "lanes")}
     if asked == AUTO:
-        del limits["lanes" if name == "mujoco" else "threads"]
+        for option in ("lanes",) if name == "mujoco" else OF_MUJOCO:
+            del limits[option]
     return make_engine(name, **limits), Choice(name, reason, seconds[name])
 
 
@@ -64,12 +69,15 @@ def choose(seconds: dict[str, float], threads: int) -> tuple[str, str]:
     return "mjx-warp", f"about {gpu_s:.0f} s, {cpu} would need about {cpu_s:.0f} s"
 
 
-def make_engine(name: str, *, threads: int | None = None, lanes: int | None = None) -> Engine:
+def make_engine(
+    name: str, *, threads: int | None = None, lanes: int | None = None, world_timeout_s: float | None = None
+) -> Engine:
     """Build an engine by name.
 
     Args:
         threads: CPU threads of ``mujoco``; None: all.
         lanes: worlds at once of the MJX engines; None: chosen from the device's memory.
+        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:
         InputError: no such engine, or it does not have this option.
@@ -82,10 +90,12 @@ def make_engine(name: str, *, threads: int | None = None, lanes: int | None = No
         raise InputError("lanes belong to the MJX engines; the engine mujoco has threads")
     if threads is not None and not on_cpu:
         raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
+    if world_timeout_s is not None and not on_cpu:
+        raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
     module_name, class_name = ENGINES[name]
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    engine: Engine = getattr(module, class_name)(threads if on_cpu else lanes)
+    engine: Engine = getattr(module, class_name)(*((threads, world_timeout_s) if on_cpu else (lanes,)))
     return engine

@@ -1,8 +1,9 @@
 """Simulates worlds with an engine, repeats the invalid ones with other settings, and yields each world's last outcome.
 
 The attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each), and then one with half the
-timestep. The second attempts of the reference implementation repeat the same deterministic run. Here they differ: the
-solver gets up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
+timestep. Worlds that sank (``petmjx.engines.sinking``) have an attempt of their own. The second attempts of the
+reference implementation repeat the same deterministic run. Here they differ: the solver gets up to
+``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ import numpy as np
 
 from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Engine, Progress
+from petmjx.engines.sinking import note_sinking, stiffened
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Attempt, Outcome, Verdict
+from petmjx.verdict import Attempt, Outcome, Reason, Verdict
 from petmjx.world.job import Excitation, Job
 
 CAREFUL_ITERATIONS = 400
@@ -39,6 +41,14 @@ class AttemptRecipe:
     solver: Solver | None
     careful: bool = False
     timestep_divisor: int = 1
+    stiff: bool = False
+    """With contacts that bear light boxes under heavy ones: for worlds that sank, and for no others."""
+
+    def is_for(self, outcome: Outcome) -> bool:
+        """Whether this attempt may give what the one before did not. More time is not given to a world."""
+        if outcome.verdict is not Verdict.INVALID or outcome.reason is Reason.TIMEOUT:
+            return False
+        return self.stiff == (outcome.reason is Reason.SINKING)
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
         """The run's options with this attempt's changes. Times in seconds stay the same."""
@@ -52,6 +62,8 @@ class AttemptRecipe:
             update["physics"] = sim.physics.changed(timestep_s=sim.physics.timestep_s / factor)
             quiet = {name: getattr(sim.quiet, name) * factor for name in ("steps", "min_steps", "poll_steps")}
             update["quiet"] = sim.quiet.changed(**quiet)
+        if self.stiff:
+            update["physics"] = stiffened(sim.physics)
         return sim.changed(**update)
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
@@ -75,8 +87,9 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(3, Solver.CG),
     AttemptRecipe(4, Solver.CG, careful=True),
     AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2),
+    AttemptRecipe(6, None, stiff=True),
 )
-"""The attempts, in order. Attempt 1 uses the run's own solver (Newton by default)."""
+"""The attempts, in order. Attempts 1 and 6 use the run's own solver (Newton by default)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +113,8 @@ class WorldResult(Generic[AnyWorld]):
     attempts: tuple[Attempt, ...]
 
 
-_Pending = tuple[AnyWorld, tuple[Attempt, ...]]
-"""A world that waits for its next attempt, with the records of the attempts before."""
+_Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
+"""A world between two attempts: with the outcome of the last one, and the records of all before."""
 
 
 def score_worlds(
@@ -124,32 +137,34 @@ def score_worlds(
     progress = progress or Progress()
     first, *retries = attempts
     source = iter(worlds)
-    invalid: list[_Pending[AnyWorld]] = []
+    waiting: list[_Pending[AnyWorld]] = []
 
     def attempt_at(
-        batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe
+        batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, later: Sequence[AttemptRecipe]
     ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
-        """Yield results that are final; return the worlds that need another attempt."""
-        again = []
+        """Yield results that are final; return the worlds for which there is a later attempt."""
+        again: list[_Pending[AnyWorld]] = []
         for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress):
-            if outcome.verdict is Verdict.INVALID and attempt is not attempts[-1]:
-                again.append((world, records))
+            if any(each.is_for(outcome) for each in later):
+                again.append((world, outcome, records))
             else:
                 yield WorldResult(world, outcome, records)
         return again
 
     def retry(batch: Sequence[_Pending[AnyWorld]]) -> Iterator[WorldResult[AnyWorld]]:
-        for attempt in retries:
-            if batch:
-                progress.message = f"{len(batch)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
-                batch = yield from attempt_at(batch, attempt)
+        for number, attempt in enumerate(retries, start=1):
+            chosen = [pending for pending in batch if pending[1] is not None and attempt.is_for(pending[1])]
+            if chosen:
+                others = [pending for pending in batch if not (pending[1] is not None and attempt.is_for(pending[1]))]
+                progress.message = f"{len(chosen)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
+                batch = others + (yield from attempt_at(chosen, attempt, retries[number:]))
 
     while chunk := list(islice(source, chunk_worlds)):
-        invalid += yield from attempt_at([(world, ()) for world in chunk], first)
-        if len(invalid) >= chunk_worlds:
-            yield from retry(invalid)
-            invalid = []
-    yield from retry(invalid)
+        waiting += yield from attempt_at([(world, None, ()) for world in chunk], first, retries)
+        if len(waiting) >= chunk_worlds:
+            yield from retry(waiting)
+            waiting = []
+    yield from retry(waiting)
 
 
 def _run_attempt(
@@ -158,13 +173,14 @@ def _run_attempt(
     """Make one attempt at each world of a batch: yield world, outcome, and its records with this attempt's record."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))
-    for outcome in engine.run(attempt.apply_to_jobs([world.job for world, _ in batch]), attempt_sim, progress):
-        if outcome.job not in unanswered:
-            raise RuntimeError(f"engine {engine.name} answered job {outcome.job} twice, or it was never asked")
-        unanswered.remove(outcome.job)
+    for answer in engine.run(attempt.apply_to_jobs([pending[0].job for pending in batch]), attempt_sim, progress):
+        if answer.job not in unanswered:
+            raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
+        unanswered.remove(answer.job)
+        world, _, records = batch[answer.job]
+        outcome = note_sinking(answer, world.job.scene, attempt_sim)
         outcome.attempt = attempt.number
         outcome.solver = attempt_sim.solver.value
-        world, records = batch[outcome.job]
         yield world, outcome, (*records, Attempt.of(outcome, attempt_sim.physics.timestep_s))
     if unanswered:
         raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")

@@ -141,9 +141,10 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         of_world=OfWorld("max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"),
     ),
     _largest(
-        "max_tilt_deg", "deg", When.SAMPLES, "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
-        of_box="largest angle of the box's z axis to the world's, over samples",
-        of_world="largest angle of any box's z axis to the world's, over samples",
+        "max_tilt_deg", "deg", When.SAMPLES_AND_END,
+        "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
+        of_box="largest angle of the box's z axis to the world's, over samples and the final pose",
+        of_world="largest angle of any box's z axis to the world's, over samples and the final pose",
     ),
     BoxMetric(
         "dropped", TEXT, {"dropped": "the box fell off the carrier"}, When.SAMPLES_AND_END,
@@ -166,8 +167,10 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
     ),
     _largest(
-        "max_top_force_n", "N", When.SAMPLES, "max F, with F the force on the box's top (below)",
-        of_box="largest sampled force on its top", of_world="largest sampled force on top of any box", relative=True,
+        "max_top_force_n", "N", When.SAMPLES,
+        "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
+        of_box="largest sampled force on its top, at least the one at rest",
+        of_world="largest sampled force on top of any box, at least the one at rest", relative=True,
     ),
     _largest(
         "rest_top_force_n", "N", When.REST,

@@ -62,8 +62,8 @@ def check_layout(
     """Count what is odd about one plan's layout.
 
     Args:
-        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's own
-            footprint, so only negative coordinates are outside.
+        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's
+            bounding box, so only boxes below its top are outside.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side = _shared(low[0], high[0], tolerance_mm) & _shared(low[1], high[1], tolerance_mm)
@@ -97,8 +97,9 @@ def _count_outside(
     carrier_extent_mm: tuple[float, float] | None,
     tolerance_mm: float,
 ) -> int:
-    outside = (low < -tolerance_mm).any(axis=0)
+    outside = low[2] < -tolerance_mm
     if carrier_extent_mm is not None:
+        outside |= (low[:2] < -tolerance_mm).any(axis=0)
         outside |= (high[0] > carrier_extent_mm[0] + tolerance_mm) | (high[1] > carrier_extent_mm[1] + tolerance_mm)
     return int(np.count_nonzero(outside))
 

@@ -39,7 +39,10 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """The share that stands, for each value of each axis with several values, over all plans."""
+    """The share that stands, for each value of each axis with several values, over all plans.
+
+    Shares are of the worlds named before them: those with a verdict, and those that EUMOS's limits were applied to.
+    """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
     shown = overall[several | (overall["axis"] == "")]
@@ -48,11 +51,11 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
     table = FittedTable(
         Column("axis", "left", least=13, middle=True),
         Column("value", least=11, middle=True),
-        Column("worlds"),
+        Column("worlds\njudged"),
         Column("stand", spare=1),
         Column("share"),
         *([Column("draws", spare=2), Column("95 %")] if drawn else []),
-        *([Column("passes\nEUMOS")] if eumos else []),
+        *([Column("worlds\ntested"), Column("pass\nEUMOS")] if eumos else []),
         *([Column("fails\nfrom")] if angle else []),
         caption=f"{len(shown) - MAX_VALUES:,} more in summary" if len(shown) > MAX_VALUES else "",
     )
@@ -60,14 +63,14 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
         cells = [
             str(row["axis"]) or "all",
             str(row["value"]),
-            f"{row['n_worlds']:,}",
+            f"{row['n_worlds'] - row['n_invalid']:,}",
             f"{row['n_standing']:,}",
             percent(row["share"]),
         ]
         if drawn:
             interval = f"{row['n_draws']:,}", f"{percent(row['low'])} to {percent(row['high'])}"
             cells += interval if row["n_draws"] else ("", "")
-        cells += [percent(row["eumos_share"])] if eumos else []
+        cells += [f"{row['n_eumos']:,}", percent(row["eumos_share"])] if eumos else []
         cells += [number(row["smallest_fail_angle_deg"], ".1f", " °")] if angle else []
         table.add(*cells)
     return table

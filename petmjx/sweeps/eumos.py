@@ -26,7 +26,7 @@ EUMOS_COLUMNS = (
     Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
     Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement left after it / load height"),
     Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
-    Param("eumos_passed", TEXT, "whether all limits of EUMOS 40509 hold and nothing fell", bool),
+    Param("eumos_passed", TEXT, "whether it stood, all limits of EUMOS 40509 hold and nothing fell", bool),
 )
 """Additional columns of these worlds."""
 

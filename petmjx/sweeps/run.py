@@ -65,8 +65,8 @@ class SweptWorld:
 
     Attributes:
         settled: the placement it was forked from; None for a world that was simulated from its beginning.
-        driven: whether its drive was simulated. A placement that collapsed or is invalid is not shaken:
-            its worlds have its outcome.
+        driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
+            early stop it is shaken, too, but is not stable.
     """
 
     plan: Plan
@@ -217,10 +217,10 @@ class SweepRun:
         return [found[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: Settled) -> bool:
-        """False if the placement is invalid, or ended because a box dropped."""
+        """Not if the placement does not stand; without early stop, not if it is invalid."""
         outcome = settled.outcome
-        collapsed = self.sim.early_stop and bool(outcome.boxes.dropped.any())
-        return outcome.verdict is not Verdict.INVALID and not collapsed and outcome.state is not None
+        shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
+        return shaken and outcome.state is not None
 
     # Drives.
 
@@ -247,8 +247,9 @@ class SweepRun:
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
+            final = _as_placed(outcome, world.settled.outcome)
             swept = SweptWorld(
-                world.plan, world.change, world.job.scene, outcome, result.attempts, world.settled, driven=True
+                world.plan, world.change, world.job.scene, final, result.attempts, world.settled, driven=True
             )
             yield world.test, swept
         self.tally.drive_s += time.perf_counter() - begin
@@ -300,6 +301,14 @@ class SweepRun:
 def _is_driven(group: PlacementGroup) -> bool:
     """Whether a placement's worlds have drives. All worlds of a group have one, or none has. True for a search."""
     return all(variant.drive is not None for variant in group.variants)
+
+
+def _as_placed(outcome: Outcome, placed: Outcome) -> Outcome:
+    """What did not stand before it was shaken has not passed, even if it ends where the plan has it."""
+    if outcome.verdict is not Verdict.STABLE or placed.verdict is Verdict.STABLE:
+        return outcome
+    kept = ("verdict", "reason", "culprit", "first_sign_s")
+    return replace(outcome, **{name: getattr(placed, name) for name in kept})
 
 
 def _undriven(start: Settled, variant: Variant) -> SweptWorld:

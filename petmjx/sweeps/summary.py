@@ -16,7 +16,7 @@ from petmjx.results.schema import Param
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.run import Answer, SweptWorld
+from petmjx.sweeps.run import Answer, Settled, SweptWorld
 from petmjx.sweeps.search import failure_mode
 from petmjx.sweeps.shares import KEYS, by_plan_and_axis, share_standing
 from petmjx.verdict import Outcome, Verdict
@@ -75,12 +75,19 @@ class SweepColumns:
             if isinstance(profile, Tilt) and sign_s is not None:
                 values[FAIL_ANGLE.name] = min(sign_s * profile.rate_deg_s, profile.max_deg)
         if drive.profile == EUMOS_PROFILE and world.settled is not None:
-            settled = world.settled.outcome.boxes.pos
-            found = eumos_assessment(world.outcome.boxes, settled, world.scene.half_size)
-            # a world that was not driven has no displacements during the test, and has not passed it
-            values |= {name: None if value != value else value for name, value in found.items()}
-            if world.outcome.verdict is Verdict.INVALID:
-                values["eumos_passed"] = None
+            values |= self._eumos(world, world.settled)
+        return values
+
+    def _eumos(self, world: SweptWorld, settled: Settled) -> dict[str, Any]:
+        """EUMOS's figures, which count from where the boxes stood; what did not stand has none, or has not passed."""
+        values: dict[str, Any] = {}
+        if world.driven:
+            found = eumos_assessment(world.outcome.boxes, settled.outcome.boxes.pos, world.scene.half_size)
+            values = {name: None if value != value else value for name, value in found.items()}
+        if settled.outcome.verdict is not Verdict.STABLE:
+            values["eumos_passed"] = False
+        if world.outcome.verdict is Verdict.INVALID:
+            values["eumos_passed"] = None
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:

@@ -315,6 +315,7 @@ def test_handmade_geometry_is_what_the_reasons_say() -> None:
         assert support_shares(list(plans[f"hand-overhang-{name}"].placements))[1] == pytest.approx(share)
     assert support_shares(list(plans["hand-bridge"].placements))[2] == pytest.approx(2 / 3)
     assert min(support_shares(list(plans["hand-staircase"].placements))) == pytest.approx(0.6)
+    assert support_shares(list(plans["hand-over-corner"].placements))[1] == pytest.approx(0.36)
     tower_low, tower_high = geometry(list(plans["hand-tower"].placements))
     assert tower_high[:, 2].max() == 1840
     assert (tower_low[:, :2] == 0).all()

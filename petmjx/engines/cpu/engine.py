@@ -5,15 +5,18 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from functools import partial
 from itertools import islice
 
 import mujoco
+import numpy as np
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.cpu.world import WorldRun
+from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.machine import cpu_threads
-from petmjx.verdict import Outcome
+from petmjx.text import one_line
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 
 
@@ -55,16 +58,21 @@ class MujocoEngine:
     ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
     does not depend on the number of threads.
 
+    A world whose simulation raises (a model that does not compile, no memory, an error of MuJoCo) is invalid; the
+    others go on.
+
     Args:
         threads: number of worlds simulated at once; None: as many CPU threads as this process may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: no limit.
     """
 
     name = "mujoco"
 
-    def __init__(self, threads: int | None = None) -> None:
+    def __init__(self, threads: int | None = None, world_timeout_s: float | None = None) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.threads = threads if threads is not None else cpu_threads()
+        self.world_timeout_s = world_timeout_s
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
@@ -74,7 +82,7 @@ class MujocoEngine:
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
-        runs = (WorldRun(index, job, sim, stop.is_set).run for index, job in enumerate(jobs))
+        runs = (partial(_simulate, index, job, sim, stop, self.world_timeout_s) for index, job in enumerate(jobs))
         pending: set[Future[Outcome]] = set()
         with _QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
@@ -87,3 +95,46 @@ class MujocoEngine:
             finally:
                 stop.set()
                 pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event, timeout_s: float | None = None) -> Outcome:
+    try:
+        return WorldRun(index, job, sim, stop.is_set, timeout_s).run()
+    except Cancelled:
+        raise
+    except Exception as error:
+        return _failed(index, job, sim, one_line(error))
+
+
+def _failed(index: int, job: Job, sim: Simulation, message: str) -> Outcome:
+    """The outcome of a world whose simulation raised an exception: it has no metrics."""
+    n = job.scene.n_boxes
+    unknown = np.full(n, np.nan)
+    boxes = BoxMetrics(
+        shift_m=np.full((n, 3), np.nan),
+        max_tilt_deg=unknown,
+        max_lin_acc=unknown,
+        max_ang_acc=unknown,
+        max_top_force_n=unknown,
+        rest_top_force_n=unknown,
+        dropped=np.zeros(n, np.bool_),
+        drop_s=unknown,
+        max_sway_m=unknown,
+        pos=job.scene.start_pos,
+        quat=job.scene.start_quat,
+    )
+    return Outcome(
+        job=index,
+        verdict=Verdict.INVALID,
+        reason=Reason.FAILED,
+        culprit=-1,
+        first_sign_s=np.nan,
+        n_boxes=n,
+        n_placed=0,
+        sim_time_s=np.nan,
+        n_steps=0,
+        flags=Flag.FAILED | (Flag.FORKED if job.start is not None else Flag.NONE),
+        boxes=boxes,
+        solver=sim.solver.value,
+        message=message,
+    )

@@ -107,16 +107,22 @@ class OracleMetrics:
             self.culprit = -1
             self.first_sign_s = float("nan")
 
-    def finish(self, pos: FloatArray, quat: FloatArray, came_to_end: bool) -> BoxMetrics:
-        """The metrics of all boxes, with the final (n, 3) centres and (n, 4) orientations."""
+    def finish(self, pos: FloatArray, quat: FloatArray, n_placed: int, came_to_end: bool) -> BoxMetrics:
+        """The metrics of all boxes, with the final (n, 3) centres and (n, 4) orientations.
+
+        The final pose of placed boxes counts for the largest tilt, and the mean force at rest for the largest force.
+        """
         n = self._scene.n_boxes
+        placed = slice(n_placed)
+        with np.errstate(invalid="ignore"):  # the poses of a world with bad numbers
+            np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
         rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics(
             shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m),
             max_tilt_deg=self.max_tilt_deg,
             max_lin_acc=self.max_lin_acc,
             max_ang_acc=self.max_ang_acc,
-            max_top_force_n=self.max_top_force_n,
+            max_top_force_n=np.fmax(self.max_top_force_n, rest),
             rest_top_force_n=rest,
             dropped=np.isfinite(self.drop_s),
             drop_s=self.drop_s,

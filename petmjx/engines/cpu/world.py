@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -62,7 +63,15 @@ class SettledState:
 class WorldRun:
     """Simulates one job: call :meth:`run` once."""
 
-    def __init__(self, index: int, job: Job, sim: Simulation, cancelled: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        index: int,
+        job: Job,
+        sim: Simulation,
+        cancelled: Callable[[], bool],
+        timeout_s: float | None = None,
+    ) -> None:
+        self._give_up_at = time.monotonic() + timeout_s if timeout_s is not None else None
         self._index = index
         self._job = job
         self._sim = sim
@@ -137,8 +146,8 @@ class WorldRun:
             if self._cancelled():
                 raise Cancelled
             target = self._next_event()
-            self._live.step(target - self._step)
-            self._step = target
+            if not self._advance(target):
+                return False
             self._set_drive_row()
             if not self._observe():
                 return False
@@ -150,6 +159,20 @@ class WorldRun:
             k = self._live.n_placed
             pose = self._live.pose[:k]
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
+        return True
+
+    def _advance(self, target: int) -> bool:
+        """Take the steps to the next event. Returns False where the world's time is up before."""
+        if self._give_up_at is None:
+            self._live.step(target - self._step)
+            self._step = target
+            return True
+        while self._step < target:
+            if time.monotonic() > self._give_up_at:
+                self._flags |= Flag.TIMEOUT
+                return False
+            self._live.step(1)
+            self._step += 1
         return True
 
     # ------------------------------------------------------------------ events
@@ -318,7 +341,7 @@ class WorldRun:
         k = live.n_placed
         pos, quat = scene.start_pos.copy(), scene.start_quat.copy()
         pos[:k], quat[:k] = live.pose[:k, :3], live.pose[:k, 3:]
-        boxes = metrics.finish(pos, quat, came_to_end)
+        boxes = metrics.finish(pos, quat, k, came_to_end)
         verdict, reason = judge(self._flags, boxes, k, self._sim.thresholds)
         culprit, first_sign_s = metrics.culprit, metrics.first_sign_s
         if verdict is Verdict.STABLE:

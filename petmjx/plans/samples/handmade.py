@@ -1,7 +1,7 @@
 """Small plans whose answer is known in closed form, with the reason. Check ``one-by-one``, carrier ``footprint``.
 
-The carrier reaches from the origin to the plan's farthest corner. The simulation makes each dimension 0.1 mm smaller
-and keeps the corner. Margins here are centimetres, so that changes no answer.
+The carrier is the plan's bounding box. The simulation makes each dimension 0.1 mm smaller and keeps the corner. Margins
+here are centimetres, so that changes no answer.
 """
 
 from __future__ import annotations
@@ -123,14 +123,17 @@ HANDMADE: tuple[HandmadePlan, ...] = (
         culprit=1,
     ),
     HandmadePlan(
-        "hand-beside-carrier",
-        "the second box reaches 300 of its 400 mm over the carrier's edge at x = 0: its centre is outside, it tips",
-        _cartons((400, 0, 0), (-300, 0, 0)),
+        "hand-falls-off",
+        "a box reaches 300 of its 400 mm over the lower box's edge: its centre is outside, it tips; 500 mm tall, it "
+        "falls off the carrier, too",
+        _plan((CARTON, (0, 0, 0), CARTON_KG), ((400, 300, 500), (300, 0, 200), CARTON_KG)),
         culprit=1,
     ),
     HandmadePlan(
-        "hand-over-carrier-edge",
-        "the second box reaches 100 of its 400 mm over the carrier's edge at x = 0: its centre is 100 mm inside",
-        _cartons((400, 0, 0), (-100, 0, 0)),
+        "hand-over-corner",
+        "the upper box hangs over a corner by 40 % of its length and of its width: its centre is 40 and 30 mm inside "
+        "the lower box's edges, though no more than 36 % of its base is supported",
+        _cartons((0, 0, 0), (160, 120, 200)),
+        rest_top_force_n=((0, CARTON_KG * GRAVITY),),
     ),
 )
