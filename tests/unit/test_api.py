@@ -122,10 +122,9 @@ def test_thresholds_decide() -> None:
     tolerant = Thresholds(shift_m=5.0, tilt_deg=180.0)
     shifted = petmjx.score(FALLS, engine="mujoco", thresholds=tolerant).worlds
     assert shifted["verdict"].tolist() == ["stable"]
-    pedantic = {"shift_m": 1e-9, "shift_floor_m": 0.0}
-    results = petmjx.score(STANDS, engine="mujoco", thresholds=pedantic)
-    assert results.worlds["reason"].tolist() == ["shift"]
-    assert results.info["config"]["simulation"]["thresholds"]["shift_m"] == 1e-9
+    tilting = petmjx.score(FALLS, engine="mujoco", thresholds={"tilt_deg": 180.0})
+    assert tilting.worlds["reason"].tolist() == ["shift"]
+    assert tilting.info["config"]["simulation"]["thresholds"]["tilt_deg"] == 180.0
 
 
 def gathered(plans: Any, **options: Any) -> PlanSet:

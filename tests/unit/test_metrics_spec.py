@@ -32,7 +32,8 @@ def test_the_documentation_has_the_tables_of_the_spec(documentation: str) -> Non
 def test_the_documentation_has_all_flags_and_reasons_in_their_order(documentation: str) -> None:
     for flag in Flag:
         assert f"| {flag.value} | {str(flag.name).lower().replace('_', '-')} |" in documentation
-    order = [Reason.NONFINITE, Reason.OVERFLOW, Reason.OUT_OF_MEMORY, Reason.EXPLOSION]
+    order = [Reason.FAILED, Reason.NONFINITE, Reason.OVERFLOW, Reason.OUT_OF_MEMORY, Reason.EXPLOSION]
+    order += [Reason.TIMEOUT, Reason.SINKING]
     places = [documentation.index(f"| `{reason}` |") for reason in (*order, Reason.DROP, Reason.TILT, Reason.SHIFT)]
     assert places == sorted(places)
     assert len(places) == len(Reason) - 1
@@ -102,19 +103,21 @@ def everything_wrong() -> BoxMetrics:
 
 def test_reasons_are_looked_at_in_their_order() -> None:
     steps = [
+        (Flag.FAILED, Reason.FAILED),
         (Flag.NONFINITE, Reason.NONFINITE),
         (Flag.CONTACT_OVERFLOW, Reason.OVERFLOW),
         (Flag.CONSTRAINT_OVERFLOW, Reason.OVERFLOW),
         (Flag.OTHER_OVERFLOW, Reason.OVERFLOW),
         (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
         (Flag.EXPLOSION, Reason.EXPLOSION),
+        (Flag.TIMEOUT, Reason.TIMEOUT),
     ]
     flags = ~Flag.NONE
     boxes = everything_wrong()
     for flag, reason in steps:
         assert judge(flags, boxes, 3, Thresholds()) == (Verdict.INVALID, reason)
         flags &= ~flag
-    assert flags == Flag.EARLY_STOP | Flag.RERUN_AFTER_OVERFLOW | Flag.FORKED
+    assert flags == Flag.EARLY_STOP | Flag.RERUN_AFTER_OVERFLOW | Flag.FORKED | Flag.SINKING
     assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.DROP)
     boxes.dropped[:] = False
     assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.TILT)

@@ -245,10 +245,10 @@ def test_intervals_are_shown_where_there_are_any() -> None:
     frame = shares(2)
     frame.loc[1, ["n_draws", "low", "high"]] = [0, np.nan, np.nan]
     lines = words_of(list(sweep_tables(frame)), 120)
-    assert "placement_error_direction_deg a-profile-of-mine-0 123,456 61,728 50.0 % 25.0 % -" in lines
+    assert "placement_error_direction_deg a-profile-of-mine-0 120,000 61,728 50.0 % 120,000 25.0 % -" in lines
     lines = words_of(list(sweep_tables(frame.assign(n_draws=0, low=np.nan, high=np.nan))), 120)
     assert not any("95 %" in line or "draws" in line for line in lines)
-    assert "all 123,456 61,728 50.0 % 25.0 % -" in lines
+    assert "all 120,000 61,728 50.0 % 120,000 25.0 % -" in lines
 
 
 @pytest.mark.parametrize(

@@ -109,28 +109,32 @@ class WorldRun:
             return replace(start.ended, job=self._index, flags=flags, n_steps=0, state=None)
         if isinstance(start, SettledState):
             self._resume(start)
+            begun = True
         else:
-            self._start()
-        return self._outcome(came_to_end=self._loop())
+            begun = self._start()
+        return self._outcome(came_to_end=begun and self._loop())
 
-    def _start(self) -> None:
+    def _start(self) -> bool:
+        """Take the world through the soft start. Returns False where its time is up before."""
         static = self._sim.check is Check.STATIC
         self._live = LiveWorld(self._scene, self._sim, n_boxes=self._scene.n_boxes if static else 0)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds)
-        self._soft_start()
+        begun = self._soft_start()
         if not self._adaptive and not self._goes_on:
             self._end = self._end_of_fixed()
         self._set_deadline()
+        return begun
 
-    def _soft_start(self) -> None:
+    def _soft_start(self) -> bool:
         live = self._live
         live.set_gravity(np.zeros(3))
-        live.step(SOFT_START_STEPS)
+        begun = self._take_steps(SOFT_START_STEPS) == SOFT_START_STEPS
         for k in range(SOFT_START_STEPS):
             live.set_gravity(self._down * (k / SOFT_START_STEPS))
-            live.step(1)
+            begun = begun and self._take_steps(1) == 1
         live.set_gravity(self._down)
         live.data.time = 0.0
+        return begun
 
     def _resume(self, start: SettledState) -> None:
         assert start.bodies is not None
@@ -146,7 +150,8 @@ class WorldRun:
             if self._cancelled():
                 raise Cancelled
             target = self._next_event()
-            if not self._advance(target):
+            self._step += self._take_steps(target - self._step)
+            if self._step < target:
                 return False
             self._set_drive_row()
             if not self._observe():
@@ -161,19 +166,17 @@ class WorldRun:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
         return True
 
-    def _advance(self, target: int) -> bool:
-        """Take the steps to the next event. Returns False where the world's time is up before."""
+    def _take_steps(self, count: int) -> int:
+        """Take steps; returns how many: fewer where the world's time is up before."""
         if self._give_up_at is None:
-            self._live.step(target - self._step)
-            self._step = target
-            return True
-        while self._step < target:
+            self._live.step(count)
+            return count
+        for taken in range(count):
             if time.monotonic() > self._give_up_at:
                 self._flags |= Flag.TIMEOUT
-                return False
+                return taken
             self._live.step(1)
-            self._step += 1
-        return True
+        return count
 
     # ------------------------------------------------------------------ events
 
