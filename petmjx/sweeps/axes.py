@@ -14,23 +14,28 @@ from pydantic import (
     StrictFloat,
     StrictInt,
     Tag,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
 
-from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, shape
+from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, got, shape
+from petmjx.config import within
 from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, Shape
 
 MAX_AXIS_VALUES: Final = 100_000
 """Values one axis may have; a range with a mistyped step must not fill the memory."""
 
-MAX_STRENGTH: Final = 10_000.0
-"""Largest level (g), scale or factor. More is a slip of the pen, and would end as an infinity in the engines."""
+MAX_STRENGTH: Final = 1000.0
+"""Largest level (g), scale or factor. More is a slip of the pen: shocks of packed goods stay below 100 g."""
+MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
 """Smallest factor on masses: MuJoCo takes no body without mass."""
 MAX_ERROR: Final = 10_000.0
-"""Largest error of a size or a place, mm or degrees."""
+"""Largest error of a place, mm."""
+MAX_ERRORS: Final = {"size_tolerance_mm": 1000.0, "size_tolerance_rel": 1.0, "yaw_error_deg": 360.0}
+"""Of what is no error of a place."""
 
 DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
 
@@ -97,13 +102,13 @@ OneOrMore = Annotated[
 def _degrees(value: object) -> object:
     if isinstance(value, str):
         if value not in DIRECTIONS_DEG:
-            raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, got {value!r}")
+            raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, {got(value)}")
         return DIRECTIONS_DEG[value]
     return value
 
 
-Positive = Annotated[StrictFloat, Field(gt=0, le=MAX_STRENGTH)]
-Direction = Annotated[StrictFloat, Field(ge=-3600, le=3600), BeforeValidator(_degrees)]
+Positive = Annotated[StrictFloat, Field(gt=0), within(0, MAX_STRENGTH)]
+Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(_degrees)]
 
 
 class Range(Checked):
@@ -162,8 +167,8 @@ Directions = Annotated[
 
 # Errors, each a distribution.
 
-Error = Annotated[StrictFloat, Field(ge=-MAX_ERROR, le=MAX_ERROR)]
-Spread = Annotated[StrictFloat, Field(ge=0, le=MAX_ERROR)]
+Error = Annotated[StrictFloat, within(-MAX_ERROR, MAX_ERROR)]
+Spread = Annotated[StrictFloat, Field(ge=0), within(0, MAX_ERROR)]
 
 
 class _Normal(Checked):
@@ -225,9 +230,9 @@ Heights = OneOrMore[
 class Axes(Checked):
     """``[axes]``. Order is the order of nesting: the last axis varies fastest among its half."""
 
-    profile: Annotated[OneOrMore[str] | None, AxisKind("profile", "", placement=False)] = Field(
-        None, description="names of profiles"
-    )
+    profile: Annotated[
+        OneOrMore[Annotated[str, Field(max_length=100)]] | None, AxisKind("profile", "", placement=False)
+    ] = Field(None, description="names of profiles")
     direction: Annotated[Directions | None, AxisKind("direction_deg", "deg", placement=False)] = Field(
         None, description="degrees from +x towards +y, by which the profile is turned; or +x, -x, +y, -y"
     )
@@ -277,6 +282,23 @@ class Axes(Checked):
         lowest = given.low if isinstance(given, Range) else min(given) if isinstance(given, tuple) else given
         if lowest < MIN_MASS_FACTOR:
             raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
+        return given
+
+    @field_validator("friction_factor", "box_friction_factor", "carrier_friction_factor")
+    @classmethod
+    def _is_a_friction(cls, given: Any) -> Any:
+        highest = given.high if isinstance(given, Range) else max(given) if isinstance(given, tuple) else given
+        if highest > MAX_FRICTION_FACTOR:
+            raise ValueError(f"must be from 0 to {MAX_FRICTION_FACTOR:g}, got {highest:g}")
+        return given
+
+    @field_validator(*MAX_ERRORS)
+    @classmethod
+    def _is_an_error(cls, given: Any, info: ValidationInfo) -> Any:
+        largest = MAX_ERRORS[info.field_name or ""]
+        for error in given if isinstance(given, tuple) else (given,):
+            if max(abs(error.centre), error.spread) > largest:
+                raise ValueError(f"must be from {-largest:g} to {largest:g}, got {error.label()}")
         return given
 
 

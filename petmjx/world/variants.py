@@ -23,6 +23,9 @@ from petmjx.world.scene import Scene
 MIN_SIZE_FRACTION = 0.1
 """No drawn size falls below this fraction of the planned one: a box must keep a positive extent."""
 
+LARGEST_SIZE_M = 7.0
+"""Nor does any exceed this: boxes that wait for their turn hang 8 m apart."""
+
 STEP_TOLERANCE_M = 0.01
 """A box whose top is at most this far above another's bottom, where they overlap, carries it: it is set down
 on top rather than into it. Higher neighbours are walls beside it."""
@@ -207,7 +210,7 @@ def _changed_half_size(scene: Scene, change: PlacementChange, key: WorldKey) -> 
     changed = size * factor + mm_to_m(change.size_mm.draw(key.rng("size"), shape))
     if change.size_mm.zero and change.size_rel.zero:
         return scene.half_size
-    half: FloatArray = np.maximum(changed, MIN_SIZE_FRACTION * size) / 2.0
+    half: FloatArray = np.clip(changed, MIN_SIZE_FRACTION * size, LARGEST_SIZE_M) / 2.0
     return half
 
 

@@ -7,6 +7,7 @@ that would accelerate carrier and boxes together at 1 g.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -94,12 +95,12 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
     It looks once for every begin and every end, in order of time: each time it first takes away the force
     that acts, then sets the next window's if that has begun.
     """
-    waiting = sorted(spans, key=lambda span: span[0])
+    waiting = deque(sorted(spans, key=lambda span: span[0]))
     looks = sorted(step for begin, end, _ in spans for step in (begin, end))
     acting: list[tuple[int, int, Vector]] = []
     for look, until in zip(looks, [*looks[1:], looks[-1]], strict=True):
         if waiting and waiting[0][0] <= look:
-            acting.append((look, until, waiting.pop(0)[2]))
+            acting.append((look, until, waiting.popleft()[2]))
     return acting
 
 
