@@ -1,1 +1,1 @@
-"""The benchmark suite: declared cases, one JSON line a result, and the tables made of them (benchmarks/README.md)."""
+"""The benchmarks: declared cases, one JSON line per result, and tables of the results (benchmarks/README.md)."""

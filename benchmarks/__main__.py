@@ -21,6 +21,7 @@ app = typer.Typer(
     help="Measures speed and agreement; benchmarks/README.md says what and how.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 
@@ -80,12 +81,12 @@ def run(
 
 @app.command("agreement")
 def compare(
-    oracle: Annotated[str, typer.Option(metavar="LABEL=DIR,…", help="The yardstick, and its folders.")],
+    oracle: Annotated[str, typer.Option(metavar="LABEL=DIR,…", help="The reference run: its label and folders.")],
     runs: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of the run that is judged.")],
     case: Annotated[str, typer.Option(metavar="NAME", help="Name of the case, for the tables.")],
     out: Out = DEFAULT_OUT,
 ) -> None:
-    """Compare runs that were made before, also in several pieces, and append a line."""
+    """Compare runs that were made earlier, also in several pieces, and append a line."""
     from benchmarks.agreement import agreement, joint_run
     from benchmarks.cases import chosen_cases
     from benchmarks.record import append_line, environment
@@ -111,7 +112,7 @@ def make_tables(
     files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Files of results.")],
     readme: Annotated[Path | None, typer.Option(metavar="FILE", help="Write between this file's markers.")] = None,
 ) -> None:
-    """Make Markdown tables of results."""
+    """Make Markdown tables from results."""
     from benchmarks.record import read_lines
     from benchmarks.table import tables, write_between_markers
 

@@ -1,8 +1,7 @@
-"""Whether runs of the same plans say the same."""
+"""Agreement between runs of the same plans."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,59 +12,55 @@ import numpy as np
 import pandas as pd
 
 from petmjx.results.compare import BOX_KEY, KEY, compare_runs
+from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
-from petmjx.sweeps.shares import ALL_PLANS, share_standing
+from petmjx.sweeps.shares import ONE_PLAN, share_standing
 from petmjx.verdict import Reason, Verdict
 
 LOADED_N = 1.0
-"""Boxes that carry less than this, N, have no resting force to compare."""
+"""Smallest resting force that is compared, N."""
 
 _FLIP_FIELDS = ("verdict", "reason", "culprit", "first_sign_s", "n_dropped", "shift_margin_m", "tilt_margin_deg")
 
 
 @dataclass(frozen=True, eq=False)
 class JointRun(RunResults):
-    """Runs of different plans under one configuration, as one run. A world that is in several counts once."""
+    """Runs of different plans with the same options, as one run. A world that is in several runs counts once."""
 
     runs: tuple[RunResults, ...] = ()
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """A row a world."""
+        """One row per world."""
         return pd.concat([run.worlds for run in self.runs]).drop_duplicates(KEY)
 
     @cached_property
     def boxes(self) -> pd.DataFrame:
-        """A row a box of a world."""
+        """One row per box of each world."""
         return pd.concat([run.boxes for run in self.runs]).drop_duplicates(BOX_KEY)
 
 
 def joint_run(folders: Sequence[Path]) -> JointRun:
-    """The runs in these folders as one, with the path and the configuration of the first."""
+    """The runs in these folders as one, with the path and the options of the first one."""
     runs = tuple(load_run(folder) for folder in folders)
     return JointRun(runs[0].path, runs[0].info, runs)
 
 
 def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
-    """How a run's verdicts and resting forces agree with the yardstick's, over the worlds that both have.
+    """How verdicts and resting forces of a run agree with those of the oracle, over the worlds that both have.
 
     Returns:
-        ``common``, ``same``, ``share``; ``flips``, each with both verdicts, by how much shift and tilt are over (+) or
-        under their thresholds, and a sweep's parameters; ``stable_here_dropped_there``; ``rest_top_force``, relative
-        differences over single boxes of plans that stand in both; ``plans`` that both have and ``plans_all_the_same``;
-        and of sweeps with replicates ``shares`` (:func:`compare_shares`).
+        The fields that benchmarks/README.md lists ("How to read a result"); ``shares``: :func:`compare_shares`.
     """
     there, here = joint_run(oracle), joint_run(run)
     found = compare_runs(there, here)
     parameters = [parameter["name"] for parameter in here.info.get("params", [])]
-    flipped = found.flips[KEY].merge(here.worlds[[*KEY, *parameters]], on=KEY, how="left")
+    worlds = [*KEY, *parameters]
+    sides = {"oracle": "a", "here": "b"}
     flips = [
-        {
-            **world,
-            "oracle": {name: row[f"{name}_a"] for name in _FLIP_FIELDS},
-            "here": {name: row[f"{name}_b"] for name in _FLIP_FIELDS},
-        }
-        for world, row in zip(json.loads(flipped.to_json(orient="records")), found.to_dict()["flips"], strict=True)
+        {name: row[name] for name in worlds}
+        | {label: {name: row[f"{name}_{side}"] for name in _FLIP_FIELDS} for label, side in sides.items()}
+        for row in plain(found.flips.merge(here.worlds[worlds], on=KEY, how="left"))
     ]
     plans = set(there.worlds["plan_id"]) & set(here.worlds["plan_id"])
     return {
@@ -89,7 +84,7 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
 
 
 def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any]:
-    """|here − there| / there of ``rest_top_force_n``, over boxes with more than ``LOADED_N`` of standing plans."""
+    """|here − there| / there of ``rest_top_force_n``, over boxes with more than ``LOADED_N`` in plans that stand."""
     stands = [results.worlds.loc[results.worlds["verdict"] == Verdict.STABLE.value, KEY] for results in (oracle, run)]
     worlds = stands[0].merge(stands[1], on=KEY)
     columns = [*BOX_KEY, "rest_top_force_n"]
@@ -99,8 +94,7 @@ def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any
     counted = (there > LOADED_N) & np.isfinite(here)
     if not counted.any():
         return {"boxes": 0, "median": None, "p95": None}
-    difference = np.abs(here - there)[counted] / there[counted]
-    median, p95 = (float(value) for value in np.percentile(difference, [50, 95]))
+    median, p95 = np.percentile(np.abs(here - there)[counted] / there[counted], [50, 95]).tolist()
     return {"boxes": int(counted.sum()), "median": median, "p95": p95}
 
 
@@ -108,21 +102,20 @@ def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
     """How often plans stand in both runs, as shares of their worlds that are not invalid.
 
     Returns:
-        ``plans``; ``agree``, plans where each one's share lies in the other's Wilson 95 % interval;
-        ``intervals_overlap``; ``differ``, the plans that do not agree, with both shares.
+        ``plans``; ``agree``: plans whose share in each run is in the Wilson 95 % interval of the other run;
+        ``intervals_overlap``; ``differ``: the plans that do not agree, with both shares.
     """
-    a, b = (share_standing(results.worlds, ()).set_index("plan_id").drop(ALL_PLANS) for results in (oracle, run))
+    drawn = (results.worlds.assign(draw=results.worlds["replicate"]) for results in (oracle, run))
+    shares = (share_standing(worlds, ()) for worlds in drawn)
+    a, b = (share[share["scope"] == ONE_PLAN].set_index("plan_id") for share in shares)
     both = a.add_suffix("_a").join(b.add_suffix("_b"), how="inner")
-    agree = both["share_a"].between(both["low_b"], both["high_b"]) & both["share_b"].between(
-        both["low_a"], both["high_a"]
-    )
+    here_in_there = both["share_b"].between(both["low_a"], both["high_a"])
+    agree = here_in_there & both["share_a"].between(both["low_b"], both["high_b"])
     overlap = (both["low_a"] <= both["high_b"]) & (both["low_b"] <= both["high_a"])
+    differ = both[~agree].reset_index().rename(columns={"share_a": "oracle", "share_b": "here"})
     return {
         "plans": len(both),
         "agree": int(agree.sum()),
         "intervals_overlap": int(overlap.sum()),
-        "differ": [
-            {"plan_id": str(plan), "oracle": float(row["share_a"]), "here": float(row["share_b"])}
-            for plan, row in both[~agree].iterrows()
-        ],
+        "differ": plain(differ[["plan_id", "oracle", "here"]]),
     }

@@ -1,4 +1,4 @@
-"""What is measured, as data: a new case is one more entry of the list. Nothing here simulates."""
+"""What is measured, as data: a new case is one more entry in the list. Nothing here simulates."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ SEED = 0
 """Seed of the generated sample plans."""
 
 STACK_PLAN = 33
-"""Sample plan of ``SEED``, packed strictly, that stacks are cut from: the first with at least 64 boxes (67)."""
+"""The sample plan of ``SEED`` from which stacks are cut, packed strictly: the first with at least 64 boxes (67)."""
 
 MUJOCO = "mujoco"
 PLAIN_LOOP = "plain-loop"
-"""What stands for the engine in results of plain loops."""
+"""The name in the field ``engine`` in results of plain loops."""
 
 
 class Way(StrEnum):
     """Which code is timed.
 
-    ``files``: ``petmjx.score`` or ``petmjx.sweep``, from the plans' file to Parquet. ``engine``: an engine alone, from
+    ``files``: ``petmjx.score`` or ``petmjx.sweep``, from the plans' file to Parquet. ``engine``: only an engine, from
     scenes to outcomes; engines that compile run once before. ``loop-air``, ``loop-floor``: the plain loop on one
     thread; boxes that wait hang in the air, held by a force, or stand on the floor.
     """
@@ -39,43 +39,29 @@ class Way(StrEnum):
 
 @dataclass(frozen=True)
 class Case:
-    """One thing that is measured.
-
-    Attributes:
-        group: cases that are run by this name, and shown in one table (``benchmarks.table``).
-        text: what it measures, in one line.
-        count: the first so many plans; with ``boxes``, so many copies (0: as many as fill the engine).
-        source: file of plans; empty: generated samples of ``SEED``. ``--plans`` goes before it.
-        boxes: not many plans but copies of one stack, for ``Way.ENGINE``: the first so many boxes of the first plan of
-            ``source`` that has them, or of sample plan ``STACK_PLAN``. ``--plans`` does not matter to it.
-        longest_first: plans with many boxes come first, so that no thread is left alone with the last one.
-        simulation: fields of ``petmjx.Simulation``.
-        sweep: a sweep's file or the name of a ready-made one; empty: each plan is scored once.
-        only: the engine that the case is about; empty: those asked for.
-        threads: CPU threads that the case is about; None: those asked for.
-    """
+    """One thing that is measured."""
 
     name: str
-    group: str
-    text: str
+    group: str  # cases that can be run together, and have one table (``benchmarks.table``)
+    text: str  # what it measures, in one line
     way: Way = Way.FILES
-    count: int = 2_000
-    source: str = ""
-    boxes: int = 0
-    longest_first: bool = False
-    simulation: Mapping[str, Any] = field(default_factory=dict)
-    sweep: str = ""
-    only: str = ""
-    threads: int | None = None
+    count: int = 2_000  # number of plans; with ``boxes`` of copies (0: as many as fill the engine)
+    source: str = ""  # file of plans; empty: generated samples of ``SEED``. ``--plans`` replaces it
+    boxes: int = 0  # for ``Way.ENGINE``: copies of one stack, these many boxes of sample plan ``STACK_PLAN``
+    longest_first: bool = False  # plans with many boxes come first: at the end all threads have work
+    simulation: Mapping[str, Any] = field(default_factory=dict)  # fields of ``petmjx.Simulation``
+    sweep: str = ""  # a sweep's file or the name of a ready-made one; empty: each plan is scored once
+    only: str = ""  # the engine of this case; empty: those asked for
+    threads: int | None = None  # CPU threads of this case; None: those asked for
 
     @property
     def sim(self) -> Simulation:
-        """The case's simulation, defaults included."""
+        """The case's simulation, with defaults."""
         return Simulation(**self.simulation)
 
 
 _FULL_STACK = {"check": "static", "schedule": "fixed", "duration_s": 1.0, "early_stop": False}
-"""All boxes from the start, the same length for every world, and nothing that ends one early."""
+"""All boxes stand from the start, and every world takes the same number of steps."""
 
 _LOOPS = {Way.LOOP_AIR: "waiting boxes in the air", Way.LOOP_FLOOR: "waiting boxes on the floor"}
 _SCHEDULES = tuple(schedule.value for schedule in Schedule)
@@ -83,7 +69,7 @@ _PLACEMENT_SEEDS = str(Path(__file__).parent / "sweeps" / "placement-seeds.toml"
 
 
 def _w(name: str, text: str, **simulation: str) -> Case:
-    """A case over workload W, the first 2,000 sample plans."""
+    """A case with workload W, the first 2,000 sample plans."""
     return Case(name, "W", f"workload W, {text}", simulation=simulation)
 
 
@@ -137,7 +123,7 @@ GROUPS: dict[str, tuple[Case, ...]] = {
 
 
 def chosen_cases(names: Sequence[str]) -> list[Case]:
-    """Cases by name or group, each once, in the order in which they were named.
+    """Cases by name or group, each once, in the order of the names.
 
     Raises:
         InputError: no such case.
@@ -151,7 +137,7 @@ def chosen_cases(names: Sequence[str]) -> list[Case]:
 
 
 def oracle_case(case: Case, schedule: Schedule) -> Case:
-    """The case whose results on engine ``mujoco`` a case is compared with: the same but for the schedule."""
+    """The case that engine ``mujoco`` runs for a comparison with ``case``: the same except for the schedule."""
     if case.sim.schedule is schedule:
         return case
     wanted = replace(case, name=f"{case.name}/{schedule.value}", simulation={**case.simulation, "schedule": schedule})

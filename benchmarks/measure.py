@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import make_engine
 from petmjx.errors import InputError
 from petmjx.machine import device_name
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans, write_samples
 from petmjx.results.reader import load_run
@@ -37,26 +37,26 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 STACK_LANES = 2048
-"""Copies that fill an MJX engine where nothing else is said."""
+"""Default number of copies that fill an MJX engine."""
 
 LOOP_SECONDS = 60.0
-"""A plain loop begins no further plan after this where nothing else is said."""
+"""Default time after which a plain loop begins no further plan, s."""
 
 BLOCK_PLANS = 8
-"""Plans a block of a sweep whose time is limited: 512 EUMOS worlds keep 16 threads busy nearly to the end."""
+"""Plans per block of a sweep with limited time: 512 EUMOS worlds keep 16 threads busy nearly to the end."""
 
 
 class _TimeIsUp(KeyboardInterrupt):
-    """Ends a run as Ctrl-C would: what is finished is written."""
+    """Ends a run as Ctrl-C does: finished worlds are written."""
 
 
 class _Watch:
-    """Takes hold of a run's progress, and cuts the run off.
+    """Keeps a run's progress, and ends the run after some time.
 
     Args:
-        max_seconds: from now; None: never.
-        between_blocks: whether the run is ended between blocks only. An interrupted sweep does not tell what its
-            placements and drives took.
+        max_seconds: time from now; None: never.
+        between_blocks: whether the run ends only between blocks. An interrupted sweep does not report the time of its
+            placements and drives.
     """
 
     def __init__(self, max_seconds: float | None, between_blocks: bool = False) -> None:
@@ -78,71 +78,51 @@ class _Watch:
 
 @dataclass
 class Bench:
-    """Measures cases one after the other. Engines are kept, so that what one case compiled serves the next.
+    """Measures cases one after the other. Later cases use engines, and what they compiled, again."""
 
-    Args:
-        work: folder that keeps what timed runs write.
-        plans: file of plans instead of the cases' own.
-        limit: at most so many plans; ``skip``: without the first so many.
-        lanes, threads: as for ``make_engine``; None: the engine's own choice.
-        max_seconds: a run is cut off after this (wall time), and the result says so.
-        repeat: times each case is run on an engine. Cases take turns; each further run is compared with the first.
-        oracles: schedules of engine ``mujoco`` that runs are compared with; run first.
-        against: label → folders of earlier runs to compare with.
-        say: is told what begins.
-        make: builds engines, as ``make_engine`` does.
-    """
-
-    work: Path
-    plans: Path | None = None
-    limit: int | None = None
-    skip: int = 0
-    lanes: int | None = None
-    threads: int | None = None
-    max_seconds: float | None = None
-    repeat: int = 1
-    oracles: Sequence[Schedule] = ()
-    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)
-    say: Callable[[str], None] = lambda text: None
-    make: Callable[..., Engine] = make_engine
+    work: Path  # folder that keeps what timed runs write
+    plans: Path | None = None  # file of plans instead of the cases' own
+    limit: int | None = None  # most plans
+    skip: int = 0  # number of plans to leave out at the beginning
+    lanes: int | None = None  # as for ``make_engine``; None: the engine's own choice
+    threads: int | None = None  # the same
+    max_seconds: float | None = None  # a run ends after this (wall time), and the result says so
+    repeat: int = 1  # runs of each case. Cases take turns; each further run is compared with the first
+    oracles: Sequence[Schedule] = ()  # schedules of engine ``mujoco`` that runs are compared with; run first
+    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # label → folders of earlier runs
+    say: Callable[[str], None] = lambda text: None  # called with a line when something begins
+    make: Callable[..., Engine] = make_engine  # builds engines
     _environment: Result = field(default_factory=environment, init=False)
     _engines: dict[tuple[str, int | None], Engine] = field(default_factory=dict, init=False)
     _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)
 
     def run(self, cases: Sequence[Case], engines: Sequence[str]) -> Iterator[Result]:
-        """Results of cases on engines, as they come; an oracle's before the first that it judges."""
+        """Results of cases on engines, as they come. An oracle's result comes before the first one compared with it."""
         asked = ((case, case.only or engine) for engine in engines for case in cases)
         turns = {(case.name, engine): (case, engine) for case, engine in asked}
+        ways = {Way.FILES: self._compared, Way.ENGINE: self._engine_alone}
         for repetition in range(1, self.repeat + 1):
             for case, engine in turns.values():
-                for result in self._measure(case, engine):
+                for result in ways.get(case.way, self._plain_loop)(case, engine):
                     yield {**result, "repetition": repetition}
 
-    def _measure(self, case: Case, engine: str) -> Iterator[Result]:
-        if case.way is Way.ENGINE:
-            yield self._engine_alone(case, engine)
-        elif case.way is not Way.FILES:
-            yield self._plain_loop(case)
-        else:
-            yield from self._compared(case, engine)
-
     def _compared(self, case: Case, engine: str) -> Iterator[Result]:
-        """A run from file to Parquet, after the oracles that it is compared with."""
-        yardsticks = dict(self.against)
+        """A run from file to Parquet, after the oracles with which it is compared."""
+        references = dict(self.against)
         for schedule in self.oracles:
             oracle = oracle_case(case, schedule)
             if (oracle.name, engine) == (case.name, MUJOCO):
                 continue
             if (oracle.name, MUJOCO) not in self._folders:
                 yield self._files(oracle, MUJOCO, self.against)
-            yardsticks[f"{MUJOCO}-{schedule.value}"] = self._folders[oracle.name, MUJOCO]
+            references[f"{MUJOCO}-{schedule.value}"] = self._folders[oracle.name, MUJOCO]
         if (case.name, engine) in self._folders:
-            yardsticks["first run"] = self._folders[case.name, engine]
-        yield self._files(case, engine, yardsticks)
+            references["first run"] = self._folders[case.name, engine]
+        yield self._files(case, engine, references)
 
     # ------------------------------------------------------------------ the ways
 
-    def _files(self, case: Case, engine_name: str, yardsticks: Mapping[str, Sequence[Path]]) -> Result:
+    def _files(self, case: Case, engine_name: str, references: Mapping[str, Sequence[Path]]) -> Result:
         """From the plans' file to Parquet, through ``petmjx.score`` or ``petmjx.sweep``."""
         engine, start_s = self._engine(case, engine_name)
         path, count = self._plans_file(case)
@@ -157,9 +137,10 @@ class Bench:
                 if folders and watch.time_is_up:
                     break
                 folders.append(base / f"{len(folders):04d}" if len(block) < len(plans) else base)
-                options = {"threads": _threads(engine), "lanes": self.lanes, "out": folders[-1], "watcher": watch}
+                options = {"engine": engine, "threads": _threads(engine), "lanes": self.lanes, **case.simulation}
+                simulate = partial(petmjx.sweep, case.sweep) if case.sweep else petmjx.score
                 with contextlib.suppress(_TimeIsUp):
-                    _simulate(case, PlanSet(block, found.skipped, found.warnings), engine=engine, **options)
+                    simulate(replace(found, plans=block), out=folders[-1], watcher=watch, **options)
         if not folders:
             raise InputError(f"{path}: no plans left after the first {self.skip}")
         self._folders.setdefault((case.name, engine_name), folders)
@@ -183,7 +164,7 @@ class Bench:
             schedule=sim["schedule"],
             physics=sim["physics"]["name"],
             check=sim["check"],
-            agreement={label: agreement(there, folders) for label, there in yardsticks.items()},
+            agreement={label: agreement(there, folders) for label, there in references.items()},
             stages={name: value for progress in watch.progress for name, value in progress.extra.items()},
             timings=timings,
             plans_file=str(self.plans or case.source or f"samples, seed {SEED}"),
@@ -192,13 +173,13 @@ class Bench:
             note="; ".join(notes),
         )
 
-    def _engine_alone(self, case: Case, engine_name: str) -> Result:
-        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in what is timed."""
+    def _engine_alone(self, case: Case, engine_name: str) -> Iterator[Result]:
+        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in the measured time."""
         engine, start_s = self._engine(case, engine_name)
         threads, sim = _threads(engine), case.sim
         if case.boxes:
             copies = case.count or (4 * threads if threads else self.lanes or STACK_LANES)
-            jobs = [Job(build_scene(_stack(case), sim))] * copies
+            jobs = [Job(build_scene(self._stack(case.boxes), sim))] * copies
         else:
             jobs = [Job(build_scene(plan, sim)) for plan in self._plans(case)]
         self.say(f"{case.name} on {engine_name}: {len(jobs)} worlds")
@@ -208,7 +189,7 @@ class Bench:
         with timed() as clock:
             outcomes = list(engine.run(jobs, sim, progress))
         clock.wall_s += warming.compile_s
-        return self._result(
+        yield self._result(
             case,
             engine,
             clock,
@@ -221,8 +202,8 @@ class Bench:
             note=f"soft start ({2 * SOFT_START_STEPS} steps) included",
         )
 
-    def _plain_loop(self, case: Case) -> Result:
-        """One plan after the other, evenly spread over their sizes, until time is up."""
+    def _plain_loop(self, case: Case, engine_name: str) -> Iterator[Result]:
+        """Plans evenly spread over their sizes, one after the other, until the time is over."""
         plans, physics = self._plans(case), case.sim.physics
         max_seconds = self.max_seconds or LOOP_SECONDS
         sizes: list[int] = []
@@ -236,7 +217,7 @@ class Bench:
                 sizes.append(plan.n_boxes)
         note = f"{len(sizes)} of {case.count} plans, evenly spread over the sizes" if len(sizes) < case.count else ""
         steps = sum(fixed_steps(n, physics.timestep_s) for n in sizes)
-        return self._result(case, None, clock, sizes=sizes, steps=steps, note=note)
+        yield self._result(case, None, clock, sizes=sizes, steps=steps, note=note)
 
     # ------------------------------------------------------------------ what they share
 
@@ -294,38 +275,43 @@ class Bench:
         }
 
     def _engine(self, case: Case, name: str) -> tuple[Engine, float]:
-        """The engine, and the seconds it took to import and build it (0 where it was there)."""
-        threads = case.threads or self.threads
+        """The engine, and the seconds it took to import and build it."""
+        begin, threads = time.perf_counter(), case.threads or self.threads
         if (name, threads) not in self._engines:
             limits = {"threads": threads} if name == MUJOCO else {"lanes": self.lanes}
-            begin = time.perf_counter()
             self._engines[name, threads] = self.make(name, **limits)
-            return self._engines[name, threads], time.perf_counter() - begin
-        return self._engines[name, threads], 0.0
+        return self._engines[name, threads], time.perf_counter() - begin
 
     def _plans_file(self, case: Case) -> tuple[Path, int]:
-        """A file with a case's plans, and how many of them are taken after those that are skipped."""
+        """A file with a case's plans, and how many of them are used after the skipped ones."""
         count = min(case.count, self.limit or case.count)
         if self.plans or case.source:
             return self.plans or Path(case.source), count
-        needed = self.skip + count
-        there = sorted(self.work.glob("samples-*.json"))
-        path = next((each for each in there if int(each.stem.split("-")[1]) >= needed), None)
-        if path is None:
-            self.say(f"generating {needed} sample plans")
-            path = self.work / f"samples-{needed}.json"
+        path = self.work / f"samples-{self.skip + count}.json"
+        if not path.exists():
+            self.say(f"generating {self.skip + count} sample plans")
             part = path.with_suffix(".part")
             self.work.mkdir(parents=True, exist_ok=True)
-            write_samples(part, needed, SEED)
+            write_samples(part, self.skip + count, SEED)
             part.replace(path)
         return path, count
+
+    def _stack(self, n_boxes: int) -> Plan:
+        """The first boxes of the plan from which stacks are cut."""
+        plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
+        if len(placements) < n_boxes:
+            raise InputError(f"plan {plan_id} has no {n_boxes} boxes to stack")
+        path = self.work / f"stack-{n_boxes}.json"
+        self.work.mkdir(parents=True, exist_ok=True)
+        write_plans(path, [(plan_id, placements[:n_boxes])])
+        return load_plans(path).plans[0]
 
     def _plans(self, case: Case) -> list[Plan]:
         path, count = self._plans_file(case)
         return load_plans(path, limit=self.skip + count).plans[self.skip :]
 
     def _blocks(self, case: Case, plans: list[Plan]) -> list[list[Plan]]:
-        """All plans at once; of a sweep whose time is limited a few at a time, evenly spread over their sizes."""
+        """All plans in one block; for a sweep with limited time, small blocks that are evenly spread over the sizes."""
         if case.sweep and self.max_seconds is not None:
             order = spread_over_sizes(plans)
             return [order[first : first + BLOCK_PLANS] for first in range(0, len(order), BLOCK_PLANS)]
@@ -334,49 +320,23 @@ class Bench:
         return [plans] if plans else []
 
     def _new_folder(self, name: str) -> Path:
-        """A folder for one run's results that is not there yet."""
+        """A new folder for one run's results."""
         folders = (self.work / f"{name}-{number}" for number in itertools.count(1))
         return next(folder for folder in folders if not folder.exists())
 
 
-def _simulate(case: Case, plans: PlanSet, **options: Any) -> None:
-    options |= case.simulation
-    if case.sweep:
-        petmjx.sweep(case.sweep, plans, **options)
-    else:
-        petmjx.score(plans, **options)
-
-
 def _threads(engine: Engine) -> int | None:
-    """CPU threads of an engine that has them."""
+    """CPU threads of an engine; None if it has none."""
     threads: int | None = getattr(engine, "threads", None)
     return threads
 
 
-def _stack(case: Case) -> Plan:
-    """The first boxes of the plan that a case's stacks are cut from."""
-    with tempfile.TemporaryDirectory(prefix="petmjx-") as folder:
-        path = Path(case.source or Path(folder) / "stack.json")
-        if not case.source:
-            write_plans(path, [generate_one(STACK_PLAN, SEED, loose_share=0.0)])
-        found = load_plans(path).plans
-    n = case.boxes
-    plan = next((plan for plan in found if plan.n_boxes >= n), None)
-    if plan is None:
-        raise InputError(f"{case.source or 'sample plan'}: no plan with {n} boxes for {case.name}")
-    rows = {
-        name: getattr(plan, name)[:n]
-        for name in ("size_mm", "corner_mm", "mass_kg", "item_ids", "articles", "sequence")
-    }
-    return replace(plan, **rows)
-
-
 def spread_over_sizes(plans: Sequence[Plan]) -> list[Plan]:
-    """The plans in an order of which every beginning is evenly spread over their sizes (van der Corput sequence)."""
+    """The plans in an order in which the first n are evenly spread over the sizes, for any n (van der Corput)."""
     by_size = sorted(plans, key=lambda plan: plan.n_boxes)
     bits = max(len(plans) - 1, 1).bit_length()
     numbers = np.arange(1 << bits)
     reverse = sum(((numbers >> bit) & 1) << (bits - 1 - bit) for bit in range(bits))
-    # the middle first: the sequence proper starts at 0, with the smallest plan
+    # begin in the middle: the original sequence starts at 0, with the smallest plan
     shifted = (np.asarray(reverse) + (1 << (bits - 1))) % (1 << bits)
     return [by_size[index] for index in shifted if index < len(by_size)]

@@ -1,4 +1,4 @@
-"""The baseline: what one would write first. A plain Python loop over one plan, without any engine of petmjx."""
+"""The baseline: a simple Python loop over one plan, without an engine of petmjx."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def fixed_steps(n_boxes: int, timestep_s: float) -> int:
 def plain_loop(scene: Scene, physics: Physics, *, on_floor: bool) -> NDArray[np.float64]:
     """Final shifts (n, 3) in m of the fixed schedule.
 
-    The exact model with all boxes, one ``mj_step`` a step from Python, NumPy metrics every 100 steps, a box placed
-    every 0.7 s. Boxes that wait are parked far apart, either on the floor, as in the reference implementation, or in
-    the air, held by a force equal to their weight (cheaper).
+    The exact model with all boxes, one call of ``mj_step`` per step, NumPy metrics every 100 steps, a box placed every
+    0.7 s. Boxes that wait are parked far apart: on the floor, as in the reference implementation, or in the air, held
+    by a force equal to their weight (faster).
     """
     model = build_spec(scene, physics).compile()
     data = mujoco.MjData(model)

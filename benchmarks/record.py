@@ -1,4 +1,4 @@
-"""What is written beside every number: commit, versions, date, memory; and the file that takes the lines."""
+"""What every result has beside its numbers: commit, versions, date, memory. And the file of JSON lines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from petmjx.errors import InputError
 from petmjx.machine import cpu_name, cpu_threads, package_versions
 
 COMMIT_VARIABLE = "PETMJX_COMMIT"
-"""Environment variable that names the commit where the source stands without its history."""
+"""Environment variable that names the commit, for a copy of the source without git history."""
 
 DIGITS = 6
 """Significant digits of numbers in a result."""
@@ -28,13 +28,12 @@ DIGITS = 6
 _KIB = 1024
 
 Result = dict[str, Any]
-"""One line of results; benchmarks/README.md tells what its fields mean."""
+"""One line of results. benchmarks/README.md says what its fields mean."""
 
 
 def commit() -> str:
-    """The source's commit, "-dirty" where files differ from it, or "unknown"."""
-    named = os.environ.get(COMMIT_VARIABLE)
-    if named:
+    """The source's commit, with "-dirty" if files differ from it, or "unknown"."""
+    if named := os.environ.get(COMMIT_VARIABLE):
         return named
     git = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty", "--exclude=*"]
     try:
@@ -56,7 +55,7 @@ def environment() -> Result:
 
 @dataclass
 class Clock:
-    """What passed while something was timed: seconds, CPU seconds of the whole process, most memory held."""
+    """What was measured: seconds, CPU seconds of the whole process, largest memory."""
 
     wall_s: float = 0.0
     cpu_s: float = 0.0
@@ -65,8 +64,8 @@ class Clock:
 
 @contextlib.contextmanager
 def timed() -> Iterator[Clock]:
-    """Time the body; the clock is filled at its end."""
-    with contextlib.suppress(OSError):  # starts the high-water mark of memory anew, where the system can
+    """Measure the body. The clock is filled at its end."""
+    with contextlib.suppress(OSError):  # resets the largest memory, if the system can
         Path("/proc/self/clear_refs").write_text("5")
     clock = Clock()
     cpu_s, begin = time.process_time(), time.perf_counter()
@@ -76,7 +75,7 @@ def timed() -> Iterator[Clock]:
 
 
 def _peak_rss_bytes() -> int:
-    """Most memory of this process since the mark was reset; where it cannot be, since the process began."""
+    """Largest memory of this process since the reset; if that is not possible, since the process began."""
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:
@@ -86,7 +85,7 @@ def _peak_rss_bytes() -> int:
 
 
 def peak_device_bytes() -> int | None:
-    """Most memory that JAX has held on its device since the process began (Warp's own pool is not in it)."""
+    """Largest memory of JAX on its device since the process began (without Warp's own pool)."""
     jax = sys.modules.get("jax")
     if jax is None:
         return None
@@ -101,13 +100,11 @@ def append_line(path: Path, result: Result) -> None:
         InputError: the file cannot be written.
     """
     exact = json.dumps(result, allow_nan=False)
-    line = json.dumps(
-        json.loads(exact, parse_float=lambda text: float(f"{float(text):.{DIGITS}g}")), ensure_ascii=False
-    )
+    short = json.loads(exact, parse_float=lambda text: float(f"{float(text):.{DIGITS}g}"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as out:
-            out.write(line + "\n")
+            out.write(json.dumps(short, ensure_ascii=False) + "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from benchmarks.cases import CASES
 from benchmarks.record import Result
 from petmjx.errors import InputError
 from petmjx.text import counted
@@ -16,23 +15,14 @@ END = "<!-- tables: end -->"
 
 _IDENTITY = ("case", "physics", "engine", "threads", "lanes", "plans", "skip", "repetition", "way")
 
-_OLD_ONE_PLAN = {
-    "plain, parked in the air": "loop-air",
-    "plain, parked on the floor": "loop-floor",
-    "mujoco fixed": "fixed",
-    "mujoco adaptive": "adaptive",
-    "mujoco brisk": "brisk",
-}
-"""Case of the lines that a script of its own once wrote → end of today's name."""
-
 
 def tables(results: Sequence[Result]) -> str:
-    """All tables for which there are results, with a heading each."""
-    shown = latest([today(result) for result in results])
+    """All tables for which there are results, each with a heading."""
+    shown = latest(results)
     rows = {group: [row for row in shown if row["group"] == group and row["way"] != "agreement"] for group in SECTIONS}
     rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
     found = [
-        {**result, "yardstick": label, "found": found}
+        {**result, "reference": label, "found": found}
         for result in shown
         for label, found in result.get("agreement", {}).items()
     ]
@@ -42,41 +32,12 @@ def tables(results: Sequence[Result]) -> str:
 
 
 def latest(results: Iterable[Result]) -> list[Result]:
-    """Of results that measure the same on the same device, the last one; in the order of their first."""
+    """The last of all results that measure the same on the same device, in the order of the first ones."""
     return list({(*(result.get(name) for name in _IDENTITY), _device(result)): result for result in results}.values())
 
 
-def today(line: Result) -> Result:
-    """A line in today's form, whichever script wrote it. Lines from before there was one form have no group."""
-    if "group" in line:
-        return line
-    line = {"case": "", "way": "", "engine": "mujoco", **line}
-    benchmark = line.get("benchmark", "")
-    if benchmark == "single_thread":
-        line["case"] = f"one-plan-{line['physics']}-{_OLD_ONE_PLAN[line['case']]}"
-        line |= {"engine": CASES[line["case"]].only, "threads": 1}
-        line |= {"times loop-air": line["times_plain_air"], "times loop-floor": line["times_plain_floor"]}
-    elif benchmark == "threads":
-        line |= {"case": f"threads-{line['threads']}", "times 1": line["times_first"]}
-    elif benchmark == "sweeps/forks":
-        line |= {"case": "eumos-100", "repetition": line["run"], "counts": line["verdicts"]}
-        line |= {"timings": {"drives": line["worlds_driven"], "drive_s": line["drive_s"]}}
-        line["note"] = f"{line['plans']} of {line['plans_asked']} plans" if line["plans"] < line["plans_asked"] else ""
-    elif benchmark == "sweeps/statistics":
-        found = {"shares": {name: line[name] for name in ("plans", "agree", "intervals_overlap", "differ")}}
-        line |= {"case": "placement-seeds", "agreement": {f"{line['engines'][0]}-adaptive": found}}
-    elif benchmark == "sweeps/verdicts":
-        found = {"common": line["worlds"], "same": line["same"], "share": line["same"] / line["worlds"]}
-        line |= {"case": "eumos-16", "agreement": {f"{line['engines'][0]}-adaptive": found}}
-    if "engines" in line:
-        line |= {"engine": line["engines"][1], "way": "agreement"}
-    if benchmark == "agreement":
-        line["way"] = "agreement"
-    return {**line, "group": CASES[line["case"]].group}
-
-
 def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
-    """Of runs that took turns the quickest of each case, with how many times as quick it is as the others."""
+    """The fastest run of each case in a group that took turns, with its speed relative to other cases."""
     best: dict[tuple[str, str], Result] = {}
     for row in rows:
         key = (row["case"], _device(row))
@@ -95,68 +56,61 @@ def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
 
 
 _IN_TURNS = {"one-plan": "cpu_s", "threads": "wall_s"}
-"""Groups whose cases take turns, with the time that counts: other work on the machine only slows a run down."""
+"""Groups whose cases take turns → the time that counts. Other work on the machine can only slow a run down."""
 
-_WHO = {"case": "case", "engine": "engine", "on": "on", "": "width"}
-_PLANS, _RATE, _STEPS = {"plans": "plans|,"}, {"plans/s": "plans_per_s|.3g"}, {"steps/s": "world_steps_per_s|,.0f"}
-_RUN, _COMPILE, _NOTE = {"run": "run_s|.1f| s"}, {"compile": "compile_s|.1f| s"}, {"note": "note"}
-SECTIONS: dict[str, tuple[str, dict[str, str]]] = {
+_COLUMNS = {
+    "case": "case",
+    "engine": "engine",
+    "on": "on",
+    "": "width",
+    "plans": "plans|,",
+    "worlds": "plans|,",
+    "boxes a plan": "mean_boxes|.1f",
+    "ms/plan": "ms|.3g",
+    "plans/s": "plans_per_s|.3g",
+    "steps/s": "world_steps_per_s|,.0f",
+    "CPU time": "cpu_s|.3f| s",
+    "× loop, waiting in the air": "times loop-air|.2f",
+    "× loop, waiting on the floor": "times loop-floor|.2f",
+    "worlds driven": "drives|,.0f",
+    "worlds/s": "drives_per_s|.3g",
+    "run": "run_s|.1f| s",
+    "wall time": "wall_s|.2f| s",
+    "× 1 thread": "times 1|.2f",
+    "compile": "compile_s|.1f| s",
+    "host memory": "rss_gb|.2f| GB",
+    "stable / unstable / invalid": "verdicts",
+    "note": "note",
+    "against": "reference",
+    "same verdict": "same",
+    "stable here, dropped there": "dropped",
+    "resting forces, median / 95 %": "force",
+    "each share in the other's 95 % interval": "agree",
+    "overlap": "overlap",
+}
+"""Heading → content of its cells: ``field|format|unit`` of a result or of ``_derived``."""
+
+SECTIONS = {
     "W": (
         "Workload W, from file to Parquet",
-        {**_WHO, **_PLANS, **_RATE, **_STEPS, **_RUN, **_COMPILE, "stable / unstable / invalid": "verdicts", **_NOTE},
+        "plans; plans/s; steps/s; run; compile; stable / unstable / invalid; note",
     ),
-    "agreement": (
-        "Agreement",
-        {
-            **_WHO,
-            "against": "yardstick",
-            "same verdict": "same",
-            "stable here, dropped there": "dropped",
-            "resting forces, median / 95 %": "force",
-        },
-    ),
-    "scale": (
-        "Time against the number of plans",
-        {**_WHO, **_PLANS, "ms/plan": "ms|.3g", **_RATE, **_RUN, "host memory": "rss_gb|.2f| GB"},
-    ),
-    "stacks": ("Full stacks", {**_WHO, "worlds": "plans|,", **_STEPS, **_COMPILE}),
-    "plain": ("Plain Python loop", {**_WHO, **_PLANS, "boxes a plan": "mean_boxes|.1f", **_RATE, **_STEPS, **_NOTE}),
-    "one-plan": (
-        "One plan on one thread",
-        {
-            **_WHO,
-            "CPU time": "cpu_s|.3f| s",
-            "× loop, waiting in the air": "times loop-air|.2f",
-            "× loop, waiting on the floor": "times loop-floor|.2f",
-        },
-    ),
-    "threads": (
-        "Threads of the engine mujoco",
-        {**_WHO, **_PLANS, "wall time": "wall_s|.2f| s", "× 1 thread": "times 1|.2f"},
-    ),
-    "sweeps": (
-        "Sweeps, from settled states",
-        {
-            **_WHO,
-            **_PLANS,
-            "worlds driven": "drives|,.0f",
-            "worlds/s": "drives_per_s|.3g",
-            "wall time": "wall_s|.1f| s",
-            **_COMPILE,
-            **_NOTE,
-        },
-    ),
-    "shares": (
-        "How often plans stand",
-        {**_WHO, "against": "yardstick", "each share in the other's 95 % interval": "agree", "overlap": "overlap"},
-    ),
+    "agreement": ("Agreement", "against; same verdict; stable here, dropped there; resting forces, median / 95 %"),
+    "scale": ("Time against the number of plans", "plans; ms/plan; plans/s; run; host memory"),
+    "stacks": ("Full stacks", "worlds; steps/s; compile"),
+    "plain": ("Plain Python loop", "plans; boxes a plan; plans/s; steps/s; note"),
+    "one-plan": ("One plan on one thread", "CPU time; × loop, waiting in the air; × loop, waiting on the floor"),
+    "threads": ("Threads of the engine mujoco", "plans; wall time; × 1 thread"),
+    "sweeps": ("Sweeps, from settled states", "plans; worlds driven; worlds/s; wall time; compile; note"),
+    "shares": ("How often plans stand", "against; each share in the other's 95 % interval; overlap"),
 }
-"""Group → title and columns of its table; a column's cells are ``field|format|unit`` of a result or of ``_derived``."""
+"""Group → title of its table, and its columns after the first four."""
 
 
-def _section(title: str, columns: Mapping[str, str], rows: Sequence[Result]) -> str:
-    lines = [list(columns), ["---"] * len(columns)]
-    lines += [[_cell({**row, **_derived(row)}, column) for column in columns.values()] for row in rows]
+def _section(title: str, columns: str, rows: Sequence[Result]) -> str:
+    heads = ["case", "engine", "on", "", *columns.split("; ")]
+    lines = [heads, ["---"] * len(heads)]
+    lines += [[_cell({**row, **_derived(row)}, _COLUMNS[head]) for head in heads] for row in rows]
     return "\n".join([f"### {title}", "", *(f"| {' | '.join(line)} |" for line in lines)]) + "\n"
 
 
@@ -167,7 +121,7 @@ def _cell(row: Result, column: str) -> str:
 
 
 def _derived(row: Result) -> Result:
-    """What is made of a result's fields; None where one of them is missing."""
+    """Values made from a result's fields; None if one of them is missing."""
     found, counts, timings = row.get("found", {}), row.get("counts", {}), row.get("timings", {})
     force, shares = found.get("rest_top_force", {}), found.get("shares", {})
     missed, plans, drives = found.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")

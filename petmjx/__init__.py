@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 _HOME = {
     "score": "petmjx.api",

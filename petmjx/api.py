@@ -26,7 +26,9 @@ from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.ready import find_sweep
 from petmjx.sweeps.run import Batching, SweepRun, SweptWorld
+from petmjx.sweeps.sliding import hopeless_profiles
 from petmjx.sweeps.summary import SweepColumns, search_frame, search_row, summarise_shares, summary_units
+from petmjx.text import shown
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -36,9 +38,9 @@ class RunStart:
     """What is known when a run begins.
 
     Attributes:
-        what: what a world is to the user: "plan", or "world" in sweeps.
-        total: worlds there will be; None where that is not known (searches).
-        size: how much there is to simulate, and about how long that takes, in one line.
+        what: the user's word for a world: "plan", or "world" in sweeps.
+        total: number of worlds; None if it is not known (searches).
+        size: one line with the number of worlds and steps, and the estimated time.
         choice: which engine, and why.
         progress: kept up to date by the engine.
     """
@@ -51,7 +53,7 @@ class RunStart:
 
 
 class Watcher(Protocol):
-    """Is told how a run goes. The command line's progress bar is one."""
+    """Follows a run. The progress bar of the command line is one."""
 
     def begin(self, start: RunStart) -> None:
         """The run starts."""
@@ -61,7 +63,7 @@ class Watcher(Protocol):
 
 
 def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
-    """Give a function with ``**options`` the signature and the documentation of the records' fields."""
+    """Give a function with ``**options`` a signature and documentation that list the records' fields."""
 
     def decorate(function: Function) -> Function:
         own = inspect.signature(function)
@@ -87,7 +89,7 @@ def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **
 
     Args:
         plans: a file, a folder, several of them, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
-        watcher: is told how the run goes.
+        watcher: follows the run.
         options: fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
 
     Returns:
@@ -115,9 +117,9 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`, instead of those the file names; None: the file's.
-        watcher: is told how the sweep goes.
-        batching: how much is held and simulated at a time; changes no result.
+        plans: as for :func:`score`; they replace those that the file names. None: the file's.
+        watcher: follows the run.
+        batching: how many states and worlds are held in memory; changes no result.
         options: fields of ``petmjx.Simulation``, which replace those of the file, and of ``petmjx.RunOptions``.
 
     Returns:
@@ -148,7 +150,7 @@ def _simulate(
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
     engine, choice = resolve_engine(options, plan.work())
     columns = SweepColumns(plan) if command == "sweep" else None
-    total = plan.n_worlds if plan.search is None else None
+    total = plan.n_worlds if asked.search is None else None
     progress = Progress()
     rows: list[dict[str, Any]] = []
     swept = SweepRun(
@@ -179,6 +181,8 @@ def _simulate(
             overwrite=options.overwrite,
         ) as writer:
             _note_input(writer, replace(found, skipped=[*found.skipped, *plan.skipped]))
+            for note in hopeless_profiles(asked):
+                writer.warn(note)
             if watcher is not None:
                 what = "plan" if command == "score" else "world"
                 watcher.begin(RunStart(what, total, plan.size(choice.seconds), choice, progress))
@@ -193,11 +197,14 @@ def _simulate(
                     world.attempts,
                     values,
                 )
+                if world.outcome.message:
+                    variant = f", variant {world.variant.index}" if columns else ""
+                    writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
                 if watcher is not None:
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=progress.compile_s)
         if columns:
-            frame = search_frame(rows) if plan.search is not None else summarise_shares(folder, plan)
+            frame = search_frame(rows) if asked.search is not None else summarise_shares(folder, plan)
             write_summary(folder, frame, *summary_units(frame, plan))
         return load_run(folder)
 
@@ -205,15 +212,14 @@ def _simulate(
 
 
 def _note_input(writer: RunWriter, found: PlanSet) -> None:
-    """Write what was skipped and what is odd about the plans into the run's record."""
+    """Write skipped plans and warnings into ``run.json``."""
     for skipped in found.skipped:
         writer.skip(skipped)
-    for warning in found.warnings:
-        writer.warn(str(warning))
+    writer.odd_plans += map(str, found.warnings)
 
 
 def _in_temporary_folder(run: Callable[[Path], RunResults]) -> RunResults:
-    """Run into a folder that goes away when the returned results do (or when the run fails)."""
+    """Run into a folder that is deleted together with the returned results, or when the run fails."""
     temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
     try:
         results = run(Path(temporary.name))

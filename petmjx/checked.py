@@ -1,4 +1,4 @@
-"""Records that check themselves, and the one place where what is wrong with a value becomes a line of text."""
+"""Records that check their own values, and the one place that makes error lines from pydantic's errors."""
 
 from __future__ import annotations
 
@@ -17,23 +17,22 @@ from petmjx.bounded import read_regular
 from petmjx.errors import InputError
 from petmjx.text import counted, printable, shortened, shown
 
-_SIGNS = {
-    "greater_than": (">", "gt"),
-    "greater_than_equal": ("≥", "ge"),
-    "less_than": ("<", "lt"),
-    "less_than_equal": ("≤", "le"),
+_TEXTS: Final = {
+    "greater_than": "must be > {gt:g}",
+    "greater_than_equal": "must be ≥ {ge:g}",
+    "less_than": "must be < {lt:g}",
+    "less_than_equal": "must be ≤ {le:g}",
+    "literal_error": "must be {expected}",
+    "enum": "must be {expected}",
+    "string_type": "must be text",
+    "path_type": "must be a path",
+    **dict.fromkeys(("float_type", "float_parsing", "finite_number"), "must be a finite number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size", "int_from_float"), "must be a whole number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    **dict.fromkeys(("list_type", "tuple_type"), "must be a list"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
 }
-
-_WANTED = {
-    "a finite number": ("float_type", "float_parsing", "finite_number"),
-    "a whole number": ("int_type", "int_parsing", "int_parsing_size", "int_from_float"),
-    "true or false": ("bool_type", "bool_parsing"),
-    "text": ("string_type",),
-    "a path": ("path_type",),
-    "a list": ("list_type", "tuple_type"),
-    "a table": ("dict_type", "model_type", "model_attributes_type"),
-}
-_WANTED_BY_KIND = {kind: wanted for wanted, kinds in _WANTED.items() for kind in kinds}
+"""pydantic's kind of error → what comes after the field's path, before the value that was found."""
 
 _COMPLAINT: Final = "complaint"
 
@@ -46,14 +45,14 @@ _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags of the members of a union that are told apart by shape. Tags stand in angle brackets: pydantic puts them into
-the path of an error, and `describe` takes them out again."""
+"""Tags of the members of a union, where the shape of a value decides which member it is. pydantic puts tags into the
+path of an error; the angle brackets let `describe` find them and take them out."""
 
 
 class _OneLine(ModelMetaclass):
-    """Constructing a record raises ``InputError`` with one line instead of pydantic's own error.
+    """Makes the constructor of a record raise ``InputError`` with one line instead of pydantic's own error.
 
-    Records within records are made by pydantic itself and not through here, so that the line names the whole path.
+    Records within records are made by pydantic itself and do not come here, so that the line has the whole path.
     """
 
     def __call__(cls, *args: Any, **values: Any) -> Any:
@@ -64,7 +63,7 @@ class _OneLine(ModelMetaclass):
 
 
 class Checked(BaseModel, metaclass=_OneLine):
-    """A frozen record whose values are checked and whose fields are all known.
+    """A frozen record with checked values. Unknown fields are refused.
 
     Raises:
         InputError: "interval_s must be > 0, got -1".
@@ -74,21 +73,23 @@ class Checked(BaseModel, metaclass=_OneLine):
 
     @classmethod
     def read(cls, values: Mapping[str, Any], context: Any = None) -> Self:
-        """A record from plain values, of a file for instance; ``context`` is for the validators."""
+        """A record made from plain values, such as those of a file. ``context`` is passed to the validators."""
         try:
             return cls.model_validate(dict(values), context=context)
         except ValidationError as error:
             raise InputError(describe(error)) from None
 
     def changed(self, **values: Any) -> Self:
-        """A checked copy with other values for some fields. A table changes the record that it stands for, if that is
-        not given a name of its own."""
+        """A checked copy with other values for some fields.
+
+        A table in place of a record changes the old record. A table with a ``name`` replaces it.
+        """
         return self.read(_fields_with(self, values))
 
     @model_validator(mode="before")
     @classmethod
     def _has_its_fields(cls, values: Any) -> Any:
-        """Refuse unknown and missing fields, as pydantic does too, but say which there are and what they are for."""
+        """Refuse unknown and missing fields. pydantic does that too, but does not say which fields there are."""
         if not isinstance(values, Mapping):
             return values
         fields = {info.alias or name: info for name, info in cls.model_fields.items()}
@@ -102,7 +103,7 @@ class Checked(BaseModel, metaclass=_OneLine):
 
 
 def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record's fields, some replaced. Checked as a whole later, so that an error names the whole path."""
+    """A record's fields with some replaced. They are checked together later, so that an error has the whole path."""
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
         old = fields.get(name)
@@ -113,32 +114,32 @@ def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """What was probably meant by a name that is not known: "did you mean scale?", or else the names there are."""
+    """A hint for an unknown name: "did you mean scale?", or a list of the known names."""
     names = list(known)
     close = difflib.get_close_matches(name, names, n=1)
     return f"did you mean {close[0]}?" if close else f"there are {', '.join(names)}"
 
 
 def complaint(text: str, *path: str | int) -> ValidationError:
-    """For a validator to raise: what is wrong with a field somewhere below the value that it validates.
+    """An error for a validator to raise about a field inside the value that it validates.
 
     Args:
-        text: goes on after the field's path, as in "must be > 0"; with a colon as in ": unknown field".
-        path: from the value that is being validated to the field.
+        text: follows the field's path, as in "must be > 0", or with a colon as in ": unknown field".
+        path: from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
     return ValidationError.from_exception_data("value", [InitErrorDetails(type=kind, loc=path, input=None)])
 
 
 def shape(value: object) -> str:
-    """`TABLE`, `LIST` or `VALUE`: by this a union of such members is told apart, ``Discriminator(shape)``."""
+    """`TABLE`, `LIST` or `VALUE`. ``Discriminator(shape)`` picks the member of a union by it."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE
 
 
 def by_entry(key: str) -> Discriminator:
-    """Tells records in a union apart by an entry of their table; each is tagged with the entry's value in <…>."""
+    """Picks the record of a union by one entry of its table. Each record's tag is that entry's value in <…>."""
 
     def tag(value: object) -> str | None:
         if not isinstance(value, Mapping):
@@ -152,17 +153,17 @@ def by_entry(key: str) -> Discriminator:
 
 
 def got(value: object) -> str:
-    """The end of a message: which value it was, in a bounded length."""
+    """The end of a message: "got" and the value, in bounded length."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):
-        # a whole number of more digits than Python writes out, or tables within tables without end
+        # a whole number with more digits than Python writes, or tables nested too deeply
         return f"got {type(value).__name__} too large to be shown"
     return f"got {shortened(text)}"
 
 
 def describe(error: ValidationError) -> str:
-    """The first of pydantic's complaints as a line: "simulation.interval_s must be > 0, got -1"."""
+    """The first of pydantic's errors as one line: "simulation.interval_s must be > 0, got -1"."""
     first = error.errors(include_url=False)[0]
     place = _path(first["loc"])
     text = _said(first["type"], first.get("ctx", {}), first.get("input"), first["msg"])
@@ -173,22 +174,13 @@ def describe(error: ValidationError) -> str:
 
 def _said(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
     """What comes after the field's path."""
-    if kind == _COMPLAINT:
-        return str(context["text"])
-    if kind == "value_error":
-        # raised by a validator of petmjx's own, whose text says everything after the place
-        return str(context["error"])
-    if kind == "extra_forbidden":
-        return ": unknown field"
-    if kind == "missing":
+    if kind in (_COMPLAINT, "value_error"):
+        # raised by one of petmjx's validators, whose text is all that follows the path
+        return message.removeprefix("Value error, ")
+    if kind == "missing":  # an entry of a list; fields are asked for in Checked
         return "is missing"
-    if kind in _SIGNS:
-        sign, key = _SIGNS[kind]
-        return f"must be {sign} {context[key]:g}, {got(value)}"
-    if kind in _WANTED_BY_KIND:
-        return f"must be {_WANTED_BY_KIND[kind]}, {got(value)}"
-    if kind in ("literal_error", "enum"):
-        return f"must be {context['expected']}, {got(value)}"
+    if kind in _TEXTS:
+        return f"{_TEXTS[kind].format(**context)}, {got(value)}"
     if kind in ("too_short", "too_long"):
         most, key = ("most", "max_length") if kind == "too_long" else ("least", "min_length")
         found = context.get("actual_length")  # None where pydantic stopped counting
@@ -200,7 +192,7 @@ def _said(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
 
 
 def _no_member(context: Mapping[str, str], value: Any) -> str:
-    """A value that is none of a union's members."""
+    """The text for a value that fits no member of a union."""
     key = context["discriminator"].removesuffix("()")
     known = re.findall("<(.*?)>", context.get("expected_tags", ""))
     if key == shape.__name__:
@@ -213,7 +205,7 @@ def _no_member(context: Mapping[str, str], value: Any) -> str:
 
 
 def _path(location: tuple[int | str, ...]) -> str:
-    """Fields by name and list entries as [i], as a path is written in TOML or Python; tags of unions are left out."""
+    """A path as TOML and Python write it: fields by name, list entries as [i]. Tags of unions are left out."""
     path = ""
     for part in location:
         if isinstance(part, int):

@@ -1,7 +1,7 @@
-"""Every option, said once: what results depend on (``Simulation``), how and where a run runs (``RunOptions``).
+"""Every option: what results depend on (``Simulation``), and how and where a run runs (``RunOptions``).
 
-Defaults, units, checks and descriptions stand here alone. ``petmjx.score`` and ``petmjx.sweep``, the command line and
-the ``[simulation]`` table of sweep files are made from these records, and they are written beside the results.
+Defaults, units, checks and descriptions are written only here. ``petmjx.score``, ``petmjx.sweep``, the command line
+and the ``[simulation]`` table of sweep files are made from these records. ``run.json`` has their values.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ MOST_STEPS: Final = 100_000
 HIGHEST_FRICTION: Final = 100.0
 
 SOFT_START_STEPS: Final = 100
-"""Steps without gravity, and again steps in which gravity grows by k/100, before time counts."""
+"""Before time counts: so many steps without gravity, then as many with gravity × k / ``SOFT_START_STEPS``."""
 
 
 @dataclass(frozen=True)
 class Flag:
-    """How a field is called on the command line.
+    """The name of a field on the command line.
 
     Attributes:
-        metavar: what stands for its value in the help there.
-        default: what the help says of a default that is None there.
+        metavar: placeholder of its value in the help.
+        default: what the help shows as the default where the field's own default is None.
     """
 
     name: str
@@ -55,8 +55,7 @@ class Check(StrEnum):
 class Schedule(StrEnum):
     """When the next box is placed.
 
-    ``fixed``: at fixed times. ``adaptive``: as soon as the pallet is quiet and no box creeps. ``brisk``: as soon as it
-    is quiet, creeping or not; with pyramidal cones, which creep by themselves, ``adaptive`` is the same.
+    What each one does is in the description of ``Simulation.schedule`` and, to the step, in docs/rules.md, section 5.
     """
 
     FIXED = "fixed"
@@ -72,7 +71,7 @@ class Cone(StrEnum):
 
 
 class Solver(StrEnum):
-    """Constraint solver; the retry procedure goes through them in order."""
+    """Constraint solver. Which attempt takes which: petmjx/engines/retry.py."""
 
     NEWTON = "newton"
     CG = "cg"
@@ -91,7 +90,7 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     Carrier.EURO_PALLET: (1.2, 0.8),
     Carrier.ROLLCONTAINER: (0.8, 0.7),
 }
-"""x–y extent of each carrier in metres (BED-BPP's two targets); None: the plan's own bounding box."""
+"""x–y extent of each carrier in metres: BED-BPP's two targets. None: from the origin to the plan's largest x and y."""
 
 Triple = tuple[float, float, float]
 
@@ -131,18 +130,18 @@ def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
 
 
 Friction = Annotated[Triple, AfterValidator(_no_negatives)]
-"""MuJoCo's sliding, torsional and rolling coefficients of a geom; of two partners the larger ones count."""
+"""MuJoCo's sliding, torsional and rolling coefficients of a geom. Between two geoms the larger ones count."""
 
 CUSTOM: Final = "custom"
 
 
 class Physics(Checked):
-    """The contact world.
+    """Contacts, carrier, floor, gravity and timestep.
 
-    Numbers are the reference implementation's (PET-Physics), but for the cone and the carrier's friction, which are the
-    preset's. Boxes slide on boxes at 0.5 after the CTU Code (cardboard on cardboard, Annex 7, Appendix 2).
+    The numbers are those of the reference implementation (PET-Physics), except the cone and the carrier's friction, in
+    which the presets differ. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
-    Made from a preset's name ("pallet"), from a table that names one and changes some of its values
+    Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
     """
 
@@ -169,13 +168,13 @@ class Physics(Checked):
     @computed_field(description="the preset that these values are, or custom")  # type: ignore[prop-decorator]
     @property
     def name(self) -> str:
-        """The preset that these values are, or "custom"."""
+        """The preset that has exactly these values, or "custom"."""
         return next((name for name, preset in PHYSICS.items() if preset == self), CUSTOM)
 
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
-        """A preset by name, or a preset with changes."""
+        """Accept a preset's name, or a table that changes a preset."""
         if isinstance(values, str):
             values = {"name": values}
         if not isinstance(values, Mapping) or "name" not in values:
@@ -196,7 +195,7 @@ cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 
 
 class Thresholds(Checked):
-    """Where a plan stops being stable, and a simulation stops being believable (paper, section IV-C)."""
+    """Limits beyond which a plan is unstable, and a simulation invalid (PET-Physics paper, section IV-C)."""
 
     shift_m: Annotated[float, within(0, 100), Flag("--shift-limit-m", "M")] = Field(
         0.02, gt=0, description="unstable from a larger final displacement of a box in x, y or z, m"
@@ -221,15 +220,13 @@ class Thresholds(Checked):
 class Quiet(Checked):
     """When a pallet is quiet enough for the next box.
 
-    A box's pace is its linear or angular speed in units of its limit, whichever is larger. Pallets are looked at every
-    ``poll_steps``. Quiet is a pallet, on either schedule, whose paces have all been below 1 for ``steps`` on end, and
-    not before ``min_steps`` after a placement.
+    The rule, to the step: docs/rules.md, section 5. In short: the pace of a box is the larger of its linear and its
+    angular speed, each divided by its limit. A pallet is quiet when all paces were below 1 for ``steps`` steps.
 
-    On the adaptive schedule with elliptic cones each box must also be at rest at the end of those steps (its pace below
-    ``rest_share``) or have slowed to ``slowing`` times its pace at their begin; otherwise the count begins anew. What
-    neither comes to rest nor slows down creeps: over a fixed schedule's half minute 1 mm/s, a tenth of the limit, is
-    more than a shift of 20 mm. It is given the whole interval, as the fixed schedule gives it. Once a box has crossed a
-    threshold, where creep leads to is known, and it holds nothing up any more.
+    With the schedule ``adaptive`` and elliptic cones each box must also be at rest then, or have slowed down. A box
+    that does neither creeps. On a fixed schedule of half a minute, 1 mm/s (a tenth of the limit) is a shift of more
+    than 20 mm, so boxes that creep get the whole interval. Once a box has crossed a threshold, the result of the creep
+    is known, so it is not waited for.
     """
 
     lin_vel_m_s: Annotated[float, within(0, 100)] = Field(
@@ -252,7 +249,7 @@ class Quiet(Checked):
 
 
 class Simulation(Checked):
-    """Everything that the outcome of a world depends on besides its plan and its variant."""
+    """Everything that the outcome of a world depends on, except its plan and its variant."""
 
     check: Annotated[Check, Flag("--check")] = Field(
         Check.ONE_BY_ONE,
@@ -269,20 +266,20 @@ class Simulation(Checked):
     )
     carrier: Annotated[Carrier, Flag("--carrier")] = Field(
         Carrier.FOOTPRINT,
-        description="what the boxes stand on: footprint: the plan's own extent; euro-pallet: 1200×800 mm; "
+        description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y)",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), Flag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="each box dimension is reduced by this, so that neighbours do not start in contact, mm"
     )
     interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), Flag("--interval", "S")] = Field(
-        0.7, gt=0, description="time between two placements, s; the longest unless the schedule is fixed"
+        0.7, gt=0, description="time between two placements, s; at most, unless the schedule is fixed"
     )
     duration_s: Annotated[float, within(0, LONGEST_S), Flag("--duration", "S")] = Field(
         10.0, gt=0, description="length of the static check, s"
     )
     settle_s: Annotated[float, within(0, LONGEST_S), Flag("--settle", "S")] = Field(
-        2.0, ge=0, description="rest between the last placement and a profile, s; the longest unless fixed"
+        2.0, ge=0, description="rest between the last placement and a profile, s; at most, unless fixed"
     )
     rest_s: Annotated[float, within(0, LONGEST_S), Flag("--rest", "S")] = Field(
         1.0, ge=0, description="time to come to rest after a profile's last sample, s"
@@ -307,7 +304,7 @@ class Simulation(Checked):
         Solver.NEWTON, description="constraint solver of the first attempt"
     )
     solver_iterations: Annotated[int | None, within(1, MOST_STEPS)] = Field(
-        None, gt=0, description="most solver iterations a step; none: the engine's own choice"
+        None, gt=0, description="solver iterations per step, at most; none: the engine's own choice"
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"
@@ -332,9 +329,9 @@ class Simulation(Checked):
 
     @property
     def waits_for_creep(self) -> bool:
-        """Whether boxes that creep hold up the next one.
+        """Whether the next box waits for boxes that creep.
 
-        Not with pyramidal cones: there everything creeps a little, and waiting for it brought next to nothing
+        Not with pyramidal cones: there every box creeps a little, and waiting for it changed very few verdicts
         (docs/performance.md).
         """
         return self.schedule is Schedule.ADAPTIVE and self.physics.cone is Cone.ELLIPTIC
@@ -344,7 +341,8 @@ AUTO: Final = "auto"
 
 
 class RunOptions(Checked):
-    """How and where a run runs: none of it changes the outcome of a world."""
+    """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
+    ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
 
     engine: Annotated[Any, Flag("--engine")] = Field(
         AUTO,
@@ -356,6 +354,11 @@ class RunOptions(Checked):
     )
     lanes: Annotated[int | None, within(1, 1 << 20), Flag("--lanes", "N")] = Field(
         None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
+    )
+    world_timeout_s: Annotated[float | None, within(0, 1e9), Flag("--world-timeout", "S")] = Field(
+        None,
+        gt=0,
+        description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
@@ -376,10 +379,10 @@ class RunOptions(Checked):
 
 
 def sorted_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Options by name, as fields of ``Simulation`` and fields of ``RunOptions``.
+    """Options by name, divided into fields of ``Simulation`` and fields of ``RunOptions``.
 
     Raises:
-        InputError: no such option; the line names the one that was probably meant.
+        InputError: no such option; the line suggests the most similar name.
     """
     ours: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
     records: tuple[type[Checked], ...] = (Simulation, RunOptions)

@@ -1,4 +1,4 @@
-"""What ``petmjx doctor`` reports: versions, devices, which engines work here and why not, where caches are."""
+"""The report of ``petmjx doctor``: versions, devices, engines that work here (or why not), folders of caches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True)
 class EngineReport:
-    """Whether an engine works here, and in one line what it runs on or why it does not."""
+    """Whether an engine works here, and one line: what it runs on, or why it does not work."""
 
     name: str
     works: bool
@@ -36,10 +36,10 @@ class Report:
     """Everything the doctor found.
 
     Attributes:
-        versions: package → version; petmjx's and its dependencies', Python first.
+        versions: package → version, of Python, petmjx and its dependencies.
         devices: CPU and GPUs, one line each.
-        engines: one report each.
-        caches: what is cached → folder, and whether it is there.
+        engines: one report per engine.
+        caches: content of a cache → its folder, and whether the folder exists.
     """
 
     versions: dict[str, str]
@@ -49,16 +49,10 @@ class Report:
 
 
 def examine() -> Report:
-    """Look at this machine. The ``mujoco`` engine scores a one-box plan, which takes milliseconds."""
+    """Examine this machine. The engine ``mujoco`` scores a plan of one box, which takes milliseconds."""
     return Report(
-        versions={
-            "python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})",
-            **package_versions(),
-        },
-        devices=(
-            f"CPU: {cpu_name()}, {counted(cpu_threads(), 'thread')}",
-            *(f"GPU: {name}" for name in cuda_devices()),
-        ),
+        versions={"python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})"} | package_versions(),
+        devices=(f"CPU: {cpu_name()}, {counted(cpu_threads(), 'thread')}", *(f"GPU: {n}" for n in cuda_devices())),
         engines=tuple(_examine_engine(name, check) for name, check in _CHECKS.items()),
         caches=_caches(),
     )

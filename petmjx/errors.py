@@ -1,4 +1,4 @@
-"""Errors that are the user's to mend: one clear line each, never a traceback on the command line."""
+"""Errors that the user can correct. Each is one clear line; the command line shows no traceback."""
 
 from __future__ import annotations
 

@@ -12,8 +12,10 @@ import threading
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("petmjx", "mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
-"""Packages whose versions are written beside every result."""
+import petmjx
+
+PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
+"""Packages whose versions are written beside every result, after petmjx's own."""
 
 _NAME_BYTES = 128
 
@@ -22,14 +24,14 @@ _STARTING_JAX = threading.Lock()
 
 
 def cpu_threads() -> int:
-    """Threads this process may use at once (its CPU affinity, where the system tells)."""
+    """Threads this process may use at once (its CPU affinity, if the system tells it)."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def cpu_name() -> str:
-    """The processor's marketing name, or the architecture where the system does not tell."""
+    """The name of the processor, or its architecture if the system does not tell the name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -40,7 +42,7 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices, from the driver itself: takes milliseconds, allocates nothing on them."""
+    """Names of the CUDA devices, asked from the driver: this takes milliseconds and allocates no device memory."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -59,10 +61,10 @@ def cuda_devices() -> tuple[str, ...]:
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:
-    """JAX's devices, started so that XLA leaves device memory to Warp.
+    """JAX's devices, started in a way that leaves device memory to Warp.
 
-    XLA would take three quarters of a GPU's memory when JAX first asks for its devices, unless the environment says
-    otherwise at that moment. It does for that moment alone; what the user has set stays.
+    XLA takes three quarters of a GPU's memory when JAX first asks for its devices, unless an environment variable
+    forbids it at that moment. The variable is set for that moment only. If the user has set it, it stays as it is.
 
     Args:
         platform: such as "cuda"; None: JAX's default.
@@ -85,8 +87,9 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Package → version of what results depend on; packages that are not installed are left out."""
-    versions = {}
+    """Package → version, of the packages that results depend on and that are installed."""
+    # petmjx's own from the code: an editable installation has the metadata of the day it was installed
+    versions = {"petmjx": petmjx.__version__}
     for package in PACKAGES:
         try:
             versions[package] = importlib.metadata.version(package)
@@ -96,7 +99,7 @@ def package_versions() -> dict[str, str]:
 
 
 def device_name(engine: str, threads: int | None = None) -> str:
-    """The device that an engine's worlds run on, as text.
+    """The name of the device on which an engine's worlds run.
 
     Args:
         threads: CPU threads of the engine ``mujoco``; None: all.
@@ -110,9 +113,9 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp() -> str | None:
-    """Why mjx-warp cannot run here, cheapest check first; None where it can.
+    """Why mjx-warp cannot run here; None if it can. The cheapest check comes first.
 
-    Imports jax only where a CUDA device and Warp are present.
+    JAX is imported only if a CUDA device and Warp are present.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"

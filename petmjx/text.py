@@ -1,4 +1,4 @@
-"""Text as people are shown it."""
+"""How texts, counts and times are written for people."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _ESCAPES: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 def printable(text: str) -> str:
-    """Text as it can stand in one line: what is no visible character is escaped ("\\u001b").
+    """Text that fits into one line: characters that are not visible are escaped ("\\u001b").
 
-    That is control characters (of a terminal also: ESC, C1), line breaks, marks that turn the direction of writing,
-    and broken UTF-8. Whatever comes from a file and is printed goes through here.
+    These are control characters (ESC and C1 of terminals too), line breaks, marks that change the direction of
+    writing, and broken UTF-8. All text that comes from a file and is printed goes through here.
     """
     if text.isprintable():
         return text
@@ -21,7 +21,7 @@ def printable(text: str) -> str:
 
 
 def shown(text: str) -> str:
-    """A name from a file as it stands in a message: printable, and of bounded length."""
+    """A name from a file as messages show it: printable, and of bounded length."""
     return shortened(printable(text))
 
 
@@ -31,7 +31,7 @@ def shortened(text: str) -> str:
 
 
 def is_text(text: str) -> bool:
-    """Whether a string can be written as UTF-8 again; bytes that were no UTF-8 and lone surrogates cannot."""
+    """Whether a string can be written as UTF-8. Lone surrogates, which stand for bytes that were not UTF-8, cannot."""
     if text.isascii():
         return True
     try:
@@ -47,12 +47,12 @@ def one_line(error: BaseException) -> str:
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """ "1 plan", "2,000 plans"; a plural that does more than end in s is given."""
+    """ "1 plan", "2,000 plans"; give ``plural`` where it is not the noun with an s."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
 def rounded(count: float) -> str:
-    """A large number in three digits: "136 thousand"."""
+    """A large number with three digits: "136 thousand"."""
     for unit, size in (("billion", 1e9), ("million", 1e6), ("thousand", 1e3)):
         if count >= size:
             return f"{count / size:.3g} {unit}"
@@ -82,7 +82,7 @@ def three_digits(value: float, sign: bool = False) -> str:
     """A number of any size in at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
 
     Args:
-        sign: whether a positive number has a sign too.
+        sign: whether positive numbers get a sign too.
     """
     grouped = 99.95 <= abs(value) < 999_999.5
     return format(value, ("+" if sign else "") + (",.0f" if grouped else ".3g"))

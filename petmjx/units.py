@@ -35,8 +35,8 @@ def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
 def seconds_to_steps(duration_s: float, timestep_s: float) -> int:
     """Number of whole steps in a duration: ``int(duration / timestep)``, the reference's rule.
 
-    Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps; a run that
-    is to be compared with the reference to the last digit has to count the same way.
+    Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps. A run can be compared with the
+    reference to the last digit only if it counts in the same way.
     """
     return int(duration_s / timestep_s)
 

@@ -1,4 +1,4 @@
-"""What a simulated world came to: verdict, reason, flags, metrics per box; and how a verdict is reached."""
+"""The outcome of a world: verdict, reason, flags, metrics per box. And the function that decides, ``judge``."""
 
 from __future__ import annotations
 
@@ -27,13 +27,16 @@ class Reason(StrEnum):
     OVERFLOW = "overflow"
     EXPLOSION = "explosion"
     OUT_OF_MEMORY = "out-of-memory"
+    SINKING = "sinking"
+    FAILED = "failed"
+    TIMEOUT = "timeout"
     DROP = "drop"
     TILT = "tilt"
     SHIFT = "shift"
 
 
 class Flag(IntFlag):
-    """What happened to a world that the metrics alone do not tell. Kept in the results."""
+    """What happened to a world, where the metrics do not tell it. The bits of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -46,11 +49,17 @@ class Flag(IntFlag):
     OTHER_OVERFLOW = 128
     FORKED = 256
     """The world started from a settled state that another world had reached."""
+    SINKING = 512
+    """Boxes sank into what bears them, so far that a verdict may come from it (petmjx.engines.sinking)."""
+    FAILED = 1024
+    """The simulation ended with an exception; ``Outcome.message`` has its text."""
+    TIMEOUT = 2048
+    """The world took longer than ``RunOptions.world_timeout_s``."""
 
 
 @dataclass(eq=False)
 class BoxMetrics:
-    """Metrics of one world's n boxes, in packing order. What each one is, and its unit: petmjx.metrics.spec.
+    """Metrics of one world's n boxes, in packing order. Meaning and unit of each: petmjx.metrics.spec.
 
     ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN: there is no value.
     """
@@ -70,7 +79,7 @@ class BoxMetrics:
 
 @dataclass(eq=False)
 class Outcome:
-    """What one simulated world came to. ``culprit`` is a box index (packing order from 0), −1 for none."""
+    """The outcome of one world. ``culprit`` is a box index (packing order, from 0), −1 for none."""
 
     job: int
     verdict: Verdict
@@ -86,23 +95,28 @@ class Outcome:
     solver: str = "newton"
     attempt: int = 1
     state: Any = None
-    """The settled state, where the job asked for it: opaque to all but the engine that made it."""
+    """The settled state, if the job asked for it. Only the engine that made it can use it."""
+    message: str = ""
+    """Why there is no result, in one line, if ``reason`` is ``failed``."""
 
 
 INVALID_FLAGS: Final = (
+    (Flag.FAILED, Reason.FAILED),
     (Flag.NONFINITE, Reason.NONFINITE),
     (Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW, Reason.OVERFLOW),
     (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
     (Flag.EXPLOSION, Reason.EXPLOSION),
+    (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, with their reason, in the order in which they are looked at."""
+"""Flags that make a world invalid, with their reasons. The first one that is set decides. ``Flag.SINKING`` is judged
+later, and makes a world invalid with elliptic cones only."""
 
 
 def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> tuple[Verdict, Reason]:
-    """The verdict of a world, on any engine: is it valid, then did a placed box drop, tilt or shift, in this order.
+    """The verdict of a world and its reason, for all engines (docs/metrics.md, section "Verdict").
 
-    Metrics may come from float32. Against the default thresholds the comparison in float64 is the same as in float32:
-    20 is a float32, and of 0.02 the nearest float32 lies below, so that no float32 lies between the two.
+    Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
+    20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
     """
     for bits, reason in INVALID_FLAGS:
         if flags & bits:
@@ -119,25 +133,18 @@ def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds)
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt at a world that needed more than one; the last one gave the verdict."""
+    """One attempt at a world. The last attempt gives the verdict."""
 
     attempt: int
     solver: str
     timestep_s: float
-    verdict: str
-    reason: str
-    flags: int
+    verdict: Verdict
+    reason: Reason
+    flags: Flag
     n_steps: int
 
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
-        """What is kept of an outcome that was simulated with ``timestep_s`` (s)."""
-        return cls(
-            attempt=outcome.attempt,
-            solver=str(outcome.solver),
-            timestep_s=timestep_s,
-            verdict=outcome.verdict.value,
-            reason=outcome.reason.value,
-            flags=int(outcome.flags),
-            n_steps=outcome.n_steps,
-        )
+        """The record of an outcome that was simulated with ``timestep_s`` (s)."""
+        kept = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
+        return cls(timestep_s=timestep_s, **kept)

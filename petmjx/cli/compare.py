@@ -13,7 +13,7 @@ from petmjx.cli.console import results_console
 
 
 def compare(
-    a: Annotated[Path, typer.Argument(metavar="DIR_A", help="Folder of the run that is the yardstick.")],
+    a: Annotated[Path, typer.Argument(metavar="DIR_A", help="Folder of the reference run.")],
     b: Annotated[Path, typer.Argument(metavar="DIR_B", help="Folder of the other run.")],
     rows: Annotated[
         int, typer.Option("--rows", metavar="N", min=1, help="Show at most so many worlds with differing verdicts.")

@@ -1,4 +1,4 @@
-"""What the command line writes to: standard output and standard error, whatever they are."""
+"""Standard output and standard error: terminals, files, pipes, or closed."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 PIPED_WIDTH = 120
-"""Columns where standard output is a file or a pipe."""
+"""Columns if standard output is a file or a pipe."""
 
 _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
-"""What stands for characters that an old terminal has not; "?" for others."""
+"""Replacements for characters that an old terminal does not have; "?" for others."""
 
 
 def results_console() -> Console:
-    """Standard output; as wide as the terminal, or ``PIPED_WIDTH`` where there is none."""
+    """Standard output; as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
     from rich.console import Console
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()
@@ -27,7 +27,7 @@ def results_console() -> Console:
 
 
 def prepare_streams() -> None:
-    """Make standard output and error safe to print to: they exist, and have something for every character."""
+    """Make printing safe: standard output and error exist, and characters that they do not have are replaced."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the caller (petmjx … >&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends

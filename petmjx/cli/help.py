@@ -1,4 +1,4 @@
-"""What ``--help`` looks like: options in two columns under headings, which fits 80 columns."""
+"""The layout of ``--help``: options in two columns under headings, for 80 columns and more."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any
 from typer.core import TyperCommand
 
 WIDTH = 110
-"""Columns that help takes at most."""
+"""Largest width of the help, in columns."""
 
 _LAST = "Options"
 
 
 class SectionedCommand(TyperCommand):
-    """A command whose help lists options under the headings that they name as ``rich_help_panel``."""
+    """A command whose help lists options under headings: the ``rich_help_panel`` of each option."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments, then each section in the order of its first option, then options without a heading."""
+        """Write the arguments, then the sections in the order of their first options, then options without heading."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             row = parameter.get_help_record(ctx)

@@ -1,4 +1,4 @@
-"""The application, and what becomes of errors: one line on standard error and an exit code."""
+"""The application. Errors become one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import IntEnum
+from types import SimpleNamespace
 from typing import Annotated
 
 import typer
@@ -22,7 +22,7 @@ from petmjx.text import one_line, printable
 
 
 class ExitCode(IntEnum):
-    """What the command's exit code says. Verdicts do not matter for it."""
+    """Exit codes. They do not depend on verdicts."""
 
     OK = 0
     FAILURE = 1
@@ -31,17 +31,11 @@ class ExitCode(IntEnum):
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""Click's UsageError, wherever this version of typer keeps it."""
+"""Click's UsageError. Its module differs between versions of typer."""
 
 
-@dataclass
-class _Settings:
-    """What the options before the command ask for."""
-
-    debug: bool = False
-
-
-_SETTINGS = _Settings()
+_SETTINGS = SimpleNamespace(debug=False)
+"""Values of the options before the command."""
 
 app = typer.Typer(
     name="petmjx",
@@ -49,7 +43,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
-    rich_markup_mode=None,  # its tables leave 24 of 80 columns to the descriptions
+    rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
     context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
 )
 for _command, _short_help in (
@@ -99,7 +93,7 @@ def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) ->
     try:
         sys.stdout.flush()
     except OSError:
-        # what is left cannot be written; Python would try again when it ends, and complain
+        # the rest cannot be written; without this Python would try again at its end, and print an error
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -121,7 +115,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
         message = getattr(error, "format_message", error.__str__)()
         return _report(f"{message} (petmjx --help tells the options)" if message else "", ExitCode.UNUSABLE)
     except (BrokenPipeError, SystemExit):
-        # The reader of the output has gone (petmjx … | head) and wants no more; typer and rich exit then.
+        # The reader of the output has closed it (petmjx … | head); typer and rich then exit.
         return ExitCode.OK
     except Exception as error:
         return _report(f"failure inside petmjx: {one_line(error)}; petmjx --debug … shows where", ExitCode.FAILURE)

@@ -1,4 +1,4 @@
-"""Options of commands, made from the records of ``petmjx.config`` that hold them."""
+"""Options of commands, made from the records in ``petmjx.config``."""
 
 from __future__ import annotations
 
@@ -24,11 +24,7 @@ PLANS_HELP = "BED-BPP packing plans: JSON files (also gzipped) or folders of the
 
 PlanPaths = Annotated[
     list[Path] | None,
-    typer.Argument(
-        metavar="PLANS",
-        help=f"{PLANS_HELP} Without any: the bundled samples.",
-        show_default=False,
-    ),
+    typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples.", show_default=False),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
@@ -41,8 +37,8 @@ class _Option:
     """A field as an option.
 
     Attributes:
-        path: names of the records' fields that lead to it; one for most, ``("thresholds", "shift_m")`` for some.
-        section: heading in the help under which it stands.
+        path: the names of fields that lead to it: mostly one, but for instance ``("thresholds", "shift_m")``.
+        section: its heading in the help.
     """
 
     path: tuple[str, ...]
@@ -52,18 +48,18 @@ class _Option:
 
     @property
     def name(self) -> str:
-        """As a parameter of a function."""
+        """Its name as a parameter of a function."""
         return "__".join(self.path)
 
     @property
     def kind(self) -> Any:
-        """The type of the value: the field's; text for what is given by name, which the record itself checks."""
+        """The type of the value: the field's if it is plain, else text, which the record checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
         return next((kind for kind in kinds if kind in (int, float, bool, Path)), str)
 
     @property
     def help(self) -> str:
-        """The field's description (without what it says about Python alone) and its default, if it has one to show."""
+        """The field's description (without the part about Python) and its default, if there is one to show."""
         text = (self.info.description or "").partition("; in Python")[0]
         value = self.info.default
         if isinstance(value, Checked):
@@ -78,7 +74,7 @@ class _Option:
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """As typer reads it from a function's signature. None stands for an option that was not given."""
+        """The parameter that typer reads from a function's signature. None: the option was not given."""
         names = [name for name in (self.flag.name, self.flag.short) if name]
         option = typer.Option(
             *names,
@@ -91,13 +87,13 @@ class _Option:
 
 
 def takes(*fields: str, without: Collection[str] = (), simulated: str = SIMULATED) -> Callable[[Command], Command]:
-    """Give a command the options of ``Simulation`` and ``RunOptions``: all of them but some, or those named.
+    """Give a command the options of ``Simulation`` and ``RunOptions``: all except some, or only those named.
 
-    The command gets what was given, and only that, as keyword arguments: fields of the records, records within them
-    as dictionaries. An error about one of these fields names it as it was typed.
+    The command gets the options that were typed, and no others, as keyword arguments: fields of the records; records
+    within them as dictionaries. An error about one of these fields names the option as it was typed.
 
     Args:
-        fields: of the two records; none: all.
+        fields: names of fields of the two records; none: all.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
     """
@@ -133,7 +129,7 @@ def takes(*fields: str, without: Collection[str] = (), simulated: str = SIMULATE
         own = inspect.signature(command, eval_str=True)
         parameters = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         parameters += [option.parameter for option in options if option.section == simulated]
-        parameters.append(_set_parameter(settable, simulated))
+        parameters += [_set_parameter(settable, simulated)] if settable else []
         parameters += [option.parameter for option in options if option.section != simulated]
         with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
         with_options.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
@@ -148,7 +144,7 @@ def _keyword(name: str, annotation: Any) -> inspect.Parameter:
 
 
 def _options_of(record: type[Checked], section: str, path: tuple[str, ...] = ()) -> Iterator[_Option]:
-    """The fields of a record that have a flag, those of records within it included."""
+    """The fields with a flag of a record, and of the records within it."""
     for name, info in record.model_fields.items():
         flag = next((entry for entry in info.metadata if isinstance(entry, Flag)), None)
         if flag is not None:
@@ -170,7 +166,7 @@ def _set_parameter(settable: Collection[str], section: str) -> inspect.Parameter
 
 
 def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any]:
-    """``FIELD=VALUE``, taken apart. The value is read as TOML, and as plain text where it is none."""
+    """The two parts of ``FIELD=VALUE``. The value is read as TOML, or as plain text if it is not TOML."""
     path, separator, value = text.partition("=")
     names = tuple(path.strip().split("."))
     if not (separator and all(names)):
@@ -184,7 +180,7 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
 
 
 def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
-    """Store a value at its path. A record may be given by name, as a table, and be changed value by value."""
+    """Store a value at its path. A record may be given by name, as a table, and by single values, in any order."""
     *records, field = path
     for name in records:
         inner = tables.get(name, {})
@@ -197,7 +193,7 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """An error's line that begins with a field given on the command line, with the option instead."""
+    """An error's line with the option as it was typed, in place of the field at its beginning."""
     for path, option in typed.items():
         named = re.match(rf"(?:(?:.*: )?simulation\.)?{re.escape(path)}(?=[ :])", line)
         if named:

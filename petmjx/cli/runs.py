@@ -1,4 +1,4 @@
-"""What ``score`` and ``sweep`` share: the folder, the progress bar, Ctrl-C, and what is shown in the end."""
+"""The common part of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the tables at the end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Interrupted(Exception):
-    """Ctrl-C, with how far the run came. (A bare KeyboardInterrupt would end inside typer, without a word.)"""
+    """Ctrl-C, with the number of finished worlds. (typer would end on a KeyboardInterrupt without a message.)"""
 
 
 def run_and_show(
@@ -27,7 +27,7 @@ def run_and_show(
     """Run something with a progress bar and print its tables, or JSON.
 
     Args:
-        run: is given a watcher and the options, with the folder among them.
+        run: called with a watcher and the options, which have the folder.
 
     Raises:
         Interrupted: Ctrl-C.
@@ -51,12 +51,12 @@ def run_and_show(
 
 
 def default_folder() -> Path:
-    """A folder named after this moment."""
+    """A folder named after date and time."""
     return Path("petmjx-results") / datetime.now().strftime("%Y%m%d-%H%M%S")
 
 
 def _how_far(folder: Path, watcher: Any) -> str:
-    """What an interrupted run left behind, in words."""
+    """How far an interrupted run came, as text."""
     from petmjx.results.reader import load_run
 
     try:

@@ -28,9 +28,9 @@ def sweep(
 ) -> None:
     """Simulate packing plans in many variants: forces, levels, friction, placement errors.
 
-    Places every plan once per placement variant and forks the settled pallet into all profiles, levels and
-    directions. Writes every world and box, and a summary: the share that stands with its 95 % interval, or for a
-    search the largest level survived and what fails first.
+    Simulates each placement of a plan once, and starts all profiles, levels and directions from its settled state.
+    Writes every world and box, and a summary: the share that stands, with a 95 % interval if worlds are drawn at
+    random, or for a search the largest level survived and the box that fails first.
 
     Options given here replace the values of the sweep file's [simulation] table.
     """

@@ -1,4 +1,4 @@
-"""What every engine is: simulates jobs, answers with outcomes, tells its progress."""
+"""The protocol of engines: jobs in, outcomes out; and how an engine tells its progress."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from petmjx.world.job import Job
 
 @dataclass
 class Progress:
-    """Running totals that an engine reports while it works; ``message`` says what it is doing (compiling, …)."""
+    """Totals that an engine updates while it runs. ``message`` says what it is doing (compiling, …)."""
 
     worlds_done: int = 0
     world_steps: int = 0
@@ -24,9 +24,10 @@ class Progress:
 
 
 class RunLock:
-    """One run at a time of an engine that keeps things between runs, such as compiled programs.
+    """Allows one run at a time of an engine that keeps data between runs, such as compiled programs.
 
-    Runs are generators: a run is on from its first outcome asked for to its last, or until it is closed.
+    Runs are generators. A run begins when its first outcome is asked for, and ends with its last outcome or when the
+    generator is closed.
     """
 
     def __init__(self, engine: str) -> None:
@@ -49,14 +50,14 @@ class RunLock:
 
 
 class Engine(Protocol):
-    """Simulates worlds. Outcomes come in any order, as they finish; ``Outcome.job`` says whose they are.
+    """Simulates worlds. Outcomes come in any order, as worlds finish; ``Outcome.job`` is the index of the job.
 
-    An engine may be used by several threads. Those that can only do one run at a time, such as the MJX engines, let the
-    others wait (``RunLock``).
+    Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, makes the
+    other threads wait (``RunLock``).
     """
 
     name: str
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once with ``sim.solver``. Retries are made by petmjx/engines/retry.py."""
+        """Simulate each job once with ``sim.solver``. Further attempts are made by petmjx/engines/retry.py."""
         ...

@@ -1,10 +1,9 @@
-"""Which engine to use: the user's, or for ``auto`` the one that is expected to finish first."""
+"""Which engine a run uses: the one that the user names, or for ``auto`` the one that should finish first."""
 
 from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import Any
 
 from petmjx.config import AUTO, RunOptions
 from petmjx.engines.base import Engine
@@ -18,12 +17,16 @@ ENGINES: dict[str, tuple[str, str]] = {
     "mjx-jax": ("petmjx.engines.batch.mjx_jax", "MjxJaxEngine"),
     "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine"),
 }
-"""Engine name → module and class. A module is imported only when its engine is asked for."""
+"""Engine name → module and class. A module is imported only when its engine is used."""
+
+
+OF_MUJOCO = ("threads", "world_timeout_s")
+"""Options that only the engine ``mujoco`` has."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """An engine's name, why it was taken (one line), and how long it is expected to take (None: not known)."""
+    """An engine's name, why it was chosen (one line), and the expected time in s (None: not known)."""
 
     name: str
     reason: str
@@ -31,7 +34,8 @@ class Choice:
 
 
 def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tuple[Engine, Choice]:
-    """The engine of a run, built, and why it was taken. ``auto`` uses whichever of threads and lanes applies.
+    """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
+    engine does not have.
 
     Raises:
         InputError, EngineUnavailable: as ``make_engine``.
@@ -39,12 +43,13 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tupl
     asked = options.engine
     if not isinstance(asked, str):
         return asked, Choice(asked.name, "given")
-    seconds = costs.seconds(work, options.threads or cpu_threads())
-    if asked != AUTO:
-        engine = make_engine(asked, threads=options.threads, lanes=options.lanes)
-        return engine, Choice(asked, "as asked for", seconds[asked])
-    name, reason = choose(seconds, options.threads or cpu_threads())
-    limits: dict[str, Any] = {"threads": options.threads} if name == "mujoco" else {"lanes": options.lanes}
+    threads = options.threads or cpu_threads()
+    seconds = costs.seconds(work, threads)
+    name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
+    limits = {option: getattr(options, option) for option in (*OF_MUJOCO, "lanes")}
+    if asked == AUTO:
+        for option in ("lanes",) if name == "mujoco" else OF_MUJOCO:
+            del limits[option]
     return make_engine(name, **limits), Choice(name, reason, seconds[name])
 
 
@@ -64,32 +69,33 @@ def choose(seconds: dict[str, float], threads: int) -> tuple[str, str]:
     return "mjx-warp", f"about {gpu_s:.0f} s, {cpu} would need about {cpu_s:.0f} s"
 
 
-def make_engine(name: str, *, threads: int | None = None, lanes: int | None = None) -> Engine:
+def make_engine(
+    name: str, *, threads: int | None = None, lanes: int | None = None, world_timeout_s: float | None = None
+) -> Engine:
     """Build an engine by name.
 
     Args:
         threads: CPU threads of ``mujoco``; None: all.
         lanes: worlds at once of the MJX engines; None: chosen from the device's memory.
+        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:
-        InputError: no such engine, or an option that it does not have.
-        EngineUnavailable: it cannot run here; the text says why.
+        InputError: no such engine, or it does not have this option.
+        EngineUnavailable: it cannot run here; the line says why.
     """
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
-    options: dict[str, Any] = {}
-    if name == "mujoco":
-        if lanes is not None:
-            raise InputError("lanes belong to the MJX engines; the engine mujoco has threads")
-        options["threads"] = threads
-    else:
-        if threads is not None:
-            raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
-        options["lanes"] = lanes
+    on_cpu = name == "mujoco"
+    if on_cpu and lanes is not None:
+        raise InputError("lanes belong to the MJX engines; the engine mujoco has threads")
+    if threads is not None and not on_cpu:
+        raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
+    if world_timeout_s is not None and not on_cpu:
+        raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
     module_name, class_name = ENGINES[name]
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    engine: Engine = getattr(module, class_name)(**options)
+    engine: Engine = getattr(module, class_name)(*((threads, world_timeout_s) if on_cpu else (lanes,)))
     return engine

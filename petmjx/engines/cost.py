@@ -1,6 +1,6 @@
-"""What a run is expected to cost: the one model behind ``auto`` and behind estimates of time.
+"""The cost model: ``auto`` and all estimates of time use it.
 
-A step costs about with the square of the boxes that stand, on CPU threads and on a device alike.
+The cost of a step grows about with the square of the number of standing boxes, on CPU threads and on a device.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.units import FloatArray, seconds_to_steps
 
 STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.25, Schedule.BRISK: 0.2}
-"""Steps of a schedule as a share of the fixed one's: measured on 2,000 generated plans, physics ``pallet``
-(benchmarks/README.md). Physics ``reference`` takes twice as many."""
+"""Steps of a schedule as a share of the fixed schedule's. Measured on 2,000 generated plans, physics ``pallet``
+(benchmarks/README.md); physics ``reference`` takes twice as many."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4, Schedule.BRISK: 0.34}
-"""The same for their cost: the steps that are left are the expensive ones, in which boxes move and pallets collapse."""
+"""The same for the cost. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
 
 GROWING_SHARE = 1 / 3
 """Cost of a step while boxes come one by one, as a share of that of the full pallet: the mean of k² over k = 1…n."""
 
 SHAKEN_FACTOR = 2.0
-"""Cost of a step in a drive, in steps of a pallet at rest. A pallet that slides takes up to five times as long per
-step, one that falls ends sooner; measured on two plans of 16 and 20 boxes on the CPU."""
+"""Cost of a step of a drive, relative to a step of the same pallet at rest. A pallet that slides takes up to five times
+as long per step; one that falls ends earlier. Measured on two plans of 16 and 20 boxes on the CPU."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Work:
         sim: its check and schedule decide how many steps a placement has.
         boxes: of each plan.
         placements, drives: of each plan.
-        drive_steps: of one drive, coming to rest included; the mean over profiles.
+        drive_steps: of one drive, with the time to come to rest; mean over profiles.
     """
 
     sim: Simulation
@@ -47,7 +47,7 @@ class Work:
 
     @property
     def fixed_steps(self) -> FloatArray:
-        """(n,) steps of one placement of each plan on the fixed schedule, settling before a drive included."""
+        """(n,) steps of one placement of each plan with the fixed schedule, with the time to settle before a drive."""
         sim, boxes = self.sim, np.asarray(self.boxes)
         one_by_one = sim.check is Check.ONE_BY_ONE
         if self.drives:
@@ -58,7 +58,7 @@ class Work:
 
     @property
     def steps(self) -> FloatArray:
-        """(n,) steps that each plan is expected to take, soft starts included."""
+        """(n,) expected steps of each plan, with soft starts."""
         placing = 2 * SOFT_START_STEPS + STEP_SHARE[self.sim.schedule] * self.fixed_steps
         return self.placements * placing + self.drives * self.drive_steps
 
@@ -76,15 +76,16 @@ class Work:
 
 @dataclass(frozen=True)
 class Costs:
-    """What the engines cost, as far as choosing between them and estimating times needs it.
+    """Measured costs of the engines, in the detail that ``auto`` and estimates of time need.
 
     Attributes:
-        cpu_step_s: seconds one CPU thread takes for a step of one world, per box²; ``cpu_overhead_s`` besides that.
-        jax_step_s: the same for ``mjx-jax`` on a CPU: 57 steps/s with 40 boxes on two cores.
-        gpu_step_s: seconds a device takes for a step of ``full_lanes`` worlds, per box².
+        cpu_step_s: time of one CPU thread for a step of one world, s per box².
+        cpu_overhead_s: time that such a step takes in addition, s.
+        jax_step_s: as ``cpu_step_s``, for ``mjx-jax`` on a CPU: 57 steps/s with 40 boxes on two cores.
+        gpu_step_s: time of a device for a step of ``full_lanes`` worlds, s per box².
         full_lanes: worlds that fill the device.
-        tail_lanes: what the end of a run costs, in worlds: its last ones run on a device that is all but idle.
-        gpu_start_s: start-up of the device engine, compilation included.
+        tail_lanes: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
+        gpu_start_s: time to start the device engine, with compilation, s.
     """
 
     cpu_step_s: float = 2.4e-7
@@ -96,7 +97,7 @@ class Costs:
     gpu_start_s: float = 25.0
 
     def seconds(self, work: Work, threads: int) -> dict[str, float]:
-        """Expected seconds by engine; for ``mjx-jax`` those of a CPU."""
+        """Engine → expected time, s; for ``mjx-jax`` that on a CPU."""
         n_plans = len(work.boxes)
         if not n_plans:
             return {"mujoco": 0.0, "mjx-jax": 0.0, "mjx-warp": self.gpu_start_s}
@@ -112,12 +113,12 @@ class Costs:
         }
 
     def _phase_s(self, worlds: int, box2_steps: float) -> float:
-        """A phase of many worlds on the device: their steps, and the end of it, when few still run."""
+        """Time of a phase of many worlds on the device, with its end, when only a few still run."""
         return self.gpu_step_s * box2_steps * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
 
 
 H100 = Costs()
 """Fitted to generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads (benchmarks/README.md).
 Measured there: mjx-warp compiles for 22 s (7 s with programs kept from an earlier run) and runs 18 s for 500 plans,
-24 s for 2,000, 41 s for 4,000 and 63 s for 8,000; mujoco scores 13.8 plans/s. So a GPU pays from about 650 such plans
-on. Other sizes and other devices have not been fitted."""
+24 s for 2,000, 41 s for 4,000 and 63 s for 8,000; mujoco scores 13.8 plans/s. So a GPU is faster from about 650 such
+plans on. Not fitted to other sizes or devices."""

@@ -1,48 +1,57 @@
-"""Runs worlds through an engine, runs the invalid ones again, and hands on each world's last outcome.
+"""Simulates worlds with an engine, repeats the invalid ones with other settings, and yields each world's last outcome.
 
-The procedure is that of the PET-Physics paper (Newton, then CG, up to two attempts each), with half the timestep
-after it. The reference implementation repeats a deterministic run bit for bit on its second attempts; here they
-differ: the solver gets up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, so that an attempt
-that failed because the solver stopped early has another chance.
+The attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each), and then one with half the
+timestep. Worlds that sank (``petmjx.engines.sinking``) have an attempt of their own. The second attempts of the
+reference implementation repeat the same deterministic run. Here they differ: the solver gets up to
+``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Engine, Progress
+from petmjx.engines.sinking import note_sinking, stiffened
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Attempt, Outcome, Verdict
+from petmjx.verdict import Attempt, Outcome, Reason, Verdict
 from petmjx.world.job import Excitation, Job
 
 CAREFUL_ITERATIONS = 400
-"""Most solver iterations a step in a second attempt: four times MuJoCo's default, which CG often exhausts."""
+"""Most solver iterations per step in a second attempt: four times MuJoCo's default, which CG often reaches."""
 
 CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
 
 DEFAULT_CHUNK_WORLDS = 32_768
-"""Worlds handed to an engine at once. Scenes of 43 boxes take 160 MB then, whatever the number of plans; a smaller
-chunk would have the MJX engines choose (and compile) their shapes more often than they need to."""
+"""Worlds given to an engine at once. With 43 boxes each their scenes take 160 MB, for any number of plans. With smaller
+chunks the MJX engines would choose (and compile) their shapes more often."""
 
 
 @dataclass(frozen=True)
 class AttemptRecipe:
-    """One row of the retry procedure."""
+    """One attempt: the settings that it changes (docs/rules.md, section 9)."""
 
     number: int
     solver: Solver | None
     careful: bool = False
     timestep_divisor: int = 1
+    stiff: bool = False
+    """With contacts that bear light boxes under heavy ones: for worlds that sank, and for no others."""
+
+    def is_for(self, outcome: Outcome) -> bool:
+        """Whether this attempt may give what the one before did not. More time is not given to a world."""
+        if outcome.verdict is not Verdict.INVALID or outcome.reason is Reason.TIMEOUT:
+            return False
+        return self.stiff == (outcome.reason is Reason.SINKING)
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
-        """The run's configuration, changed as this attempt asks. Durations in seconds stay what they were."""
+        """The run's options with this attempt's changes. Times in seconds stay the same."""
         update: dict[str, Any] = {}
         if self.solver is not None:
             update["solver"] = self.solver
@@ -54,23 +63,23 @@ class AttemptRecipe:
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in ("steps", "min_steps", "poll_steps")}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
+        if self.stiff:
+            update["physics"] = stiffened(sim.physics)
         return sim.changed(**update)
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
-        """The same jobs, their force profiles resampled to this attempt's timestep (and still shared)."""
+        """The same jobs, with profiles resampled to this attempt's timestep (and still shared)."""
         if self.timestep_divisor == 1:
             return list(jobs)
-        resampled: dict[int, Excitation] = {}
-        out = []
-        for job in jobs:
-            if job.drive is None:
-                out.append(job)
-                continue
-            old = job.drive.excitation
-            if id(old) not in resampled:
-                resampled[id(old)] = replace(old, samples=np.repeat(old.samples, self.timestep_divisor, axis=0))
-            out.append(replace(job, drive=replace(job.drive, excitation=resampled[id(old)])))
-        return out
+        profiles = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
+        finer: dict[int, Excitation] = {
+            key: replace(profile, samples=np.repeat(profile.samples, self.timestep_divisor, axis=0))
+            for key, profile in profiles.items()
+        }
+        return [
+            replace(job, drive=replace(job.drive, excitation=finer[id(job.drive.excitation)])) if job.drive else job
+            for job in jobs
+        ]
 
 
 ATTEMPTS: tuple[AttemptRecipe, ...] = (
@@ -79,49 +88,49 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(3, Solver.CG),
     AttemptRecipe(4, Solver.CG, careful=True),
     AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2),
+    AttemptRecipe(6, None, stiff=True),
 )
-"""The retry procedure, in order. Attempt 1 takes the run's own solver (Newton unless configured otherwise)."""
+"""The attempts, in order. Attempts 1 and 6 use the run's own solver (Newton by default)."""
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One plan × one variant: what is simulated once (again where it turns out invalid)."""
+    """One plan in one variant. It is simulated once, and again if it is invalid."""
 
     plan: Plan
     variant: int
     job: Job
 
 
-@dataclass(frozen=True, eq=False)
-class WorldResult:
-    """A world, the outcome of its last attempt, and all its attempts in order (one where it was valid at once)."""
+AnyWorld = TypeVar("AnyWorld", bound=World)
 
-    world: World
+
+@dataclass(frozen=True, eq=False)
+class WorldResult(Generic[AnyWorld]):
+    """A world, the outcome of its last attempt, and all its attempts in order (often only one)."""
+
+    world: AnyWorld
     outcome: Outcome
     attempts: tuple[Attempt, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Pending:
-    """A world that waits for its next attempt, with the records of those it has had."""
-
-    world: World
-    attempts: tuple[Attempt, ...] = ()
+_Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
+"""A world between two attempts: with the outcome of the last one, and the records of all before."""
 
 
 def score_worlds(
-    worlds: Iterable[World],
+    worlds: Iterable[AnyWorld],
     sim: Simulation,
     engine: Engine,
     *,
     progress: Progress | None = None,
     chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
-) -> Iterator[WorldResult]:
-    """Simulate worlds and yield each one's result once, as it becomes final, in any order.
+) -> Iterator[WorldResult[AnyWorld]]:
+    """Simulate worlds and yield the result of each one when it is final, in any order.
 
-    Worlds are drawn and simulated ``chunk_worlds`` at a time; invalid ones gather and run again as one
-    batch, at the end or when there is a chunk of them. So memory does not grow with the number of worlds.
+    ``chunk_worlds`` worlds are taken and simulated at a time. Invalid ones are collected and simulated again together,
+    at the end or when a chunk is full. So memory does not grow with the number of worlds.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
@@ -129,50 +138,50 @@ def score_worlds(
     progress = progress or Progress()
     first, *retries = attempts
     source = iter(worlds)
-    invalid: list[_Pending] = []
-    while chunk := [_Pending(world) for world in islice(source, chunk_worlds)]:
-        for pending, outcome in _run_attempt(chunk, first, sim, engine, progress):
-            if retries and outcome.verdict is Verdict.INVALID:
-                invalid.append(pending)
-            else:
-                yield WorldResult(pending.world, outcome, pending.attempts)
-        if len(invalid) >= chunk_worlds:
-            yield from _retry(invalid, retries, sim, engine, progress)
-            invalid = []
-    yield from _retry(invalid, retries, sim, engine, progress)
+    waiting: list[_Pending[AnyWorld]] = []
 
-
-def _retry(
-    invalid: list[_Pending], attempts: Sequence[AttemptRecipe], sim: Simulation, engine: Engine, progress: Progress
-) -> Iterator[WorldResult]:
-    """Take invalid worlds through the attempts, all of them at one attempt before the next begins."""
-    for attempt in attempts:
-        if not invalid:
-            return
-        progress.message = f"{len(invalid)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
-        still_invalid = []
-        for pending, outcome in _run_attempt(invalid, attempt, sim, engine, progress):
-            if outcome.verdict is Verdict.INVALID and attempt is not attempts[-1]:
-                still_invalid.append(pending)
+    def attempt_at(
+        batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, later: Sequence[AttemptRecipe]
+    ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
+        """Yield results that are final; return the worlds for which there is a later attempt."""
+        again: list[_Pending[AnyWorld]] = []
+        for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress):
+            if any(each.is_for(outcome) for each in later):
+                again.append((world, outcome, records))
             else:
-                yield WorldResult(pending.world, outcome, pending.attempts)
-        invalid = still_invalid
+                yield WorldResult(world, outcome, records)
+        return again
+
+    def retry(batch: Sequence[_Pending[AnyWorld]]) -> Iterator[WorldResult[AnyWorld]]:
+        for number, attempt in enumerate(retries, start=1):
+            chosen = [pending for pending in batch if pending[1] is not None and attempt.is_for(pending[1])]
+            if chosen:
+                others = [pending for pending in batch if not (pending[1] is not None and attempt.is_for(pending[1]))]
+                progress.message = f"{len(chosen)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
+                batch = others + (yield from attempt_at(chosen, attempt, retries[number:]))
+
+    while chunk := list(islice(source, chunk_worlds)):
+        waiting += yield from attempt_at([(world, None, ()) for world in chunk], first, retries)
+        if len(waiting) >= chunk_worlds:
+            yield from retry(waiting)
+            waiting = []
+    yield from retry(waiting)
 
 
 def _run_attempt(
-    batch: Sequence[_Pending], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
-) -> Iterator[tuple[_Pending, Outcome]]:
-    """One attempt at each world of a batch: yields the world with this attempt's record added, and the outcome."""
+    batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
+) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+    """Make one attempt at each world of a batch: yield world, outcome, and its records with this attempt's record."""
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))
-    for outcome in engine.run(attempt.apply_to_jobs([p.world.job for p in batch]), attempt_sim, progress):
-        if outcome.job not in unanswered:
-            raise RuntimeError(f"engine {engine.name} answered job {outcome.job} twice, or it was never asked")
-        unanswered.remove(outcome.job)
+    for answer in engine.run(attempt.apply_to_jobs([pending[0].job for pending in batch]), attempt_sim, progress):
+        if answer.job not in unanswered:
+            raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
+        unanswered.remove(answer.job)
+        world, _, records = batch[answer.job]
+        outcome = note_sinking(answer, world.job.scene, attempt_sim)
         outcome.attempt = attempt.number
         outcome.solver = attempt_sim.solver.value
-        pending = batch[outcome.job]
-        record = Attempt.of(outcome, attempt_sim.physics.timestep_s)
-        yield replace(pending, attempts=(*pending.attempts, record)), outcome
+        yield world, outcome, (*records, Attempt.of(outcome, attempt_sim.physics.timestep_s))
     if unanswered:
         raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")

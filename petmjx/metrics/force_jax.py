@@ -1,4 +1,4 @@
-"""The force that presses on top of each box, from contacts (JAX). Twin of ``force_np``."""
+"""The force on top of each box, from contacts (JAX). Twin of ``force_np``."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ def contact_force_z(
 ) -> Float[Array, "*batch"]:
     """World-z component of the contact force on the second geom, N.
 
-    ``rows`` are the constraint forces of one contact: with elliptic cones (normal, tangent 1, tangent 2, unused),
-    with pyramidal cones the four edges, whose sum is the normal force and whose differences times the
-    sliding friction are the tangents (MuJoCo, "Computation: Contact"). ``frame_z`` holds the z components of
-    normal and tangents.
+    ``rows`` are the constraint forces of one contact. Elliptic cones: (normal, tangent 1, tangent 2, unused). Pyramidal
+    cones: the four edges; their sum is the normal force, and their differences × sliding friction are the tangents.
+    Source: MuJoCo's documentation, "Computation", section "Contact". ``frame_z``: z components of normal and tangents.
     """
     if pyramidal:
         normal = rows.sum(-1)
@@ -43,8 +42,8 @@ def pressed_box(
     """Which box a contact presses on: the partner whose centre is lower.
 
     Returns:
-        Box index (negative for carrier and floor), the sign that turns the force on the second geom into a
-        force pressing down on the lower one, and whether the contact is vertical and its lower partner a box.
+        Box index (negative for carrier and floor), the sign by which the force on the second geom becomes a force that
+        presses down on the lower one, and whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[..., 0] < geom_z[..., 1]
     box = jnp.where(first_is_lower, geom[..., 0], geom[..., 1]) - first_box_geom

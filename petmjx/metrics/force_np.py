@@ -1,4 +1,4 @@
-"""The force that presses on top of each box, from C MuJoCo's contacts (NumPy). Twin of ``force_jax``."""
+"""The force on top of each box, from C MuJoCo's contacts (NumPy). Twin of ``force_jax``."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ FIRST_BOX_GEOM = 2
 def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[NDArray[np.intp], FloatArray]:
     """Forces of the contacts that have constraint rows.
 
-    Pyramidal rows are forces along the four edges of the cone: the normal part is their sum, each tangent the
-    difference of its pair of edges × friction. Elliptic rows are the force itself. All contacts have condim 3.
+    Pyramidal rows are forces along the four edges of the cone: the normal part is their sum, each tangent is the
+    difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3. Source: as
+    in ``force_jax.contact_force_z``.
 
     Returns:
         (k,) indices of those contacts and (k, 3) forces in the contact frame (normal, tangents), N, as
@@ -59,8 +60,8 @@ def pressed_box(
         geom: (k, 2) partners; geom_z: (k, 2) z of their centres, m; normal_z: (k,) z component of the unit normal.
 
     Returns:
-        (k,) box index (negative for carrier and floor), (k,) sign that turns the force on the second geom into a
-        force pressing down on the lower one, and (k,) whether the contact is vertical and its lower partner a box.
+        (k,) box index (negative for carrier and floor), (k,) sign by which the force on the second geom becomes a force
+        that presses down on the lower one, (k,) whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[:, 0] < geom_z[:, 1]
     box = np.where(first_is_lower, geom[:, 0], geom[:, 1]) - FIRST_BOX_GEOM
@@ -69,10 +70,10 @@ def pressed_box(
 
 
 def top_forces(data: mujoco.MjData, n_boxes: int, pyramidal: bool) -> FloatArray:
-    """(n_boxes,) sum of what presses on each box from above, N.
+    """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
 
-    Counts the world-z part of every contact force whose normal lies within 45° of z, for the partner whose
-    centre is lower; the floor is lower than everything, and floor and carrier are no boxes.
+    Sums the world-z part of contact forces whose normal is within 45° of z, for the partner whose centre is lower. The
+    floor is lower than everything; floor and carrier are no boxes.
     """
     total = np.zeros(n_boxes)
     if data.ncon == 0:

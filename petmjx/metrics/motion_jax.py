@@ -1,4 +1,4 @@
-"""Where boxes are, and how quickly they move (JAX). Twin of ``motion_np``, with arithmetic of its own."""
+"""Shift, tilt, drop, excess and pace of boxes (JAX). Twin of ``motion_np``, without shared arithmetic."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def shift(pos: Float[Array, "lane box 3"], target: Float[Array, "lane box 3"], f
 def tilt_deg(quat: Float[Array, "lane box 4"]) -> Float[Array, "lane box"]:
     """Angle between a box's z axis and the world's, degrees.
 
-    From the half angle, sin²(θ/2) = x² + y² of the unit quaternion: arccos of the rotated axis' z component
-    loses everything below 0.02° in float32.
+    From the half angle: sin²(θ/2) = x² + y² of the unit quaternion. arccos of the rotated axis' z component cannot
+    resolve angles below 0.02° in float32.
     """
     sine = jnp.sqrt(quat[..., 1] ** 2 + quat[..., 2] ** 2)
     cosine = jnp.sqrt(quat[..., 0] ** 2 + quat[..., 3] ** 2)
@@ -50,9 +50,9 @@ def excess(
     dropped: Bool[Array, "lane box"],
     thresholds: Thresholds,
 ) -> Float[Array, "lane box"]:
-    """How far over its thresholds each box is: the larger of shift and tilt as multiples of theirs.
+    """Excess of each box: the larger of shift / its threshold and tilt / its threshold.
 
-    Above 1 is a sign of failure; a dropped box counts at least as just over.
+    A value above 1 is a sign of failure. A dropped box has at least the next float32 after 1.
     """
     worst = jnp.maximum(jnp.abs(shift_m).max(-1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
     just_over = jnp.nextafter(jnp.float32(1), jnp.float32(2))
@@ -60,9 +60,9 @@ def excess(
 
 
 def pace_squared(vel: Float[Array, "lane box 6"], quiet: Quiet) -> Float[Array, "lane box"]:
-    """Linear or angular speed in units of its quiet limit, whichever is larger; squared, which saves the root.
+    """Pace squared: the larger of linear and angular speed, each divided by its quiet limit, squared.
 
-    The rules compare squares throughout. ``motion_np.pace`` is the root of it.
+    The rules compare squares, which saves the root. ``motion_np.pace`` is the root of this.
     """
     linear = (vel[..., :3] ** 2).sum(-1) / quiet.lin_vel_m_s**2
     angular = (vel[..., 3:] ** 2).sum(-1) / quiet.ang_vel_rad_s**2

@@ -1,4 +1,4 @@
-"""Where boxes are, and how quickly they move (NumPy). Twin of ``motion_jax``, with arithmetic of its own."""
+"""Shift, tilt, drop, excess and pace of boxes (NumPy). Twin of ``motion_jax``, without shared arithmetic."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ def has_dropped(pos: FloatArray, quat: FloatArray, half_size: FloatArray, thresh
 
 
 def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds) -> FloatArray:
-    """(n,) how far over its thresholds each box is: the larger of shift and tilt as multiples of theirs.
+    """(n,) excess of each box: the larger of shift / its threshold and tilt / its threshold; at least 1 if it dropped.
 
-    Above 1 is a sign of failure, and so is a dropped box, which counts at least as 1.
+    A value above 1 is a sign of failure, and so is a dropped box.
     """
     worst = np.maximum(np.abs(shift_m).max(axis=1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
     return np.asarray(np.maximum(worst, dropped))
 
 
 def pace(vel: FloatArray, quiet: Quiet) -> FloatArray:
-    """(n,) linear or angular speed in units of its quiet limit, whichever is larger, from (n, 6) velocities."""
+    """(n,) pace: the larger of linear and angular speed, each divided by its quiet limit, from (n, 6) velocities."""
     linear = np.linalg.norm(vel[:, :3], axis=1) / quiet.lin_vel_m_s
     angular = np.linalg.norm(vel[:, 3:], axis=1) / quiet.ang_vel_rad_s
     return np.asarray(np.maximum(linear, angular))

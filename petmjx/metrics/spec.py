@@ -1,10 +1,10 @@
-"""Every metric, said once: name, unit, type, meaning, when it is taken, how boxes become a world.
+"""The table of all metrics: name, unit, type, meaning, when it is taken, how values of boxes become one of the world.
 
-From this table are made the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
-(petmjx.results.parts), what is compared between two runs (petmjx.results.compare) and the tables of docs/metrics.md
-(``python -m petmjx.metrics.spec`` prints them). The arithmetic stands twice, in NumPy and in JAX, beside this file.
+It defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled (petmjx.results.parts),
+what is compared between two runs (petmjx.results.compare), and the tables of docs/metrics.md
+(``python -m petmjx.metrics.spec`` prints them). The arithmetic is in the files beside this one, in NumPy and in JAX.
 
-A new metric of boxes is an entry here, a field of ``petmjx.verdict.BoxMetrics``, and its arithmetic in both twins.
+How to add a metric, step by step: docs/extending.md.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
 
 TEXT: Final = ""
-"""Unit of columns that hold no quantity: texts, yes or no."""
+"""Unit of columns without a quantity: texts, yes or no."""
 
 
 class When(StrEnum):
-    """At which moments of a run a metric is taken."""
+    """When in a run a metric is taken."""
 
     SAMPLES = "samples"
     SAMPLES_AND_END = "samples, end"
@@ -36,7 +36,7 @@ class When(StrEnum):
 
 
 class Reduction(StrEnum):
-    """How the values of a world's boxes become one value of the world. Boxes without a value do not count."""
+    """How values of a world's boxes become one value of the world. Boxes without a value do not count."""
 
     LARGEST = "largest magnitude"
     SMALLEST = "smallest"
@@ -49,9 +49,9 @@ class Column:
 
     Attributes:
         dtype: NumPy type of the column on disk.
-        meaning: one line, kept in the Parquet file.
-        compared: whether two runs are compared by |b - a| of it.
-        relative: whether they are also compared by |b - a| / a.
+        meaning: one line, written into the Parquet file.
+        compared: whether a comparison of two runs shows |b - a|.
+        relative: whether it also shows |b - a| / a.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Column:
 
 @dataclass(frozen=True)
 class OfWorld:
-    """The column of ``worlds`` into which a metric of boxes is reduced."""
+    """The column of ``worlds`` that is made from a metric of boxes."""
 
     name: str
     reduction: Reduction
@@ -73,17 +73,17 @@ class OfWorld:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity of boxes: a column of ``boxes``, or one for each of its components.
+    """A quantity of boxes: a column of ``boxes``, or one column for each component.
 
     Attributes:
         attribute: field of ``BoxMetrics``: (n,) values or (n, components).
-        columns: name → meaning, one a component.
+        columns: name → meaning, for each component.
         definition: the formula, for docs/metrics.md.
-        dtype: float32 for measured values (a micrometre at 8 m; what the MJX engines compute in), float64 for times,
+        dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines compute in it), float64 for times,
             bool for yes or no.
         of_world: the column of ``worlds`` made from it, if there is one.
         driven_only: only runs with profiles have it.
-        compared, relative: as of :class:`Column`. Yes or no is compared by the number of boxes of a world.
+        compared, relative: as of :class:`Column`. Yes or no is compared only as the number of boxes of a world.
     """
 
     attribute: str
@@ -97,24 +97,18 @@ class BoxMetric:
     compared: bool = True
     relative: bool = False
 
-    def box_columns(self) -> Iterator[Column]:
-        """Its columns of ``boxes``."""
-        compared = self.compared and self.dtype is not np.bool_
-        for name, meaning in self.columns.items():
-            yield Column(name, self.unit, self.dtype, meaning, compared, self.relative)
-
-    def world_columns(self) -> Iterator[Column]:
-        """Its column of ``worlds``, if it has one. Worlds are few: all their measures are float64."""
+    def world_columns(self) -> list[Column]:
+        """Its column of ``worlds``, if it has one. There are few worlds, so their measures are float64."""
         if self.of_world is None:
-            return
+            return []
         counts = self.of_world.reduction is Reduction.COUNT
         unit, dtype = (DIMENSIONLESS, np.int32) if counts else (self.unit, np.float64)
-        yield Column(self.of_world.name, unit, dtype, self.of_world.meaning, self.compared, self.relative)
+        return [Column(self.of_world.name, unit, dtype, self.of_world.meaning, self.compared, self.relative)]
 
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a world as a whole: a column of ``worlds``, and a field of ``Outcome``, both of this name."""
+    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome``, both with this name."""
 
     name: str
     unit: str
@@ -123,15 +117,15 @@ class WorldMetric:
     dtype: type[np.generic] = np.float64
     compared: bool = True
 
-    def world_columns(self) -> Iterator[Column]:
+    def world_columns(self) -> list[Column]:
         """Its column of ``worlds``."""
-        yield Column(self.name, self.unit, self.dtype, self.meaning, self.compared)
+        return [Column(self.name, self.unit, self.dtype, self.meaning, self.compared)]
 
 
 def _largest(
     name: str, unit: str, when: When, definition: str, of_box: str, of_world: str, relative: bool = False
 ) -> BoxMetric:
-    """A metric of one column, with the largest of a world's boxes under the same name; ``of_…``: the two meanings."""
+    """A metric with one column. ``worlds`` has the largest value under the same name. ``of_…``: the two meanings."""
     reduced = OfWorld(name, Reduction.LARGEST, of_world)
     return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
 
@@ -139,141 +133,102 @@ def _largest(
 METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.SAMPLES_AND_END),
     BoxMetric(
-        "shift_m",
-        "m",
-        {
-            "shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
-            "shift_y_m": "final centre - planned centre, y",
-            "shift_z_m": "final centre - planned centre, z",
-        },
-        When.END,
-        "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0",
+        "shift_m", "m",
+        {"shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
+         "shift_y_m": "final centre - planned centre, y",
+         "shift_z_m": "final centre - planned centre, z"},
+        When.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0",
         of_world=OfWorld("max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"),
     ),
     _largest(
-        "max_tilt_deg",
-        "deg",
-        When.SAMPLES,
+        "max_tilt_deg", "deg", When.SAMPLES_AND_END,
         "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
-        of_box="largest angle of the box's z axis to the world's, over samples",
-        of_world="largest angle of any box's z axis to the world's, over samples",
+        of_box="largest angle of the box's z axis to the world's, over samples and the final pose",
+        of_world="largest angle of any box's z axis to the world's, over samples and the final pose",
     ),
     BoxMetric(
-        "dropped",
-        TEXT,
-        {"dropped": "the box fell off the carrier"},
-        When.SAMPLES_AND_END,
+        "dropped", TEXT, {"dropped": "the box fell off the carrier"}, When.SAMPLES_AND_END,
         "once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
         "R is the box's rotation matrix, h its half sizes",
-        dtype=np.bool_,
-        of_world=OfWorld("n_dropped", Reduction.COUNT, "boxes that dropped"),
+        dtype=np.bool_, of_world=OfWorld("n_dropped", Reduction.COUNT, "boxes that dropped"),
     ),
     BoxMetric(
-        "drop_s",
-        "s",
-        {"drop_s": "when it dropped; null where it did not"},
-        When.SAMPLES_AND_END,
-        "time of the first look at which it had dropped",
-        dtype=np.float64,
+        "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, When.SAMPLES_AND_END,
+        "time of the first look at which it had dropped", dtype=np.float64,
         of_world=OfWorld("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
     ),
     _largest(
-        "max_lin_acc",
-        "m/s^2",
-        When.SAMPLES,
+        "max_lin_acc", "m/s^2", When.SAMPLES,
         "max ‖a‖, with a the linear part of MuJoCo's `qacc` of the box's free joint",
-        of_box="largest sampled linear acceleration",
-        of_world="largest sampled linear acceleration of any box",
+        of_box="largest sampled linear acceleration", of_world="largest sampled linear acceleration of any box",
     ),
     _largest(
-        "max_ang_acc",
-        "rad/s^2",
-        When.SAMPLES,
-        "max ‖α‖, with α the angular part of the same `qacc`",
-        of_box="largest sampled angular acceleration",
-        of_world="largest sampled angular acceleration of any box",
+        "max_ang_acc", "rad/s^2", When.SAMPLES, "max ‖α‖, with α the angular part of the same `qacc`",
+        of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
     ),
     _largest(
-        "max_top_force_n",
-        "N",
-        When.SAMPLES,
-        "max F, with F the force on the box's top (below)",
-        of_box="largest sampled force on its top",
-        of_world="largest sampled force on top of any box",
-        relative=True,
+        "max_top_force_n", "N", When.SAMPLES,
+        "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
+        of_box="largest sampled force on its top, at least the one at rest",
+        of_world="largest sampled force on top of any box, at least the one at rest", relative=True,
     ),
     _largest(
-        "rest_top_force_n",
-        "N",
-        When.REST,
+        "rest_top_force_n", "N", When.REST,
         "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
         of_box="force on its top at rest; null where the world never came to rest",
-        of_world="largest force on top of any box at rest; null where the world never came to rest",
-        relative=True,
+        of_world="largest force on top of any box at rest; null where the world never came to rest", relative=True,
     ),
     BoxMetric(
-        "pos",
-        "m",
-        {
-            "pos_x_m": "final centre, x",
-            "pos_y_m": "final centre, y",
-            "pos_z_m": "final centre, z; 0 is the carrier's top",
-        },
-        When.END,
-        "c; compared by the distance between two runs' centres",
-        compared=False,
+        "pos", "m",
+        {"pos_x_m": "final centre, x", "pos_y_m": "final centre, y",
+         "pos_z_m": "final centre, z; 0 is the carrier's top"},
+        When.END, "c; compared by the distance between two runs' centres", compared=False,
     ),
     BoxMetric(
-        "quat",
-        DIMENSIONLESS,
-        {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
-        When.END,
-        "unit quaternion; compared by the angle between two runs' orientations",
-        compared=False,
+        "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
+        When.END, "unit quaternion; compared by the angle between two runs' orientations", compared=False,
     ),
     BoxMetric(
-        "max_sway_m",
-        "m",
-        {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
-        When.SAMPLES_AND_END,
-        "max √(Δx² + Δy²) of c since the profile's beginning",
-        driven_only=True,
+        "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
+        When.SAMPLES_AND_END, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
     ),
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", When.END),
-    WorldMetric(
-        "n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, dtype=np.int64, compared=False
-    ),
-)
-"""In the order of the columns; those of driven runs alone come last in ``boxes``."""
+    WorldMetric("n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, np.int64, compared=False),
+)  # fmt: skip
+"""In the order of the columns. Those with ``driven_only`` come last in ``boxes``."""
 
 
 def box_metrics(driven: bool = True) -> list[BoxMetric]:
-    """Metrics of boxes in the order of their columns; ``driven``: with those that only runs with profiles have."""
+    """Metrics of boxes in the order of their columns; ``driven``: include those that only runs with profiles have."""
     found = [metric for metric in METRICS if isinstance(metric, BoxMetric) and (driven or not metric.driven_only)]
     return sorted(found, key=lambda metric: metric.driven_only)
 
 
 def world_metrics() -> list[WorldMetric]:
-    """Metrics that an outcome has for the world as a whole."""
+    """Metrics of whole worlds."""
     return [metric for metric in METRICS if isinstance(metric, WorldMetric)]
 
 
 def box_columns(driven: bool = True) -> list[Column]:
-    """Columns of ``boxes`` that hold metrics."""
-    return [column for metric in box_metrics(driven) for column in metric.box_columns()]
+    """Columns of ``boxes`` with metrics."""
+    return [
+        Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
+        for m in box_metrics(driven)
+        for name, meaning in m.columns.items()
+    ]
 
 
 def world_columns() -> list[Column]:
-    """Columns of ``worlds`` that hold metrics."""
+    """Columns of ``worlds`` with metrics."""
     return [column for metric in METRICS for column in metric.world_columns()]
 
 
 def reduce_boxes(reduction: Reduction, values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
-    """One value a world from those of its boxes; NaN where no box has one, 0 for counts.
+    """One value for each world from those of its boxes; NaN if no box has a value, 0 for counts.
 
     Args:
         values: (rows, components) of all worlds' boxes, one world after the other; NaN: no value.
-        starts: (worlds,) row at which each world begins; every world has a box.
+        starts: (worlds,) row at which each world begins; every world has at least one box.
     """
     if not len(starts):
         return np.empty(0)

@@ -1,4 +1,4 @@
-"""Plans from whatever a caller has: files, folders, a plan, several; and without those that cannot be simulated."""
+"""Plans from files, folders or objects, without those that cannot be simulated."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
-from petmjx.text import counted, shown
+from petmjx.text import counted
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
@@ -24,7 +24,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     """The plans that can be simulated; None: the bundled samples.
 
     Raises:
-        InputError: there is none; or with ``options.strict`` anything would be skipped.
+        InputError: there is none, or with ``options.strict`` a plan would be skipped.
     """
     found = without_vanishing_boxes(gather_plans(plans, sim, options), sim.size_reduction_mm, options.strict)
     if not found.plans:
@@ -34,7 +34,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """Files are read and checked; plans are taken as they are, each id once."""
+    """Read and check files; take plans as they are, each id once."""
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
@@ -55,19 +55,16 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:
-    """As files are read: of plans with one id the first is kept, and ``options.limit`` plans are enough."""
+    """The same rules as for files: of plans with one id the first is kept, and ``options.limit`` is the most."""
     kept: dict[str, Plan] = {}
     skipped = list(found.skipped)
     for plan in found.plans:
         if options.limit is not None and len(kept) == options.limit:
             break
-        if plan.plan_id not in kept:
+        if plan.plan_id in kept:
+            skipped.append(Skipped.plan(plan, ": repeated plan id", options.strict))
+        else:
             kept[plan.plan_id] = plan
-            continue
-        message = f"{plan.source}: plan {shown(plan.plan_id)}: repeated plan id"
-        if options.strict:
-            raise InputError(message)
-        skipped.append(Skipped(plan.source, plan.plan_id, message))
     return PlanSet(list(kept.values()), skipped, found.warnings)
 
 
@@ -84,21 +81,16 @@ def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bo
             kept.append(plan)
             continue
         box = int(thin[0])
-        message = (
-            f"{plan.source}: plan {shown(plan.plan_id)}, placement {box}: a side of {plan.size_mm[box].min():g} mm "
-            f"vanishes under the size reduction of {size_reduction_mm:g} mm"
-        )
-        if strict:
-            raise InputError(message)
-        skipped.append(Skipped(plan.source, plan.plan_id, message))
+        side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
+        skipped.append(Skipped.plan(plan, f", placement {box}: {side}", strict))
     return PlanSet(kept, skipped, found.warnings)
 
 
 def find_plan(found: PlanSet, plan_id: str) -> Plan:
-    """The plan of that id.
+    """The plan with that id.
 
     Raises:
-        InputError: there is none; the line says why it was skipped, if it was.
+        InputError: there is none. If it was skipped, the line says why.
     """
     for plan in found.plans:
         if plan.plan_id == plan_id:

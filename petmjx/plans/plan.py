@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.errors import InputError
 from petmjx.plans.warnings import PlanWarnings
 from petmjx.text import counted, shown
 
@@ -23,7 +24,7 @@ class Plan:
         corner_mm: (n, 3) front-left-bottom corners; z = 0 is the top of the carrier.
         mass_kg: (n,).
         item_ids, articles: n names each.
-        sequence: (n,) the order's own running number of each item.
+        sequence: (n,) number of each item in the customer's order.
     """
 
     plan_id: str
@@ -45,14 +46,29 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """Something that was not read. ``message`` is the whole line, file and plan included.
+    """Something that was not used. ``message`` is the whole line, with file and plan.
 
-    ``plan_id`` is None where no single plan is concerned (a file, or a damaged spot between plans).
+    ``plan_id`` is None if it is not about one plan (a file, or damage between plans).
     """
 
     source: str
     plan_id: str | None
     message: str
+
+    @classmethod
+    def plan(cls, plan: Plan, why: str, strict: bool) -> Skipped:
+        """A plan that was read but cannot be simulated.
+
+        Args:
+            why: goes on after the plan's id, as in ": repeated plan id".
+
+        Raises:
+            InputError: with ``strict``.
+        """
+        message = f"{plan.source}: plan {shown(plan.plan_id)}{why}"
+        if strict:
+            raise InputError(message)
+        return cls(plan.source, plan.plan_id, message)
 
     def __str__(self) -> str:
         return self.message
@@ -60,7 +76,7 @@ class Skipped:
 
 @dataclass(frozen=True, repr=False)
 class PlanSet:
-    """What `load_plans` found: plans in the order of the files, what was skipped, what is odd.
+    """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
 
     ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box.
     """

@@ -1,12 +1,14 @@
-"""BED-BPP packing plans: from files to validated plans, with a line for everything that was not usable."""
+"""BED-BPP packing plans: from files to validated plans, with one line about each unusable part."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Final
 
+from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.plan import PlanSet, Skipped
 from petmjx.plans.scan import Damage, describe, scan_plans
@@ -16,8 +18,8 @@ from petmjx.plans.warnings import check_layout
 from petmjx.text import counted, printable, shown
 
 DEFAULT_MAX_BOXES: Final = 256
-"""Largest plan that is taken by default: six times BED-BPP's mean of 43 boxes. A world of 256 boxes has 1,542
-degrees of freedom, and its dense Hessian takes 10 MB a world in float32, beyond which batches make no sense."""
+"""Boxes of the largest plan that is taken by default: six times BED-BPP's mean of 43. A world of 256 boxes has 1,542
+degrees of freedom, and its dense Hessian takes 10 MB in float32. Beyond that, batches make no sense."""
 
 MOST_LINES: Final = 100_000
 """Of a file, this many unusable entries are listed one by one; what else is unusable is counted."""
@@ -35,8 +37,8 @@ def load_plans(
     """Read and validate packing plans.
 
     Args:
-        paths: a file, a folder, or several of either. Files are JSON, gzipped or not (told by content, not by
-            name), of at most 4 GiB; devices and FIFOs are not read. Of a folder, all ``*.json`` and ``*.json.gz``
+        paths: a file, a folder, or several of them. Files are JSON, plain or gzipped (the content decides, not the
+            name), of at most 4 GiB; devices and FIFOs are not read. Of a folder all ``*.json`` and ``*.json.gz``
             directly in it are read, sorted by name.
         limit: stop after this many good plans.
         strict: raise at the first thing that would be skipped.
@@ -44,12 +46,12 @@ def load_plans(
         carrier_extent_mm: x–y extent within which boxes are not reported as outside; None: the plan's footprint.
 
     Returns:
-        The good plans; bad plans, damaged spots and unusable files are in ``skipped``. Of plans with one id
-        the first good one is kept.
+        The good plans. Bad plans, damaged spots and unusable files are in ``skipped``. Of plans with the same id the
+        first good one is kept.
 
     Raises:
-        InputError: a path does not exist, a folder holds no plan files, an option makes no sense, or, with
-            ``strict``, anything at all was wrong.
+        InputError: a path does not exist, a folder has no plan files, or an option makes no sense. With ``strict``
+            also if anything would be skipped.
     """
     if limit is not None and limit < 1:
         raise InputError(f"limit must be at least 1, got {limit}")
@@ -65,7 +67,7 @@ def load_plans(
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
-    """Files in reading order. All paths are checked before any is read: a typing error should not cost minutes."""
+    """Files in the order of reading. All paths are checked first, so that a typing error is found at once."""
     if not paths:
         raise InputError("no plan files were given")
     files: list[Path] = []
@@ -82,39 +84,38 @@ def _list_files(paths: list[Path]) -> list[Path]:
                 if member.name.lower().endswith(_SUFFIXES) and not member.name.startswith(".") and not member.is_dir()
             )
         except (OSError, ValueError) as error:
-            raise InputError(f"{printable(str(path))}: cannot be read ({_reason(error)})") from error
+            raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from error
         if not members:
             raise InputError(f"{printable(str(path))}: the folder holds no .json or .json.gz files")
         files.extend(members)
     return files
 
 
+@dataclass
 class _Loading:
-    """The state of one `load_plans`: what was found, and which ids are taken."""
+    """The state of one `load_plans`: what was found, and which ids are in use."""
 
-    def __init__(
-        self, limit: int | None, strict: bool, max_boxes: int, carrier_extent_mm: tuple[float, float] | None
-    ) -> None:
-        self.found = PlanSet()
-        self._limit = limit
-        self._strict = strict
-        self._max_boxes = max_boxes
-        self._carrier_extent_mm = carrier_extent_mm
-        self._source_of: dict[str, str] = {}
-        self._names: dict[str, str] = {}
-        self._most_skipped, self._unlisted = MOST_LINES, 0
+    limit: int | None
+    strict: bool
+    max_boxes: int
+    carrier_extent_mm: tuple[float, float] | None
+    found: PlanSet = field(default_factory=PlanSet)
+    source_of: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+    unlisted: int = 0
+    most_skipped: int = MOST_LINES
 
     @property
     def full(self) -> bool:
-        return self._limit is not None and len(self.found.plans) >= self._limit
+        return self.limit is not None and len(self.found.plans) >= self.limit
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
-        self._unlisted, self._most_skipped = 0, len(self.found.skipped) + MOST_LINES
+        self.unlisted, self.most_skipped = 0, len(self.found.skipped) + MOST_LINES
         try:
             data, fault = read_json_bytes(path)
         except (OSError, ValueError) as error:
-            self._skip(source, None, f"{source}: cannot be read ({_reason(error)})")
+            self._skip(source, None, f"{source}: cannot be read ({reason(error)})")
             return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
@@ -137,32 +138,32 @@ class _Loading:
             self._skip(source, None, f"{source}: holds no plan")
         if n_orders:
             self._skip(source, None, _orders_message(source, first_order, n_orders))
-        if self._unlisted:
-            more = counted(self._unlisted, "more entry is", "more entries are")
+        if self.unlisted:
+            more = counted(self.unlisted, "more entry is", "more entries are")
             self.found.skipped.append(Skipped(source, None, f"{source}: {more} unusable"))
 
     def _take(self, source: str, plan_id: str, value: object) -> None:
         try:
-            plan = parse_plan(plan_id, source, value, self._max_boxes, self._names)
+            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names)
         except PlanError as error:
             self._skip(source, plan_id, str(error), error)
             return
-        first_source = self._source_of.get(plan_id)
+        first_source = self.source_of.get(plan_id)
         if first_source is not None:
             where = "in this file" if first_source == source else f"in {first_source}"
             self._skip(source, plan_id, f"{source}: plan {shown(plan_id)}: repeated plan id, first used {where}")
             return
-        self._source_of[plan_id] = source
+        self.source_of[plan_id] = source
         self.found.plans.append(plan)
-        warnings = check_layout(plan_id, source, plan.corner_mm, plan.size_mm, self._carrier_extent_mm)
+        warnings = check_layout(plan_id, source, plan.corner_mm, plan.size_mm, self.carrier_extent_mm)
         if warnings.any:
             self.found.warnings.append(warnings)
 
     def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
-        if self._strict:
+        if self.strict:
             raise InputError(message) from cause
-        if len(self.found.skipped) >= self._most_skipped:
-            self._unlisted += 1
+        if len(self.found.skipped) >= self.most_skipped:
+            self.unlisted += 1
             return
         if plan_id is not None:
             plan_id = printable(plan_id) if len(plan_id) <= LONGEST_NAME else shown(plan_id)
@@ -175,7 +176,3 @@ def _orders_message(source: str, first: str, n_orders: int) -> str:
         f"{source}: {what} (item_sequence), not packing plans: an order does not say where boxes go; "
         f"pack it first: petmjx samples --orders {source} -o plans.json"
     )
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

@@ -1,4 +1,4 @@
-"""One plan of BED-BPP's format: from decoded JSON to validated arrays, or one line that says what is wrong."""
+"""One plan in BED-BPP's format: from decoded JSON to checked arrays, or one line that says what is wrong."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ LARGEST_KG: Final = 10_000.0
 LONGEST_NAME: Final = 1000
 """Characters of a plan id, an item id or an article."""
 
-_SIZE_FIELDS: Final = ("length/mm", "width/mm", "height/mm")
+_RANGES: Final = {
+    **dict.fromkeys(("length/mm", "width/mm", "height/mm"), (SMALLEST_MM, LARGEST_MM, "millimetres")),
+    "weight/kg": (SMALLEST_KG, LARGEST_KG, "kilograms"),
+}
 _NUMBERS: Final = {int, float}
 _INT64: Final = np.iinfo(np.int64)
 
@@ -40,7 +43,7 @@ def parse_plan(plan_id: str, source: str, value: object, max_boxes: int, names: 
     Args:
         value: what JSON held under the plan's id.
         max_boxes: plans with more boxes are refused, never cut.
-        names: item ids and articles seen so far; repeated ones share one string (BED-BPP repeats each 20 times).
+        names: item ids and articles read so far; equal ones share one string (BED-BPP repeats each about 20 times).
 
     Raises:
         PlanError: naming file, plan, placement (counted from 0, as boxes are everywhere) and field.
@@ -67,16 +70,16 @@ def parse_plan(plan_id: str, source: str, value: object, max_boxes: int, names: 
 
 
 def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str, str]) -> Plan | None:
-    """Read all placements column by column; None if anything at all is wrong.
+    """Read all placements column by column; None if anything is wrong.
 
-    10,003 plans hold 3 million numbers, so the checks of a good plan run in C over whole columns. What
-    exactly is wrong with a bad one is for `find_fault`, which says the same thing one value at a time.
+    10,003 plans have 3 million numbers, so a good plan is checked in C, over whole columns. For a bad plan `find_fault`
+    does the same checks value by value, and says what is wrong.
     """
     try:
         items = [placement["item"] for placement in value]
         corners = [placement["flb_coordinates"] for placement in value]
         orientations = [placement["orientation"] for placement in value]
-        columns = [[item[field] for item in items] for field in (*_SIZE_FIELDS, "weight/kg")]
+        columns = [[item[field] for item in items] for field in _RANGES]
         sequences = [item["sequence"] for item in items]
         ids = [item["id"] for item in items]
         articles = [item["article"] for item in items]
@@ -105,7 +108,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         return None
     size = np.ascontiguousarray(numbers[:3].T)
     mass = numbers[3].copy()
-    # Comparisons with NaN are false, so each range also asks for a finite number.
+    # Comparisons with NaN are false, so each range also refuses NaN.
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
@@ -136,14 +139,13 @@ def find_fault(placement: object) -> str | None:
     item = placement["item"]
     if not isinstance(item, dict):
         return f"item must be an object, got {_kind(item)}"
-    for field in ("article", "id", *_SIZE_FIELDS, "weight/kg", "sequence"):
+    for field in ("article", "id", *_RANGES, "sequence"):
         if field not in item:
             return f"{field} is missing"
     return (
         _text_fault("article", item["article"])
         or _text_fault("id", item["id"])
-        or next(filter(None, (_size_fault(field, item[field]) for field in _SIZE_FIELDS)), None)
-        or _weight_fault(item["weight/kg"])
+        or next(filter(None, (_positive_fault(field, item[field], *_RANGES[field]) for field in _RANGES)), None)
         or _sequence_fault(item["sequence"])
         or _orientation_fault(placement)
         or _corner_fault(placement)
@@ -177,14 +179,6 @@ def _positive_fault(field: str, value: Any, smallest: float, largest: float, uni
     if not smallest <= value <= largest:
         return f"{field} must be from {smallest:g} to {largest:g} ({unit}), got {_kind(value)}"
     return None
-
-
-def _size_fault(field: str, value: object) -> str | None:
-    return _positive_fault(field, value, SMALLEST_MM, LARGEST_MM, "millimetres")
-
-
-def _weight_fault(value: object) -> str | None:
-    return _positive_fault("weight/kg", value, SMALLEST_KG, LARGEST_KG, "kilograms")
 
 
 def _sequence_fault(value: object) -> str | None:

@@ -1,8 +1,8 @@
 """Warnings about plans that are legal but odd: overlapping, overhanging and floating boxes.
 
-Solvers do produce such plans, and what physics makes of them is what petmjx is asked; so they are counted,
-never refused. Everything here works on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both
-(n, 3), rows in packing order, sizes as they stand.
+Packing algorithms do produce such plans, and physics shall judge them: they are counted, never refused. Everything
+here works on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), rows in packing order, sizes as the
+boxes stand.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.text import counted
+from petmjx.units import FloatArray
 
 DEFAULT_TOLERANCE_MM = 0.5
-"""Gaps and overlaps up to this are taken as touching. Plans are written in whole millimetres, and neighbours
-touch on paper: half the last digit separates rounding from intent."""
+"""Gaps and overlaps up to this count as touching. Plans are written in whole millimetres, in which neighbours touch:
+half of the last digit separates rounding from intent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +54,16 @@ class PlanWarnings:
 def check_layout(
     plan_id: str,
     source: str,
-    corner_mm: NDArray[np.float64],
-    size_mm: NDArray[np.float64],
+    corner_mm: FloatArray,
+    size_mm: FloatArray,
     carrier_extent_mm: tuple[float, float] | None = None,
     tolerance_mm: float = DEFAULT_TOLERANCE_MM,
 ) -> PlanWarnings:
     """Count what is odd about one plan's layout.
 
     Args:
-        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the
-            plan's own footprint, so that only negative coordinates are outside.
+        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's
+            bounding box, so only boxes below its top are outside.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side = _shared(low[0], high[0], tolerance_mm) & _shared(low[1], high[1], tolerance_mm)
@@ -75,14 +76,14 @@ def check_layout(
     )
 
 
-def _shared(low: NDArray[np.float64], high: NDArray[np.float64], tolerance_mm: float) -> NDArray[np.bool_]:
+def _shared(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
     """(n, n): whether two boxes share more than the tolerance along one axis."""
     length = np.minimum.outer(high, high) - np.maximum.outer(low, low)
     return length > tolerance_mm
 
 
 def _count_overlapping_pairs(
-    low: NDArray[np.float64], high: NDArray[np.float64], side_by_side: NDArray[np.bool_], tolerance_mm: float
+    low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float
 ) -> int:
     both = side_by_side & _shared(low[2], high[2], tolerance_mm)
     thick_enough = ((high - low) > tolerance_mm).all(axis=0)
@@ -91,24 +92,23 @@ def _count_overlapping_pairs(
 
 
 def _count_outside(
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    low: FloatArray,
+    high: FloatArray,
     carrier_extent_mm: tuple[float, float] | None,
     tolerance_mm: float,
 ) -> int:
-    outside = (low < -tolerance_mm).any(axis=0)
+    outside = low[2] < -tolerance_mm
     if carrier_extent_mm is not None:
+        outside |= (low[:2] < -tolerance_mm).any(axis=0)
         outside |= (high[0] > carrier_extent_mm[0] + tolerance_mm) | (high[1] > carrier_extent_mm[1] + tolerance_mm)
     return int(np.count_nonzero(outside))
 
 
-def _count_floating(
-    low: NDArray[np.float64], high: NDArray[np.float64], side_by_side: NDArray[np.bool_], tolerance_mm: float
-) -> int:
-    """Boxes off the carrier under which no box placed before reaches up to them.
+def _count_floating(low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float) -> int:
+    """Boxes above the carrier's top that no earlier box supports from below.
 
-    A box that is cut into from below counts as overlapping, not as floating. A box that is put in mid-air
-    before its supporter floats: placed one by one, it falls.
+    A box into which another one reaches from below counts as overlapping, not as floating. A box that is placed before
+    the box under it floats: placed one by one, it falls.
     """
     bottom, top = low[2], high[2]
     begins_below = np.less.outer(bottom, bottom)

@@ -1,1 +1,1 @@
-"""A run's folder: written part by part, read back, compared."""
+"""A run's folder: written part by part, read again, compared."""

@@ -1,7 +1,7 @@
 """Two runs of the same worlds: do their verdicts agree, and by how much do their metrics differ?
 
-The first run is the yardstick. Differences of forces are also given relative to it: |b - a| / max(a, 10 N). The
-floor is about the weight of a 1 kg box; below it a ratio says nothing about the pallet, and nothing divides by 0.
+Run b is compared with run a. Differences of forces are also given relative to a: |b - a| / max(a, 10 N). The minimum of
+10 N is about the weight of a 1 kg box. Ratios of smaller forces say nothing about the pallet.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from petmjx.text import counted
 from petmjx.verdict import Verdict
 
 FORCE_FLOOR_N: Final = 10.0
-"""Forces below this are taken as this when a difference is made relative."""
+"""Smallest force by which a difference is divided."""
 
 KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]
@@ -33,10 +33,10 @@ POSE: Final = (
     Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
     Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
 )
-"""Made from all components of the final poses, which are not compared one by one."""
+"""Comparisons of whole poses. Their components are not compared one by one."""
 
 GROUPS: Final = ("same verdict", "both stable")
-"""Over which worlds differences are taken: where a pallet collapses, what follows is chaotic."""
+"""The groups of worlds in which metrics are compared. After a collapse metrics are chaotic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +45,17 @@ class Comparison:
 
     Attributes:
         a, b: names of the two runs (their folders).
-        n_common: worlds that both have.
-        confusion: (3, 3) worlds by verdict in a (rows) and b (columns).
-        flips: worlds whose verdict differs: verdict, reason and culprit in both, and by how much each lies over
-            (positive) or under its run's thresholds of shift, tilt and acceleration.
-        worlds, boxes: differences |b - a|, a row a metric and group: ``metric``, ``unit``, ``group``, ``n``,
-            ``median``, ``p95``, ``largest``, and where the largest is: ``plan_id``, ``variant`` (``box``), with
-            the two values ``a`` and ``b``. Null where a group has no value of the metric.
-        only_a, only_b: plan_id and variant of worlds that one run alone has.
-        same_reason, same_culprit: of the worlds that neither run calls stable, how many have the same
-            reason, and the same first box; ``n_not_stable`` says of how many.
-        notes: what makes the comparison doubtful, a line each.
+        n_common: worlds that are in both runs.
+        confusion: (3, 3) number of worlds by verdict in a (rows) and in b (columns).
+        flips: worlds with different verdicts: verdict, reason and culprit in both runs, and their margins to the
+            thresholds of shift, tilt and acceleration (positive: over the threshold).
+        worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
+            ``median``, ``p95``, ``largest``; and where the largest one is: ``plan_id``, ``variant`` (``box``), with
+            the two values ``a`` and ``b``. Null if a group has no value of the metric.
+        only_a, only_b: plan_id and variant of worlds that are only in one run.
+        same_reason, same_culprit: of the ``n_not_stable`` worlds that are stable in neither run, how many have the same
+            reason, and the same first box.
+        notes: reasons to doubt the comparison, one line each.
     """
 
     a: str
@@ -82,21 +82,21 @@ class Comparison:
 
     @property
     def agreement(self) -> float | None:
-        """Share of the common worlds with the same verdict; None where there is no common world."""
+        """Share of the common worlds with the same verdict; None if there is no common world."""
         return self.n_agree / self.n_common if self.n_common else None
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, as JSON can hold it: missing numbers are None."""
+        """All of it as plain JSON values; missing numbers are None."""
         confusion = {row: dict(counts) for row, counts in self.confusion.iterrows()}
         shares = {"n_agree": self.n_agree, "agreement": self.agreement}
         return dict(plain(shares | vars(self) | {"confusion": confusion}))
 
 
 def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comparison:
-    """Compare two runs world by world, joined on plan and variant; ``a`` is the yardstick.
+    """Compare run b with run a, world by world (same plan and variant).
 
     Raises:
-        InputError: one of them is no run, is damaged, or has the same world twice.
+        InputError: a folder has no run, is damaged, or has the same world twice.
     """
     run_a, run_b = (run if isinstance(run, RunResults) else load_run(run) for run in (a, b))
     for run in (run_a, run_b):
@@ -130,7 +130,7 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comp
 
 
 def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
-    """The thresholds a run was judged by, wherever its configuration holds them; the defaults where it holds none."""
+    """The thresholds of a run, searched in all its options (older runs have them elsewhere); else the defaults."""
     waiting: list[Any] = [info.get("config", {})]
     while waiting:
         entry = waiting.pop(0)
@@ -157,7 +157,7 @@ def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.Data
 
 
 def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
-    """The joined boxes, with how far apart (m) and turned to each other (deg) the two final poses are."""
+    """The joined boxes with the distance (m) and the angle (deg) between the two final poses."""
 
     def rows(side: str, *names: str) -> NDArray[np.float64]:
         values: NDArray[np.float64] = boxes[[f"{name}_{side}" for name in names]].to_numpy(dtype=np.float64)
@@ -181,7 +181,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
         if f"{name}_a" not in joined or f"{name}_b" not in joined:
             continue
         values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
-        with np.errstate(invalid="ignore"):  # infinite in both: no difference to speak of
+        with np.errstate(invalid="ignore"):  # infinite in both runs
             difference = np.abs(values_b - values_a)
         if metric != name:
             difference = difference / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
@@ -203,7 +203,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
 
 
 def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
-    """What may make the two runs incomparable."""
+    """Reasons to doubt the comparison."""
     notes = [
         f"{name} is not finished ({run.info.get('status', 'unknown')})"
         for name, run in (("a", run_a), ("b", run_b))

@@ -1,13 +1,13 @@
-"""A run's folder: which files lie in it, and how they get there.
+"""A run's folder: which files it has, and how they are written.
 
-    DIR/run.json                    what was run, with what, how far it came, what was skipped
-    DIR/worlds/part-*.parquet       a row a world
-    DIR/boxes/part-*.parquet        a row a box of a world
-    DIR/attempts/part-*.parquet     a row an attempt, of worlds that needed more than one
+    DIR/run.json                    options, versions, device, counts, what was skipped
+    DIR/worlds/part-*.parquet       one row per world
+    DIR/boxes/part-*.parquet        one row per box of each world
+    DIR/attempts/part-*.parquet     one row per attempt, for worlds that needed more than one
     DIR/summary/part-*.parquet      sweeps: the answers
 
-Every file appears whole or not at all. Parts of one number belong together. The boxes of a part are there before its
-worlds; boxes whose worlds are missing were left behind by a crash, and ``load_run`` does not read them.
+Every file appears whole or not at all. Parts with the same number belong together. The boxes of a part are written
+before its worlds. Boxes without their worlds are left from a crash, and ``load_run`` does not read them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def part_name(number: int) -> str:
 
 
 def part_files(folder: Path, table: str) -> list[Path]:
-    """The files of a table's parts, in their order."""
+    """The files of a table's parts, in order."""
     return sorted((folder / table).glob("part-*.parquet"))
 
 
@@ -50,12 +50,12 @@ def write_text(text: str, path: Path) -> None:
 
 
 def make_room(folder: Path, overwrite: bool) -> None:
-    """Make the folder, if need be; refuse one that holds a run, or take that run's files (no others) away.
+    """Make the folder if it is not there. If it has a run, refuse it, or delete the run's files (and no others).
 
-    ``run.json`` goes first: what a crash halfway through leaves is no run, rather than a run with parts missing.
+    ``run.json`` is deleted first: after a crash the folder then has no run, instead of a run without some parts.
 
     Raises:
-        InputError: a run is there, and ``overwrite`` is not asked for.
+        InputError: the folder has a run, and ``overwrite`` is not set.
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -70,7 +70,7 @@ def make_room(folder: Path, overwrite: bool) -> None:
 
 @contextlib.contextmanager
 def _replacing(path: Path) -> Iterator[BinaryIO]:
-    """A hidden file beside ``path`` that takes its place, fully on disk, once the body is through."""
+    """A hidden file beside ``path``. After the body it is brought to disk and renamed to ``path``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.tmp")
     try:

@@ -1,4 +1,4 @@
-"""One part of a run's results: worlds gathered row by row, turned into tables."""
+"""One part of a run's results: worlds are collected row by row and become tables."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ from petmjx.metrics.spec import box_columns, box_metrics, reduce_boxes, world_me
 from petmjx.plans.plan import Plan
 from petmjx.results.files import part_name, write_table
 from petmjx.units import FloatArray
-from petmjx.verdict import Attempt, BoxMetrics, Outcome, Reason, Verdict
+from petmjx.verdict import Attempt, Outcome
 
-_ATTEMPT_FIELDS: Final = tuple(Attempt.__dataclass_fields__)
+_OF_OUTCOME: Final = ("solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
+"""Columns of ``worlds`` that are fields of an outcome, beside its metrics."""
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One finished world as it waits for its part. Holds copies, so an engine may reuse its arrays.
+    """One finished world that waits to be written. It has copies, so an engine may reuse its arrays.
 
     Attributes:
         cells: columns of ``worlds`` that are not made from boxes.
         block: (boxes, columns) metrics of boxes, in the order of ``box_columns``.
-        attempts: empty where there was one only.
+        attempts: empty if there was only one.
     """
 
     plan: Plan
-    verdict: Verdict
-    reason: Reason
     cells: dict[str, Any]
     block: FloatArray
     attempts: tuple[Attempt, ...]
@@ -48,7 +47,7 @@ class Row:
         attempts: Sequence[Attempt],
         params: Mapping[str, Any],
     ) -> Row:
-        """Take what is written of an outcome; its ``state`` is let go.
+        """Copy from an outcome what is written; its ``state`` is not kept.
 
         Raises:
             ValueError: the outcome does not belong to the plan (another number of boxes).
@@ -56,33 +55,14 @@ class Row:
         n = outcome.n_boxes
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
             raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
-        cells = {
-            "plan_id": plan.plan_id,
-            "variant": variant,
-            "engine": engine,
-            "solver": str(outcome.solver),
-            "attempt": outcome.attempt,
-            "schedule": schedule,
-            "n_boxes": n,
-            "n_placed": outcome.n_placed,
-            "verdict": outcome.verdict.value,
-            "reason": outcome.reason.value,
-            "culprit": outcome.culprit if outcome.culprit >= 0 else None,
-            "flags": int(outcome.flags),
-            **{metric.name: getattr(outcome, metric.name) for metric in world_metrics()},
-            **params,
-        }
-        kept = tuple(attempts) if len(attempts) > 1 else ()
-        block = _block(outcome.boxes, n, outcome.n_placed)
-        return cls(plan, outcome.verdict, outcome.reason, cells, block, kept)
-
-
-def _block(metrics: BoxMetrics, n_boxes: int, n_placed: int) -> FloatArray:
-    """A copy of the metrics as one array; rows of boxes that were never placed are NaN (which reads as "no")."""
-    values = [np.asarray(getattr(metrics, metric.attribute)).reshape(n_boxes, -1) for metric in box_metrics()]
-    block = np.concatenate(values, axis=1, dtype=np.float64)
-    block[n_placed:] = np.nan
-    return block
+        culprit = outcome.culprit if outcome.culprit >= 0 else None
+        cells = {"plan_id": plan.plan_id, "variant": variant, "engine": engine, "schedule": schedule}
+        cells |= {name: getattr(outcome, name) for name in (*_OF_OUTCOME, *(metric.name for metric in world_metrics()))}
+        cells |= {"culprit": culprit, **params}
+        values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]
+        block = np.concatenate(values, axis=1, dtype=np.float64)
+        block[outcome.n_placed :] = np.nan  # never placed; where the answer is yes or no, it reads as "no"
+        return cls(plan, cells, block, tuple(attempts) if len(attempts) > 1 else ())
 
 
 @dataclass
@@ -100,7 +80,7 @@ class Part:
                 write_table(table, directory / name / part_name(self.number))
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
-        """The ``worlds`` table; reductions over boxes are made here, for the whole part at once."""
+        """The ``worlds`` table, with reductions over boxes, for the whole part at once."""
         blocks, counts = self._blocks()
         starts = np.cumsum(counts) - counts
         columns: dict[str, Any] = {}
@@ -110,13 +90,11 @@ class Part:
             first += len(metric.columns)
             if metric.of_world is not None:
                 columns[metric.of_world.name] = reduce_boxes(metric.of_world.reduction, values, starts)
-        for name in schema.names:
-            if name not in columns:
-                columns[name] = [row.cells[name] for row in self.rows]
-        return _table(columns, schema)
+        rest = [name for name in schema.names if name not in columns]
+        return _table(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
-        """The ``boxes`` table: the worlds' boxes one world after the other, in packing order."""
+        """The ``boxes`` table: world after world, boxes in packing order."""
         blocks, counts = self._blocks()
         world = np.repeat(np.arange(len(self.rows)), counts)
         columns: dict[str, Any] = {
@@ -132,15 +110,13 @@ class Part:
         return _table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """The ``attempts`` table: no rows where every world needed one attempt only."""
+        """The ``attempts`` table: no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
-        columns: dict[str, Any] = {name: [getattr(attempt, name) for _, attempt in rows] for name in _ATTEMPT_FIELDS}
-        for name in ("plan_id", "variant"):
-            columns[name] = [row.cells[name] for row, _ in rows]
-        return _table(columns, schema)
+        cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
+        return _table({name: [cell[name] for cell in cells] for name in schema.names}, schema)
 
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
-        """All box metrics of the part, and how many boxes each world has."""
+        """All box metrics of the part, and the number of boxes of each world."""
         blocks = np.concatenate([np.empty((0, len(box_columns()))), *(row.block for row in self.rows)])
         return blocks, np.array([len(row.block) for row in self.rows], dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""Values as JSON can hold them."""
+"""Values as plain JSON values."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ import pandas as pd
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON can hold it: NumPy scalars, enums and tuples unpacked, data frames as a list of rows, paths and
-    the like as text; missing and non-finite numbers are None."""
+    """The value as plain JSON values.
+
+    NumPy scalars, enums and tuples are unpacked, a data frame becomes a list of rows, a path becomes text. Missing and
+    non-finite numbers become None.
+    """
     if isinstance(value, Mapping):
         return {str(plain(key)): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):

@@ -1,4 +1,4 @@
-"""A run's folder, read back as pandas data frames. What lies in it: petmjx.results.files."""
+"""Reads a run's folder into pandas data frames. The files in it: petmjx.results.files."""
 
 from __future__ import annotations
 
@@ -14,20 +14,14 @@ import pyarrow.parquet as pq
 
 from petmjx.errors import InputError
 from petmjx.results.files import RUN_FILE, part_files
-from petmjx.results.schema import (
-    SCHEMA_VERSION,
-    attempts_schema,
-    boxes_schema,
-    schema_version_of,
-    worlds_schema,
-)
+from petmjx.results.schema import SCHEMA_VERSION, schema_version_of, schemas
 from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
-    """A run read back. Tables are read when first asked for.
+    """The results of a run. Tables are read when they are first used.
 
     Attributes:
         path: the run's folder.
@@ -46,41 +40,38 @@ class RunResults:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """A row a world. ``culprit`` is a nullable integer; other missing numbers are NaN."""
+        """One row per world. ``culprit`` is a nullable integer; other missing numbers are NaN."""
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
         return frame
 
     @cached_property
     def boxes(self) -> pd.DataFrame:
-        """A row a box of a world, in packing order."""
+        """One row per box of each world, in packing order."""
         return self._read("boxes")
 
     @cached_property
     def attempts(self) -> pd.DataFrame:
-        """A row an attempt, of worlds that needed more than one; often empty."""
+        """One row per attempt, for worlds that needed more than one; often empty."""
         return self._read("attempts")
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:
-        """A sweep's answers; None where the run has none."""
+        """A sweep's answers; None if the run has none."""
         files = part_files(self.path, "summary")
         return pa.concat_tables([_read_part(file) for file in files]).to_pandas() if files else None
 
     def units(self, table: str) -> dict[str, str]:
-        """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty where the run has no such table."""
+        """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty if the run has no such table."""
         files = part_files(self.path, table)
         schema = _read_part(files[0]).schema if files else pa.schema([])
         return {column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema}
 
     def _read(self, table: str) -> pd.DataFrame:
-        names = [file.name for file in part_files(self.path, "worlds")]
-        files = [self.path / table / name for name in names]
-        if table == "attempts":
-            files = [file for file in files if file.exists()]
-        parts = [_read_part(file) for file in files]
-        empty = {"worlds": worlds_schema(), "boxes": boxes_schema(), "attempts": attempts_schema()}[table].empty_table()
-        frame: pd.DataFrame = pa.concat_tables(parts or [empty], promote_options="default").to_pandas()
+        files = [self.path / table / file.name for file in part_files(self.path, "worlds")]
+        parts = [_read_part(file) for file in files if table != "attempts" or file.exists()]
+        parts = parts or [schemas()[table].empty_table()]
+        frame: pd.DataFrame = pa.concat_tables(parts, promote_options="default").to_pandas()
         return frame
 
 
@@ -88,8 +79,8 @@ def load_run(path: str | Path) -> RunResults:
     """Open the folder of a run.
 
     Raises:
-        InputError: no run there, an unreadable ``run.json``, or results of a newer petmjx. The tables raise it
-            too, when they are read, for a damaged or missing part.
+        InputError: there is no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. The tables raise
+            it too when they are read, for a damaged or missing part.
     """
     folder = Path(path)
     file = folder / RUN_FILE
@@ -107,7 +98,7 @@ def load_run(path: str | Path) -> RunResults:
 
 
 def _read_part(file: Path) -> pa.Table:
-    # ParquetFile and not read_table, which would read "a=1" in a folder's name as a column
+    # read_table would take "a=1" in the name of a folder for a column; ParquetFile does not
     try:
         with pq.ParquetFile(file) as parquet:
             table = parquet.read()

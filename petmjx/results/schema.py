@@ -1,13 +1,13 @@
-"""Columns of the result tables: names, types, units, and what each one means. Metrics come from petmjx.metrics.spec.
+"""Columns of the result tables: name, type, unit and meaning. Metrics come from petmjx.metrics.spec.
 
 Types, and why:
 
-- Texts are plain strings. Parquet dictionary-encodes them on disk anyway, and in memory they stay one type
-  for every reader: comparing two pandas categoricals whose categories differ is an error.
-- ``worlds`` is float64: times are float64 sums of the timestep and are compared to the step. ``boxes``, forty
-  times as long, holds measured values as float32 and only its times as float64.
-- A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is
-  null. ``reason`` of a stable world is the empty string instead, since pandas drops null keys when grouping.
+- Texts are plain strings. Parquet encodes them with a dictionary on disk anyway. In memory they have the same type for
+  all readers; two pandas categoricals with different categories could not even be compared.
+- ``worlds`` is float64: times are float64 sums of the timestep, and are compared to the step. ``boxes`` is forty times
+  as long: measured values are float32, only times are float64.
+- A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is null. The
+  ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -23,24 +23,14 @@ from petmjx.metrics import spec
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.verdict import Flag, Verdict
 
-SCHEMA_VERSION: Final = 1
-"""Raised when a column is renamed, removed or changes its meaning; new columns alone do not raise it."""
+SCHEMA_VERSION: Final = 2
+"""Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""
 
 _FLAG_BITS = ", ".join(f"{flag.value} {(flag.name or '').lower().replace('_', '-')}" for flag in Flag)
 
 
-@dataclass(frozen=True)
-class Column:
-    """One column: its Arrow type, its unit (``"1"`` for counts and indices, ``""`` for text) and its meaning."""
-
-    name: str
-    type: pa.DataType
-    unit: str
-    description: str
-
-    def field(self) -> pa.Field:
-        """The Arrow field, with unit and description as its metadata."""
-        return pa.field(self.name, self.type, metadata={"unit": self.unit, "description": self.description})
+def _column(name: str, kind: pa.DataType, unit: str, text: str) -> pa.Field:
+    return pa.field(name, kind, metadata={"unit": unit, "description": text})
 
 
 @dataclass(frozen=True)
@@ -52,18 +42,18 @@ class Param:
     description: str = ""
     type: type[float] | type[int] | type[bool] | type[str] = float
 
-    def column(self) -> Column:
+    def column(self) -> pa.Field:
         """The parameter as a column of ``worlds``."""
-        arrow_type = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}[self.type]
-        return Column(self.name, arrow_type, self.unit, self.description or "parameter of the variant")
+        kind = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}[self.type]
+        return _column(self.name, kind, self.unit, self.description or "parameter of the variant")
 
 
-def _texts(**columns: str) -> list[Column]:
-    return [Column(name, pa.string(), TEXT, text) for name, text in columns.items()]
+def _texts(**columns: str) -> list[pa.Field]:
+    return [_column(name, pa.string(), TEXT, text) for name, text in columns.items()]
 
 
-def _counts(**columns: str) -> list[Column]:
-    return [Column(name, pa.int32(), DIMENSIONLESS, text) for name, text in columns.items()]
+def _counts(**columns: str) -> list[pa.Field]:
+    return [_column(name, pa.int32(), DIMENSIONLESS, text) for name, text in columns.items()]
 
 
 def _one_of(names: Iterable[str]) -> str:
@@ -71,15 +61,14 @@ def _one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}"
 
 
-def _metrics(columns: Iterable[spec.Column]) -> dict[str, Column]:
-    return {c.name: Column(c.name, pa.from_numpy_dtype(c.dtype), c.unit, c.meaning) for c in columns}
+def _metrics(columns: Iterable[spec.Column]) -> list[pa.Field]:
+    return [_column(c.name, pa.from_numpy_dtype(c.dtype), c.unit, c.meaning) for c in columns]
 
 
-_KEY = [
+_KEY = (
     *_texts(plan_id="id of the packing plan"),
     *_counts(variant="which set of changes to the plan's nominal world; 0 is nominal"),
-]
-
+)
 _FLAGS = _counts(flags=f"bit mask of what happened: {_FLAG_BITS}")
 
 _WORLD_COLUMNS = (
@@ -91,54 +80,50 @@ _WORLD_COLUMNS = (
     *_texts(verdict=_one_of(Verdict), reason="why it is not stable; empty where it is"),
     *_counts(culprit="box that first crossed a threshold (packing order from 0); null where none did"),
 )
-"""Before the metrics; the flags come after them."""
+"""Columns before the metrics. The flags come after the metrics."""
 
 _BOX_COLUMNS = (
     *_KEY,
     *_counts(box="index of the box in packing order, from 0"),
     *_texts(item_id="id of the item in the plan", article="article of the item"),
-    Column("sequence", pa.int64(), DIMENSIONLESS, "sequence number of the item in the plan"),
+    _column("sequence", pa.int64(), DIMENSIONLESS, "sequence number of the item in the plan"),
 )
-"""Before the metrics."""
+"""Columns before the metrics."""
 
 
-def _schema(table: str, columns: Iterable[Column]) -> pa.Schema:
-    metadata = {"schema_version": str(SCHEMA_VERSION), "table": table}
-    return pa.schema([column.field() for column in columns], metadata=metadata)
+_ATTEMPT_COLUMNS = (
+    *_KEY,
+    *_counts(attempt="number of the attempt, from 1; the last one gave the verdict"),
+    *_texts(solver="constraint solver"),
+    _column("timestep_s", pa.float64(), "s", "timestep of the simulation"),
+    *_texts(verdict="what this attempt came to", reason="why it was not stable; empty where it was"),
+    *_FLAGS,
+    *_metrics(column for column in spec.world_columns() if column.name == "n_steps"),
+)
 
 
-def worlds_schema(params: Iterable[Param] = ()) -> pa.Schema:
-    """Schema of ``worlds``; a sweep's parameters come last, a column each.
+def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
+    return pa.schema(columns, metadata={"schema_version": str(SCHEMA_VERSION), "table": table})
+
+
+def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa.Schema]:
+    """Schemas of ``worlds``, ``boxes`` and ``attempts`` (one row per attempt, for worlds that needed more than one).
+
+    Args:
+        params: of a sweep's variants; the last columns of ``worlds``.
+        dynamic: of a run with profiles: ``boxes`` has the metrics that only they have in addition.
 
     Raises:
-        ValueError: two columns of one name.
+        ValueError: two columns with the same name.
     """
-    metrics = _metrics(spec.world_columns()).values()
-    columns = (*_WORLD_COLUMNS, *metrics, *_FLAGS, *(param.column() for param in params))
-    names = [column.name for column in columns]
+    worlds = (*_WORLD_COLUMNS, *_metrics(spec.world_columns()), *_FLAGS, *(param.column() for param in params))
+    names = [column.name for column in worlds]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ValueError(f"a variant's parameter cannot be called {repeated[0]!r}: worlds has such a column")
-    return _schema("worlds", columns)
-
-
-def boxes_schema(dynamic: bool = False) -> pa.Schema:
-    """Schema of ``boxes``; runs with profiles (``dynamic``) have the metrics that only they have in addition."""
-    return _schema("boxes", (*_BOX_COLUMNS, *_metrics(spec.box_columns(driven=dynamic)).values()))
-
-
-def attempts_schema() -> pa.Schema:
-    """Schema of ``attempts``: a row for each attempt at worlds that needed more than one."""
-    columns = (
-        *_KEY,
-        *_counts(attempt="number of the attempt, from 1; the last one gave the verdict"),
-        *_texts(solver="constraint solver"),
-        Column("timestep_s", pa.float64(), "s", "timestep of the simulation"),
-        *_texts(verdict="what this attempt came to", reason="why it was not stable; empty where it was"),
-        *_FLAGS,
-        _metrics(spec.world_columns())["n_steps"],
-    )
-    return _schema("attempts", columns)
+    boxes = (*_BOX_COLUMNS, *_metrics(spec.box_columns(driven=dynamic)))
+    tables = {"worlds": worlds, "boxes": boxes, "attempts": _ATTEMPT_COLUMNS}
+    return {table: _schema(table, columns) for table, columns in tables.items()}
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:
@@ -147,17 +132,16 @@ def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: 
     Raises:
         ValueError: a numeric column without a unit.
     """
-    columns = []
     for field in inferred:
         numeric = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
         if numeric and field.name not in units:
             raise ValueError(f"summary column {field.name!r} needs a unit")
-        columns.append(Column(field.name, field.type, units.get(field.name, TEXT), descriptions.get(field.name, "")))
+    columns = [_column(c.name, c.type, units.get(c.name, TEXT), descriptions.get(c.name, "")) for c in inferred]
     return _schema("summary", columns)
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The version a file's schema metadata names; 0 where it names none."""
+    """The schema version in a file's metadata; 0 if there is none."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)

@@ -1,4 +1,4 @@
-"""Writes a run's folder, part by part, while worlds finish. What lies in it: petmjx.results.files."""
+"""Writes a run's folder, part by part, while worlds finish. The files in it: petmjx.results.files."""
 
 from __future__ import annotations
 
@@ -21,81 +21,64 @@ from petmjx.plans.plan import Plan, Skipped
 from petmjx.results.files import RUN_FILE, make_room, part_name, write_table, write_text
 from petmjx.results.parts import Part, Row
 from petmjx.results.plain import plain
-from petmjx.results.schema import (
-    SCHEMA_VERSION,
-    Param,
-    attempts_schema,
-    boxes_schema,
-    summary_schema,
-    worlds_schema,
-)
+from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_schema
 from petmjx.text import one_line
 from petmjx.verdict import Attempt, Outcome, Reason, Verdict
 
 WORLDS_PER_PART: Final = 1_000
-"""About 43,000 boxes or 3 MB a part: few files, little lost in a crash."""
+"""A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little."""
 
 SECONDS_PER_PART: Final = 60.0
-"""A part is written at the latest after this, however slowly worlds finish."""
+"""A part is written at the latest after this time, even if worlds finish slowly."""
 
 
-@dataclass(frozen=True)
-class Written:
-    """What the parts on disk hold."""
+@dataclass
+class _Pending:
+    """The part that is being collected, and what was written before it."""
 
+    part: Part
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
+    since_s: float = 0.0
+    """When its first world came (monotonic clock). Time before that, such as for compiling, does not count."""
 
-    @property
-    def worlds(self) -> int:
-        return self.verdicts.total()
+    def following(self) -> _Pending:
+        """The next part, once this one is written."""
+        rows = self.part.rows
+        verdicts = self.verdicts + Counter((row.cells["verdict"], row.cells["reason"]) for row in rows)
+        return _Pending(Part(self.part.number + 1), verdicts, self.retried + sum(bool(row.attempts) for row in rows))
 
     def counts(self) -> dict[str, Any]:
-        """Counts for run.json: worlds by verdict, and those that are not stable by reason."""
+        """Counts of what was written, for run.json: worlds by verdict, and those that are not stable by reason."""
         by_reason: dict[str, dict[str, int]] = {Verdict.UNSTABLE.value: {}, Verdict.INVALID.value: {}}
         by_verdict = {verdict.value: 0 for verdict in Verdict}
         for (verdict, reason), count in sorted(self.verdicts.items()):
             by_verdict[verdict.value] += count
             if verdict is not Verdict.STABLE:
                 by_reason[verdict.value][reason.value] = count
-        return {"worlds": self.worlds, **by_verdict, "by_reason": by_reason, "retried": self.retried}
-
-
-@dataclass
-class _Pending:
-    """The part being gathered, and what was written before it."""
-
-    part: Part
-    before: Written
-    since_s: float = 0.0
-    """When its first world came (monotonic clock): compiling before that makes no part."""
-
-    def after(self) -> Written:
-        """What is written once this part is."""
-        rows = self.part.rows
-        verdicts = self.before.verdicts + Counter((row.verdict, row.reason) for row in rows)
-        return Written(verdicts, self.before.retried + sum(bool(row.attempts) for row in rows))
+        return {"worlds": self.verdicts.total(), **by_verdict, "by_reason": by_reason, "retried": self.retried}
 
 
 class RunWriter:
     """Writes one run's results as its worlds finish. A context manager.
 
-    Leaving the body writes what is gathered as a last, whole part, also after Ctrl-C or an error, and says in
-    ``run.json`` how the run ended: ``finished``, ``interrupted`` or ``failed``. Memory holds one part at a time.
+    At the end of the body, also after Ctrl-C or an error, the collected worlds are written as a last part, and
+    ``run.json`` says how the run ended: ``finished``, ``interrupted`` or ``failed``. Only one part is in memory at a
+    time.
 
     Args:
         out_dir: the run's folder; made if it is not there.
-        config: the resolved configuration, JSON-like (``Simulation.model_dump(mode="json")`` and what is beside it).
-        params: parameters of a sweep's variants, a column of ``worlds`` each.
-        dynamic: worlds have a force profile: ``boxes`` gets ``max_sway_m``.
+        config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
+        params: parameters of a sweep's variants; each is a column of ``worlds``.
+        dynamic: whether worlds have profiles: ``boxes`` then has ``max_sway_m``.
         versions: package → version; Python's own is added.
-        device: what the worlds ran on, in words.
-        expected_worlds: how many worlds the run will have, if known.
-        overwrite: replace a run that is there already.
-        worlds_per_part, seconds_per_part: a part is written when either is reached.
+        device: name of the device on which the worlds ran.
+        expected_worlds: number of worlds of the run, if known.
+        overwrite: replace a run that is in the folder.
+        worlds_per_part, seconds_per_part: a part is written when one of them is reached.
 
     Raises:
-        InputError: the folder holds a run already, or cannot be written.
+        InputError: the folder has a run already, or cannot be written.
     """
 
     def __init__(
@@ -114,19 +97,16 @@ class RunWriter:
     ) -> None:
         self.out_dir = Path(out_dir)
         self.params = tuple(params)
-        self.schemas = {
-            "worlds": worlds_schema(self.params),
-            "boxes": boxes_schema(dynamic),
-            "attempts": attempts_schema(),
-        }
+        self.schemas = schemas(self.params, dynamic)
         self.skipped: list[Skipped] = []
         self.warnings: list[str] = []
+        """About the whole run."""
+        self.odd_plans: list[str] = []
+        """A line for each plan with overlapping, floating or outside boxes."""
         self.timings: dict[str, float] = {}
-        self._param_names = tuple(param.name for param in self.params)
         self._overwrite = overwrite
-        self._worlds_per_part = worlds_per_part
-        self._seconds_per_part = seconds_per_part
-        self._pending = _Pending(Part(0), Written())
+        self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
+        self._pending = _Pending(Part(0))
         self._status = "running"
         self._error: str | None = None
         self._started = time.monotonic()
@@ -157,7 +137,7 @@ class RunWriter:
         else:
             self._status, self._error = "failed", one_line(error)
         if error is not None:
-            self._write_info()  # should a second Ctrl-C cut the last part short, this much is said
+            self._write_info()  # if a second Ctrl-C stops the last part, run.json at least says so
         try:
             self._flush(last=True)
         except Exception as trouble:
@@ -165,33 +145,24 @@ class RunWriter:
                 self._status, self._error = "failed", one_line(trouble)
                 self._write_info()
                 raise
-            # the error that ended the body is the one to tell; this one is kept beside it
+            # the error that ended the body is reported; this one becomes a warning
             self.warn(f"the last part could not be written: {one_line(trouble)}")
         self._write_info()
 
     @property
-    def worlds_done(self) -> int:
-        """Worlds added so far; those in parts on disk are ``info["counts"]["worlds"]``."""
-        return self._pending.before.worlds + len(self._pending.part.rows)
-
-    @property
     def info(self) -> dict[str, Any]:
-        """What ``run.json`` says now. Counts are of worlds on disk."""
+        """The present content of ``run.json``. Counts are of worlds on disk."""
         wall_s = time.monotonic() - self._started
-        counts = self._pending.before.counts()
         return {
             "schema_version": SCHEMA_VERSION,
             "status": self._status,
             **({"error": self._error} if self._error else {}),
             **self._head,
             "updated": _now(),
-            "counts": {**counts, "skipped_plans": len(self.skipped)},
+            "counts": {**self._pending.counts(), "skipped_plans": len(self.skipped), "odd_plans": len(self.odd_plans)},
             "timings": {**self.timings, "wall_s": round(wall_s, 3)},
-            "skipped": [
-                {"plan_id": skipped.plan_id or "", "source": skipped.source, "error": skipped.message}
-                for skipped in self.skipped
-            ],
-            "warnings": list(self.warnings),
+            "skipped": [{"plan_id": s.plan_id or "", "source": s.source, "error": s.message} for s in self.skipped],
+            "warnings": [*self.warnings, *self.odd_plans],
         }
 
     def add(
@@ -204,53 +175,52 @@ class RunWriter:
         attempts: Sequence[Attempt] = (),
         params: Mapping[str, Any] | None = None,
     ) -> None:
-        """Add one finished world; writes a part when enough are gathered.
+        """Add one finished world, and write a part if there are enough.
 
         Args:
             plan: the world's plan; ``outcome`` has the same boxes in the same order.
             variant: 0 is nominal.
-            engine, schedule: names, as they stand in the results.
-            outcome: copied; its arrays may be reused and its ``state`` is let go.
-            attempts: all attempts in order, where the world needed more than one.
-            params: value of each of the run's parameters; what is missing is null.
+            engine, schedule: names, as in the results.
+            outcome: copied; its arrays may be reused, and its ``state`` is not kept.
+            attempts: all attempts in order, if the world needed more than one.
+            params: parameter → value; missing ones become null.
 
         Raises:
-            ValueError: an outcome of another plan, or a parameter the run was not made with.
+            ValueError: an outcome of another plan, or a parameter that the run does not have.
             PetmjxError: the part cannot be written (a full disk).
         """
-        given = params or {}
-        if unknown := given.keys() - set(self._param_names):
-            raise ValueError(f"the run has no parameter {sorted(unknown)[0]!r}")
-        values = {name: given.get(name) for name in self._param_names}
+        values = {param.name: None for param in self.params} | dict(params or {})
+        if len(values) > len(self.params):
+            raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
         row = Row.of(plan, variant, engine, str(schedule), outcome, attempts, values)
-        pending = self._pending
-        if not pending.part.rows:
+        pending, rows = self._pending, self._pending.part.rows
+        if not rows:
             pending.since_s = time.monotonic()
-        pending.part.rows.append(row)
-        enough = len(pending.part.rows) >= self._worlds_per_part
+        rows.append(row)
+        enough = len(rows) >= self._worlds_per_part
         if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
             self._flush()
             self._write_info()
 
     def skip(self, skipped: Skipped) -> None:
-        """Record something that is not simulated, and why."""
+        """Record a plan or a file that is not simulated, and why."""
         self.skipped.append(skipped)
 
     def warn(self, message: str) -> None:
-        """Record a warning for ``run.json``."""
+        """Record a warning about the whole run for ``run.json``."""
         self.warnings.append(message)
 
     def _flush(self, last: bool = False) -> None:
-        pending = self._pending
-        # a run without any world still gets one empty part: its readers find the columns
-        if not pending.part.rows and not (last and pending.part.number == 0):
+        part = self._pending.part
+        # a run without worlds still gets one empty part, so that readers find the columns
+        if not part.rows and not (last and part.number == 0):
             return
         try:
-            pending.part.write(self.out_dir, self.schemas)
+            part.write(self.out_dir, self.schemas)
         except OSError as error:
             raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
-        # one assignment: an interrupt before it writes the same part again, one after it begins the next
-        self._pending = _Pending(Part(pending.part.number + 1), pending.after())
+        # one assignment: after an interrupt before it the same part is written again, after it the next part begins
+        self._pending = self._pending.following()
 
     def _write_info(self) -> None:
         text = json.dumps(plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)
@@ -263,7 +233,7 @@ def write_summary(
     units: Mapping[str, str],
     descriptions: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write a sweep's ``summary`` table beside its worlds, whole or not at all; replaces one that is there.
+    """Write a sweep's ``summary`` table beside its worlds, whole or not at all. An old one is replaced.
 
     Args:
         out_dir: the run's folder.

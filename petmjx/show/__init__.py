@@ -1,1 +1,1 @@
-"""What people are shown in a terminal: progress and tables."""
+"""What the terminal shows: progress and tables."""

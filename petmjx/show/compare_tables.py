@@ -1,4 +1,4 @@
-"""What the command line shows of a comparison of two runs."""
+"""The tables of ``petmjx compare``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.verdict import Verdict
 
 
 def comparison_tables(found: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All that is shown; of flipped worlds and of those one run alone has, ``max_rows`` at most."""
+    """All tables and lines. ``max_rows``: most worlds that are listed as flipped, or as only in one run."""
     yield line(f"a  {found.a}")
     yield line(f"b  {found.b}")
     for note in found.notes:
@@ -54,7 +54,7 @@ def _confusion_table(found: Comparison) -> FittedTable:
 
 
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
-    """Two rows a world, a above b: with both in one row they would need more than 80 columns."""
+    """Two rows per world, a above b: both in one row would need more than 80 columns."""
     title = f"flipped verdicts ({len(flips):,}), with margins to the thresholds: + is over"
     if len(flips) > max_rows:
         title += f"; the first {max_rows}"
@@ -86,7 +86,7 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
 
 
 def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
-    """A table for each group of worlds that has any."""
+    """One table for each group that has worlds."""
     key = [column for column in BOX_KEY if column in differences]
     for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
         table = FittedTable(
@@ -111,7 +111,7 @@ def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[Fitted
 
 
 def _named(row: dict[str, Any]) -> tuple[str, float]:
-    """A metric with its unit, and the factor to that unit: per cent for relative differences."""
+    """A metric's name with its unit, and the factor to this unit: per cent for relative differences."""
     metric, unit = row["metric"], row["unit"]
     if metric.endswith(" relative"):
         return metric.removesuffix("relative") + "%", 100.0

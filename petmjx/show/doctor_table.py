@@ -1,4 +1,4 @@
-"""What ``petmjx doctor`` shows."""
+"""The table of ``petmjx doctor``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def doctor_table(report: Report) -> Table:
-    """Two columns; long lines of the second are broken."""
+    """A table of two columns. Long lines of the second one are wrapped."""
     table = Table(show_header=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")

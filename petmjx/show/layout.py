@@ -1,4 +1,4 @@
-"""How tables fit the terminal, and how their values are written."""
+"""Tables that fit into the terminal, and the format of their values."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class Column:
 
     Attributes:
         header: may have several lines.
-        justify: on which side its cells begin.
-        least: characters that a text keeps at least where room is short; None: its cells are never shortened.
-        middle: whether a text is shortened in its middle, as names are that differ at the end, and not at its end.
-        spare: columns with a number here are left out where room is short, the largest number first.
+        justify: alignment of its cells.
+        least: shortest length, in characters, to which its texts may be cut; None: its cells are never cut.
+        middle: whether texts are cut in the middle (for names that differ at the end), instead of at the end.
+        spare: 0: the column always stays. Otherwise it may be left out; the column with the largest number goes first.
     """
 
     header: str
@@ -38,8 +38,8 @@ class Column:
 class FittedTable:
     """A table without lines that is never wider than the terminal.
 
-    Where room is short, texts are shortened first; then spare columns are left out, and a line below says which.
-    Numbers are not cut, unless not even the columns that must stay fit.
+    If the terminal is too narrow, texts are cut first. Then spare columns are left out, and a line below the table
+    names them. Numbers are cut only if even the remaining columns do not fit.
     """
 
     def __init__(self, *columns: Column, title: str = "", caption: str = "") -> None:
@@ -49,7 +49,7 @@ class FittedTable:
         self._rows: list[Sequence[str | Text]] = []
 
     def add(self, *cells: str | Text) -> None:
-        """Add a row. Strings are made printable; a Text keeps its style."""
+        """Add a row. Strings are made printable; a ``Text`` keeps its style."""
         self._rows.append([cell if isinstance(cell, Text) else printable(cell) for cell in cells])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -72,13 +72,13 @@ class FittedTable:
             yield line(self.caption, style="dim")
 
     def _natural(self, number: int) -> int:
-        """The width that a column wants."""
+        """The width that a column needs to show all its cells."""
         texts = [*self.columns[number].header.split("\n"), *(str(row[number]) for row in self._rows)]
         return max(cell_len(text) for text in texts)
 
 
 def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> dict[int, int]:
-    """Number of each column that is shown → its width. What is left of the room goes to the narrowest texts."""
+    """Index of each column that is shown → its width. Remaining room goes to the narrowest cut columns."""
     least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
     kept = list(range(len(columns)))
 
@@ -109,27 +109,27 @@ def _shortened(cell: str | Text, width: int, column: Column) -> Text:
 
 
 def _fits(text: Iterable[str], width: int) -> int:
-    """How many characters, from the first, take no more than a width; Chinese ones are two wide."""
+    """How many characters, from the first on, fit into a width. Chinese characters are two columns wide."""
     return sum(used <= width for used in accumulate(map(cell_len, text)))
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line of its own, or a long text in a cell, which is broken where it must be."""
+    """A line, or a long text in a cell. It is wrapped if it does not fit."""
     return Text(printable(text), style=style, overflow="fold")
 
 
 def print_each(renderables: Iterable[RenderableType], console: Console) -> None:
-    """Print tables and lines. Long lines are left to the terminal: a path stays whole when it is copied."""
+    """Print tables and lines. The terminal wraps long lines itself, so a path can be copied as a whole."""
     for each in renderables:
         console.print(each, soft_wrap=isinstance(each, Text))
 
 
 def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:
-    """A number times a factor, with its unit; "-" where there is none.
+    """A number × ``factor`` with its unit; "-" if there is no number.
 
     Args:
-        form: a format as of ``format``; None: as many digits as ``three_digits`` gives.
-        sign: without a form: whether a positive number has a sign too.
+        form: format specification; None: ``three_digits``.
+        sign: without ``form``: whether positive numbers get a sign too.
     """
     if pd.isna(value):
         return "-"
@@ -138,5 +138,5 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
 
 
 def percent(share: Any) -> str:
-    """A share as "12.3 %"; "-" where there is none."""
+    """A share as "12.3 %"; "-" if there is none."""
     return number(share, ".1f", " %", 100.0)

@@ -1,4 +1,4 @@
-"""How far a run is: a bar in a terminal, lines elsewhere. All of it goes to standard error."""
+"""Progress of a run on standard error: a bar in a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
-from types import TracebackType
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from typing import Final, Protocol
 
 from rich.console import Console, RenderableType
@@ -22,40 +21,38 @@ from petmjx.sweeps.run import SweptWorld
 from petmjx.text import counted, printable, three_digits, time_left
 
 REFRESH_S: Final = 0.5
-"""The bar is drawn anew this often also while no world finishes: its message changes."""
+"""Time after which the bar is drawn again while no world finishes, s: its message may have changed."""
 
 LINE_S: Final = 10.0
-"""Time between two lines where there is no terminal, s."""
+"""Time between two lines if there is no terminal, s."""
 
 
 class Shown(Protocol):
-    """Handle of a progress that is shown, made by :func:`progress`."""
+    """What :func:`progress` gives to its caller."""
 
     def update(self, done: int, message: str = "") -> None:
-        """Show that ``done`` worlds are finished, and what is going on besides (compiling, retrying)."""
+        """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds)."""
 
 
 @contextmanager
 def progress(total: int | None, what: str = "plan", console: Console | None = None) -> Iterator[Shown]:
-    """Shows how many are done, how many a second, the time left and a message.
+    """Shows the number of finished worlds, worlds per second, the time left and a message.
 
     Args:
-        total: how many there will be; None where that is not known.
-        what: what one of them is to the user: ``plan``, or ``world`` in sweeps.
-        console: where it is shown; standard error by default, so that standard output holds results alone.
+        total: number of worlds; None if it is not known.
+        what: the user's word for a world: ``plan``, or ``world`` in sweeps.
+        console: where it is shown; by default standard error, so that standard output has only results.
     """
     console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
-    if not console.is_interactive:
+    if console.is_interactive:
+        with _Bar(total, what, console) as bar:
+            yield bar
+    else:
         lines = ProgressLines(total, what, console.file.write)
         try:
             yield lines
         finally:
             lines.end()
-        return
-    with _BarAndMessage(
-        _CountColumn(what), BarColumn(), _RateColumn(what), TimeRemainingColumn(), console=console
-    ) as b:
-        yield _Bar(b, total)
 
 
 def _is_terminal() -> bool:
@@ -63,23 +60,12 @@ def _is_terminal() -> bool:
 
 
 def _broken(text: str) -> str:
-    """A line, broken between words where a terminal is too narrow for it."""
+    """A line, wrapped between words if the terminal is too narrow."""
     return textwrap.fill(text, shutil.get_terminal_size().columns) if _is_terminal() else text
 
 
-class _Bar:
-    """A bar."""
-
-    def __init__(self, shown: RichProgress, total: int | None) -> None:
-        self._shown = shown
-        self._task = shown.add_task("", total=total, message="")
-
-    def update(self, done: int, message: str = "") -> None:
-        self._shown.update(self._task, completed=done, message=printable(message))
-
-
 class ProgressLines:
-    """A line every ``LINE_S``, and a last one. That nobody reads them is no reason to stop a run."""
+    """A line every ``LINE_S`` seconds, and a last one. If they cannot be written, the run continues."""
 
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
@@ -116,77 +102,79 @@ def _count(done: int, total: int | None, what: str) -> str:
 
 
 def _rate(done: float, seconds: float, what: str) -> str:
-    """Those done a second, over the whole run so far."""
+    """Finished worlds per second, over the whole run so far."""
     return f"{three_digits(done / seconds)} {what}s/s"
 
 
-class _CountColumn(ProgressColumn):
-    def __init__(self, what: str) -> None:
+class _Words(ProgressColumn):
+    """A column with a text about the task."""
+
+    def __init__(self, words: Callable[[Task], str]) -> None:
         super().__init__()
-        self._what = what
+        self._words = words
 
     def render(self, task: Task) -> Text:
-        return Text(_count(int(task.completed), None if task.total is None else int(task.total), self._what))
+        return Text(self._words(task))
 
 
-class _RateColumn(_CountColumn):
-    def render(self, task: Task) -> Text:
-        seconds = task.finished_time if task.finished else task.elapsed
-        return Text(_rate(task.completed, seconds, self._what) if seconds and task.completed else f"- {self._what}s/s")
+class _Bar(RichProgress):
+    """A bar, with its message in the line below."""
 
+    def __init__(self, total: int | None, what: str, console: Console) -> None:
+        def rate(task: Task) -> str:
+            seconds = task.finished_time if task.finished else task.elapsed
+            return _rate(task.completed, seconds, what) if seconds and task.completed else f"- {what}s/s"
 
-class _BarAndMessage(RichProgress):
-    """The message stands below the bar, where there is room for it."""
+        self._message = ""  # read as soon as the bar is there
+        count = _Words(lambda task: _count(int(task.completed), total, what))
+        super().__init__(count, BarColumn(), _Words(rate), TimeRemainingColumn(), console=console)
+        self._task = self.add_task("", total=total)
+
+    def update(self, done: int, message: str = "") -> None:  # type: ignore[override]
+        self._message = printable(message)
+        super().update(self._task, completed=done)
 
     def get_renderables(self) -> Iterator[RenderableType]:
         yield self.make_tasks_table(self.tasks)
-        for task in self.tasks:
-            if task.fields["message"]:
-                yield Text(task.fields["message"], style="dim", no_wrap=True, overflow="ellipsis")
+        if self._message:
+            yield Text(self._message, style="dim", no_wrap=True, overflow="ellipsis")
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Tells on standard error what a run is going to do, and shows its progress.
+    """Prints to standard error what a run will do, and shows its progress.
 
     Attributes:
-        what: what a world is to the user: "plan", or "world" in sweeps.
-        total: worlds there will be; None before the run begins, and where it is not known.
+        what: the user's word for a world: "plan", or "world" in sweeps.
+        total: number of worlds; None before the run begins, and if it is not known.
     """
 
     def __init__(self) -> None:
         self.what = "plan"
         self.total: int | None = None
         self._done = 0
-        self._shown: AbstractContextManager[Shown] | None = None
-        self._stop = threading.Event()
-        self._refresher: threading.Thread | None = None
+        self._until_exit = ExitStack()
 
     def begin(self, start: RunStart) -> None:
         self.what, self.total = start.what, start.total
         for text in (start.size, f"engine {start.choice.name} ({start.choice.reason})"):
             with suppress(OSError):
                 print(_broken(text), file=sys.stderr)
-        self._shown = progress(start.total, start.what)
-        shown = self._shown.__enter__()
+        shown = self._until_exit.enter_context(progress(start.total, start.what))
+        stop = threading.Event()
 
         def refresh() -> None:
-            while True:
-                stopped = self._stop.wait(REFRESH_S)
+            stopped = False
+            while not stopped:
+                stopped = stop.wait(REFRESH_S)
                 shown.update(self._done, start.progress.message)
-                if stopped:
-                    return
 
-        self._refresher = threading.Thread(target=refresh, name="petmjx-progress", daemon=True)
-        self._refresher.start()
+        refresher = threading.Thread(target=refresh, name="petmjx-progress", daemon=True)
+        refresher.start()
+        self._until_exit.callback(refresher.join)
+        self._until_exit.callback(stop.set)
 
     def world_done(self, world: SweptWorld) -> None:
         self._done += 1
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        if self._refresher is not None:
-            self._refresher.join()
-        if self._shown is not None:
-            self._shown.__exit__(None, None, None)
+    def __exit__(self, *_: object) -> None:
+        self._until_exit.close()

@@ -1,22 +1,25 @@
-"""What the command line shows of a sweep's answers."""
+"""The tables of a sweep's answers."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Final
 
+import numpy as np
 import pandas as pd
 
 from petmjx.show.layout import Column, FittedTable, number, percent
 from petmjx.sweeps.shares import ALL_PLANS
+from petmjx.units import FloatArray
 
 FEW_ROWS: Final = 40
-"""Up to so many worlds or searches a table with a row for each is shown."""
+"""Most worlds or searches for which a table with one row each is shown."""
 
 MAX_VALUES: Final = 50
-"""Axis values shown, at most; all of them are in ``summary``."""
+"""Most axis values that are shown; ``summary`` has all of them."""
 
-_QUANTILES: Final = {"smallest": 0.0, "lower\nquarter": 0.25, "median": 0.5, "upper\nquarter": 0.75, "largest": 1.0}
+_QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
 _PROFILE: Final = Column("profile", "left", least=11, middle=True)
 
@@ -36,19 +39,23 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """Share standing for each value of each axis that has several, over all plans."""
-    overall = summary[summary["plan_id"] == ALL_PLANS]
+    """The share that stands, for each value of each axis with several values, over all plans.
+
+    Shares are of the worlds named before them: those with a verdict, and those that EUMOS's limits were applied to.
+    """
+    overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
     shown = overall[several | (overall["axis"] == "")]
     eumos, angle = "eumos_share" in shown, "smallest_fail_angle_deg" in shown
+    drawn = bool(shown["low"].notna().any())
     table = FittedTable(
         Column("axis", "left", least=13, middle=True),
         Column("value", least=11, middle=True),
-        Column("worlds"),
+        Column("worlds\njudged"),
         Column("stand", spare=1),
         Column("share"),
-        Column("95 %"),
-        *([Column("passes\nEUMOS")] if eumos else []),
+        *([Column("draws", spare=2), Column("95 %")] if drawn else []),
+        *([Column("worlds\ntested"), Column("pass\nEUMOS")] if eumos else []),
         *([Column("fails\nfrom")] if angle else []),
         caption=f"{len(shown) - MAX_VALUES:,} more in summary" if len(shown) > MAX_VALUES else "",
     )
@@ -56,21 +63,24 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
         cells = [
             str(row["axis"]) or "all",
             str(row["value"]),
-            f"{row['n_worlds']:,}",
+            f"{row['n_worlds'] - row['n_invalid']:,}",
             f"{row['n_standing']:,}",
             percent(row["share"]),
-            f"{percent(row['low'])} to {percent(row['high'])}",
         ]
-        cells += [percent(row["eumos_share"])] if eumos else []
+        if drawn:
+            interval = f"{row['n_draws']:,}", f"{percent(row['low'])} to {percent(row['high'])}"
+            cells += interval if row["n_draws"] else ("", "")
+        cells += [f"{row['n_eumos']:,}", percent(row["eumos_share"])] if eumos else []
         cells += [number(row["smallest_fail_angle_deg"], ".1f", " °")] if angle else []
         table.add(*cells)
     return table
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
-    """How the largest levels survived are spread over plans, for each profile and direction.
+    """Quantiles of the largest levels survived, for each profile and direction, over searches whose placement stands.
 
-    A placement that does not stand, or survives no level, counts as 0.
+    "survive none" counts those of them that survive no level above 0. Below the lowest level there is no number: there
+    stands "none".
     """
     column, name = _largest(summary)
     table = FittedTable(
@@ -78,18 +88,29 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
         Column("direction\n°"),
         Column("searches"),
         Column("stand\nat rest"),
-        *map(Column, _QUANTILES),
-        title=f"largest {name} survived",
+        Column("survive\nnone"),
+        *(Column(header, spare=int(q in (0.25, 0.75))) for header, q in _QUANTILES.items()),
+        title=f"largest {name} survived, where placements stand at rest",
     )
     for (profile, direction), part in summary.groupby(["profile", "direction_deg"], sort=True):
-        levels = part[column].fillna(0.0)
-        cells = [str(profile), f"{direction:g}", f"{len(part):,}", f"{int(part['stands_at_rest'].sum()):,}"]
-        table.add(*cells, *(number(levels.quantile(q)) for q in _QUANTILES.values()))
+        levels = part.loc[part["stands_at_rest"], column].sort_values(na_position="first")
+        counts = len(part), len(levels), int((~(levels > 0)).sum())
+        cells = [str(profile), f"{direction:g}", *(f"{count:,}" for count in counts)]
+        table.add(*cells, *(_quantile(levels.to_numpy(float), q) for q in _QUANTILES.values()))
     return table
 
 
+def _quantile(levels: FloatArray, q: float) -> str:
+    """A quantile of rising levels; those that are NaN come first and are below all others."""
+    if not len(levels):
+        return "-"
+    place = q * (len(levels) - 1)
+    lower, upper = levels[math.floor(place)], levels[math.ceil(place)]
+    return "none" if np.isnan(lower) else number(lower + (place % 1) * (upper - lower))
+
+
 def answers_table(summary: pd.DataFrame) -> FittedTable:
-    """A row a search: largest level survived, and what fails first above it."""
+    """One row per search: the largest level survived, and the box that fails first above it."""
     column, name = _largest(summary)
     table = FittedTable(
         Column("plan", "left", least=20, middle=True),
@@ -107,12 +128,12 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
             f"{row['direction_deg']:g}",
             number(row[column]) + ("" if row["monotone"] else " *"),
             str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}",
-            "" if pd.isna(row["box"]) else f"{row['box']} {row['article']}",
+            "" if pd.isna(row["box"]) else f"{int(row['box'])} {row['article']}",
         )
     return table
 
 
 def _largest(summary: pd.DataFrame) -> tuple[str, str]:
-    """The column with the largest level or scale, and what that is called."""
+    """The column with the largest level or scale, and its name for people."""
     names = {"largest_level_g": "level, g", "largest_scale": "scale"}
     return next((column, name) for column, name in names.items() if column in summary)

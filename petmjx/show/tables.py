@@ -1,4 +1,4 @@
-"""What the command line shows of a run: one report for scores and sweeps."""
+"""The tables of a run, for scores and sweeps."""
 
 from __future__ import annotations
 
@@ -13,67 +13,113 @@ from rich.text import Text
 from petmjx.results.reader import RunResults
 from petmjx.show.layout import Column, FittedTable, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS, sweep_tables
+from petmjx.sweeps.search import MODES
 from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
 SHOWN_SKIPPED: Final = 10
-"""Lines shown of skipped plans, at most; all of them are in ``run.json``."""
+"""Most skipped plans that are shown; ``run.json`` has all of them."""
 
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
 def run_tables(results: RunResults) -> Iterator[RenderableType]:
-    """All that is shown of a run: answers or worlds where they are few, what was skipped, and the counts."""
+    """All tables and lines: a sweep's answers, or the worlds if there are few; skipped plans; the counts."""
     sweep = results.info["config"]["command"] == "sweep"
     if results.summary is not None:
         for table in sweep_tables(results.summary):
             yield table
             yield ""
     elif not sweep and len(results.worlds) <= FEW_ROWS:
-        yield worlds_table(results.worlds.sort_values(["plan_id", "variant"]), results.boxes)
+        yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes)
         yield ""
     yield from notes(results.info)
-    yield summary_table(results.info, "worlds" if sweep else "plans")
+    searched = sweep and results.info["config"]["sweep"]["search"] is not None
+    if searched and results.summary is not None:
+        yield search_table(results.info, results.summary)
+    else:
+        yield summary_table(results.info, "worlds" if sweep else "plans")
     yield line(f"results in {results.path}")
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Skipped plans, a line each as far as there is room, and how many plans are odd."""
-    skipped, odd = info["skipped"], len(info["warnings"])
+    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, the number of plans with warnings, and other warnings."""
+    skipped, warnings = info["skipped"], info["warnings"]
+    odd = info.get("counts", {}).get("odd_plans", len(warnings))
     for entry in skipped[:SHOWN_SKIPPED]:
         yield line(f"skipped: {entry['error']}", style="yellow")
     if len(skipped) > SHOWN_SKIPPED:
         yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
     if odd:
         yield line(f"{counted(odd, 'plan')} with overlapping, floating or outside boxes, in run.json", style="yellow")
+    for warning in warnings[: len(warnings) - odd]:  # those about plans come last
+        yield line(f"note: {warning}", style="yellow")
 
 
 def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
-    """The short table of a run.
+    """The table of counts.
 
     Args:
         info: ``run.json``, or ``RunWriter.info``.
-        what: what a world is to the user: ``plans``, or ``worlds`` in sweeps.
+        what: the user's word for worlds: ``plans``, or ``worlds`` in sweeps.
     """
     counts = info.get("counts", {})
     worlds = int(counts.get("worlds", 0))
+    table = _counts_table()
+    table.add_row(what, f"{worlds:,}", "")
+    for verdict in Verdict:
+        _add(table, verdict.value, int(counts.get(verdict.value, 0)), worlds, _STYLES[verdict.value])
+        for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
+            _add(table, f"  {reason}", int(count), worlds)
+    expected = info.get("expected_worlds")
+    if expected is not None and expected > worlds:
+        table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
+    _add_end(table, info, what, worlds)
+    return table
+
+
+def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
+    """The short table of a search. The verdicts of its tests say where it looked, so answers are counted instead.
+
+    Args:
+        info: ``run.json``.
+        summary: a row a search.
+    """
+    placements = summary.drop_duplicates(["plan_id", "placement"])
+    answers = summary[summary["stands_at_rest"]]
+    largest = answers.filter(regex="^largest_").iloc[:, 0]
+    failed = answers.filter(regex="^first_failed_").iloc[:, 0]
+    tests = int(summary["n_tests"].sum())
+    collapsed = placements["stands_at_rest"] | placements["mode"].isin(MODES.values())
+    table = _counts_table()
+    table.add_row("placements", f"{len(placements):,}", "")
+    _add(table, "  stand", int(placements["stands_at_rest"].sum()), len(placements), "green")
+    _add(table, "  invalid", int((~collapsed).sum()), len(placements), "yellow")
+    table.add_row("answers", f"{len(answers):,}", "")
+    _add(table, "  survive no level", int((~(largest > 0)).sum()), len(answers))
+    _add(table, "  survive all levels", int(failed.isna().sum()), len(answers))
+    table.add_row("tests simulated", f"{tests:,}", "")
+    _add(table, "  invalid", int(summary["n_invalid"].sum()), tests, "yellow")
+    _add_end(table, info, "tests", tests)
+    return table
+
+
+def _counts_table() -> Table:
     table = Table(show_header=False)
     table.add_column()
     table.add_column(justify="right")
     table.add_column(justify="right")
+    return table
 
-    def add(label: str, count: int, style: str = "") -> None:
-        share = percent(count / worlds) if worlds else ""
-        table.add_row(label, f"{count:,}", share, style=style if count else "dim")
 
-    table.add_row(what, f"{worlds:,}", "")
-    for verdict in Verdict:
-        add(verdict.value, int(counts.get(verdict.value, 0)), _STYLES[verdict.value])
-        for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
-            add(f"  {reason}", int(count))
-    expected = info.get("expected_worlds")
-    if expected is not None and expected > worlds:
-        table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
+def _add(table: Table, label: str, count: int, of: int, style: str = "") -> None:
+    """A row with a count and its share."""
+    table.add_row(label, f"{count:,}", percent(count / of) if of else "", style=style if count else "dim")
+
+
+def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> None:
+    """What every run has besides its verdicts or answers, and how fast it was."""
+    counts = info.get("counts", {})
     if skipped := counts.get("skipped_plans"):
         table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
     if retried := counts.get("retried"):
@@ -81,20 +127,13 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
     table.add_section()
     seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
     if seconds > 0:
-        table.add_row(f"{what}/s", three_digits(worlds / seconds), f"{seconds:,.1f} s")
-    return table
+        table.add_row(f"{what}/s", three_digits(done / seconds), f"{seconds:,.1f} s")
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
-    """A row a world: what became of it, which box went first and when, and its largest metrics.
-
-    Args:
-        worlds, boxes: the tables of a run, as :func:`petmjx.results.reader.load_run` reads them.
-    """
-    with_variants = bool(len(worlds)) and int(worlds["variant"].nunique()) > 1
+    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics."""
     table = FittedTable(
         Column("plan", "left", least=24, middle=True),
-        *([Column("variant")] if with_variants else []),
         Column("boxes", spare=2),
         Column("verdict", "left"),
         Column("reason", "left"),
@@ -104,23 +143,17 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
         Column("tilt\n°"),
         Column("rest\nforce N", spare=4),
     )
-    culprits = worlds.loc[worlds["culprit"].notna(), ["plan_id", "variant", "culprit"]]
-    named = culprits.astype({"culprit": "int32"}).merge(
-        boxes[["plan_id", "variant", "box", "article"]],
-        left_on=["plan_id", "variant", "culprit"],
-        right_on=["plan_id", "variant", "box"],
-    )
-    articles = {(row["plan_id"], row["variant"]): f"{row['box']} {row['article']}" for row in named.to_dict("records")}
+    articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
     for row in worlds.to_dict("records"):
+        first = "" if pd.isna(row["culprit"]) else f"{row['culprit']} {articles[row['plan_id'], row['culprit']]}"
         verdict = str(row["verdict"])
         placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
         table.add(
             str(row["plan_id"]),
-            *([str(row["variant"])] if with_variants else []),
             f"{placed}{row['n_boxes']}",
             Text(verdict, style=_STYLES.get(verdict, "")),
             str(row["reason"]),
-            articles.get((row["plan_id"], row["variant"]), ""),
+            first,
             number(row["first_sign_s"], ".2f"),
             number(row["max_shift_m"], ".1f", factor=1000.0),
             number(row["max_tilt_deg"], ".1f"),

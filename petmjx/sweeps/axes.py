@@ -1,10 +1,10 @@
-"""The axes of a sweep: which there are, in which units, and what may stand on them."""
+"""The axes of a sweep: their names, units and allowed values. Users read about them in docs/sweeps.md."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal, Self, TypeVar
+from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -14,8 +14,7 @@ from pydantic import (
     StrictFloat,
     StrictInt,
     Tag,
-    ValidationInfo,
-    field_validator,
+    create_model,
     model_validator,
 )
 
@@ -25,39 +24,22 @@ from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, Shape
 
 MAX_AXIS_VALUES: Final = 100_000
-"""Values one axis may have; a range with a mistyped step must not fill the memory."""
+"""Most values of one axis: a range with a typing error in its step must not fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
 """Largest level (g), scale or factor. More is a slip of the pen: shocks of packed goods stay below 100 g."""
 MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
-"""Smallest factor on masses: MuJoCo takes no body without mass."""
+"""Smallest factor on masses: MuJoCo refuses bodies without mass."""
 MAX_ERROR: Final = 10_000.0
 """Largest error of a place, mm."""
-MAX_ERRORS: Final = {"size_tolerance_mm": 1000.0, "size_tolerance_rel": 1.0, "yaw_error_deg": 360.0}
-"""Of what is no error of a place."""
+MAX_SIZE_ERROR_MM: Final = 1000.0
+MAX_SIZE_ERROR: Final = 1.0
+MAX_YAW_ERROR_DEG: Final = 360.0
 
 DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
 
 Value = float | str | Distribution
-
-
-@dataclass(frozen=True)
-class AxisKind:
-    """One axis as the results have it.
-
-    Attributes:
-        column: its column in the results.
-        unit: of that column; "1" for factors, "" for names.
-        placement: whether another value needs a new placement.
-        plain: of an axis of errors, the distribution that a plain number stands for: the standard deviation of a
-            normal one around 0, or the fixed value itself.
-    """
-
-    column: str
-    unit: str
-    placement: bool
-    plain: Shape = Shape.NORMAL
 
 
 # Numbers, ranges of them, and lists.
@@ -84,19 +66,17 @@ def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else repr(value)
 
 
-def _is_table(value: object) -> str:
-    return TABLE if shape(value) == TABLE else VALUE
-
-
-def _is_list(value: object) -> str:
-    return LIST if shape(value) == LIST else VALUE
+def _value_or(tag: str) -> Discriminator:
+    """The tag of a union: a table (or a list), or anything else."""
+    return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
 OneOrMore = Annotated[
     Annotated[tuple[T, ...], AfterValidator(_each_once), Tag(LIST)] | Annotated[T, Tag(VALUE)],
-    Discriminator(_is_list),
+    _value_or(LIST),
 ]
 """A value or a list of values."""
+Names = OneOrMore[Annotated[str, Field(max_length=100)]]
 
 
 def _degrees(value: object) -> object:
@@ -111,11 +91,14 @@ Positive = Annotated[StrictFloat, Field(gt=0), within(0, MAX_STRENGTH)]
 Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(_degrees)]
 
 
-class Range(Checked):
-    """Numbers from one to another: by a step, so many, or, where a sweep draws samples, any."""
+Number = TypeVar("Number", bound=float)
 
-    low: float = Field(alias="from", description="the first value")
-    high: float = Field(alias="to", description="the last value, where the step leads there")
+
+class Range(Checked, Generic[Number]):
+    """A range of numbers: with a step, with a count, or (mode ``sample``) all numbers between its ends."""
+
+    low: Number = Field(alias="from", description="the first value")
+    high: Number = Field(alias="to", description="the last value, where the step leads there")
     step: Annotated[StrictFloat, Field(gt=0)] | None = Field(None, description="from one value to the next")
     count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="how many values")
 
@@ -134,9 +117,9 @@ class Range(Checked):
         return self.step is None and self.count is None
 
     def values(self) -> tuple[float, ...]:
-        """Rounded, so that 0.1 + 2 × 0.1 is 0.3."""
+        """The values, rounded so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
-            # A hair more than the quotient, so that 0.1 … 1.6 by 0.1 includes 1.6.
+            # slightly more than the quotient, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
         else:
             count = self.count or 2
@@ -144,26 +127,39 @@ class Range(Checked):
         return tuple(round(self.low + index * step, 12) for index in range(count))
 
 
-class PositiveRange(Range):
-    """Of factors and strengths."""
-
-    low: Positive = Field(alias="from", description="the first value")
-    high: Positive = Field(alias="to", description="the last value, where the step leads there")
-
-
-class DirectionRange(Range):
-    """Of directions."""
+class DirectionRange(Range[Direction]):
+    """A range of directions."""
 
     low: Direction = Field(alias="from", description="the first direction")
     high: Direction = Field(alias="to", description="the last direction, where the step leads there")
 
 
 Positives = Annotated[
-    Annotated[PositiveRange, Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], Discriminator(_is_table)
+    Annotated[Range[Positive], Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], _value_or(TABLE)
 ]
 Directions = Annotated[
-    Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], Discriminator(_is_table)
+    Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], _value_or(TABLE)
 ]
+
+
+def _leave_a_mass(given: Any) -> Any:
+    lowest = given.low if isinstance(given, Range) else min(given) if isinstance(given, tuple) else given
+    if lowest < MIN_MASS_FACTOR:
+        raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
+    return given
+
+
+Masses = Annotated[Positives, AfterValidator(_leave_a_mass)]
+
+
+def _are_frictions(given: Any) -> Any:
+    highest = given.high if isinstance(given, Range) else max(given) if isinstance(given, tuple) else given
+    if highest > MAX_FRICTION_FACTOR:
+        raise ValueError(f"must be from 0 to {MAX_FRICTION_FACTOR:g}, got {highest:g}")
+    return given
+
+
+Frictions = Annotated[Positives, AfterValidator(_are_frictions)]
 
 # Errors, each a distribution.
 
@@ -209,109 +205,96 @@ _Table = Annotated[
     AfterValidator(lambda table: table.made()),
     Tag(TABLE),
 ]
-
-Errors = OneOrMore[
-    Annotated[
-        _Table | Annotated[Spread, AfterValidator(lambda sd: Distribution(Shape.NORMAL, 0.0, sd)), Tag(VALUE)],
-        Discriminator(shape),
-    ]
-]
+_Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(Shape.NORMAL, 0.0, sd)), Tag(VALUE)]
+_Height = Annotated[Spread, AfterValidator(lambda height: Distribution(Shape.FIXED, height)), Tag(VALUE)]
+Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
 """Distributions; a plain number is the standard deviation of a normal one around 0."""
-
-Heights = OneOrMore[
-    Annotated[
-        _Table | Annotated[Spread, AfterValidator(lambda height: Distribution(Shape.FIXED, height)), Tag(VALUE)],
-        Discriminator(shape),
-    ]
-]
+Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 """Distributions; a plain number is that height itself."""
 
 
-class Axes(Checked):
-    """``[axes]``. Order is the order of nesting: the last axis varies fastest among its half."""
+def _up_to(largest: float) -> AfterValidator:
+    """A check of errors against a smaller range than that of places."""
 
-    profile: Annotated[
-        OneOrMore[Annotated[str, Field(max_length=100)]] | None, AxisKind("profile", "", placement=False)
-    ] = Field(None, description="names of profiles")
-    direction: Annotated[Directions | None, AxisKind("direction_deg", "deg", placement=False)] = Field(
-        None, description="degrees from +x towards +y, by which the profile is turned; or +x, -x, +y, -y"
-    )
-    scale: Annotated[Positives | None, AxisKind("scale", "1", placement=False)] = Field(
-        None, description="factor on the profile"
-    )
-    level: Annotated[Positives | None, AxisKind("level_g", "g", placement=False)] = Field(
-        None, description="level of the profile, g"
-    )
-    friction_factor: Annotated[Positives | None, AxisKind("friction_factor", "1", placement=True)] = Field(
-        None, description="factor on the friction of boxes and carrier"
-    )
-    box_friction_factor: Annotated[Positives | None, AxisKind("box_friction_factor", "1", placement=True)] = Field(
-        None, description="factor on the friction of boxes alone"
-    )
-    carrier_friction_factor: Annotated[Positives | None, AxisKind("carrier_friction_factor", "1", placement=True)] = (
-        Field(None, description="factor on the friction of the carrier alone")
-    )
-    mass_factor: Annotated[Positives | None, AxisKind("mass_factor", "1", placement=True)] = Field(
-        None, description="factor on the mass of boxes"
-    )
-    size_tolerance_mm: Annotated[Errors | None, AxisKind("size_tolerance_mm", "mm", placement=True)] = Field(
-        None, description="error of each dimension of each box, mm"
-    )
-    size_tolerance_rel: Annotated[Errors | None, AxisKind("size_tolerance_rel", "1", placement=True)] = Field(
-        None, description="the same as a share of the dimension"
-    )
-    placement_error_mm: Annotated[Errors | None, AxisKind("placement_error_mm", "mm", placement=True)] = Field(
-        None, description="error of each box's place in x and in y, mm"
-    )
-    placement_error_x_mm: Annotated[Errors | None, AxisKind("placement_error_x_mm", "mm", placement=True)] = Field(
-        None, description="the same in x alone, mm"
-    )
-    placement_error_y_mm: Annotated[Errors | None, AxisKind("placement_error_y_mm", "mm", placement=True)] = Field(
-        None, description="the same in y alone, mm"
-    )
-    yaw_error_deg: Annotated[Errors | None, AxisKind("yaw_error_deg", "deg", placement=True)] = Field(
-        None, description="turn of each box about the vertical, degrees"
-    )
-    drop_height_mm: Annotated[Heights | None, AxisKind("drop_height_mm", "mm", True, Shape.FIXED)] = Field(
-        None, description="height of release above the place, mm"
-    )
-
-    @field_validator("mass_factor")
-    @classmethod
-    def _leaves_a_mass(cls, given: Any) -> Any:
-        lowest = given.low if isinstance(given, Range) else min(given) if isinstance(given, tuple) else given
-        if lowest < MIN_MASS_FACTOR:
-            raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
-        return given
-
-    @field_validator("friction_factor", "box_friction_factor", "carrier_friction_factor")
-    @classmethod
-    def _is_a_friction(cls, given: Any) -> Any:
-        highest = given.high if isinstance(given, Range) else max(given) if isinstance(given, tuple) else given
-        if highest > MAX_FRICTION_FACTOR:
-            raise ValueError(f"must be from 0 to {MAX_FRICTION_FACTOR:g}, got {highest:g}")
-        return given
-
-    @field_validator(*MAX_ERRORS)
-    @classmethod
-    def _is_an_error(cls, given: Any, info: ValidationInfo) -> Any:
-        largest = MAX_ERRORS[info.field_name or ""]
+    def check(given: Any) -> Any:
         for error in given if isinstance(given, tuple) else (given,):
             if max(abs(error.centre), error.spread) > largest:
                 raise ValueError(f"must be from {-largest:g} to {largest:g}, got {error.label()}")
         return given
 
+    return AfterValidator(check)
 
-AXIS_KINDS: Final[dict[str, AxisKind]] = {
-    name: next(entry for entry in info.metadata if isinstance(entry, AxisKind))
-    for name, info in Axes.model_fields.items()
+
+SizeErrors = Annotated[Errors, _up_to(MAX_SIZE_ERROR_MM)]
+RelativeErrors = Annotated[Errors, _up_to(MAX_SIZE_ERROR)]
+YawErrors = Annotated[Errors, _up_to(MAX_YAW_ERROR_DEG)]
+
+
+@dataclass(frozen=True)
+class AxisKind:
+    """The values of an axis, what they change, and its column in the results.
+
+    Attributes:
+        unit: of its column in the results; "1" for factors, "" for names.
+        values: the type that checks its values.
+        meaning: one line.
+        changes: fields of `PlacementChange` that get its value; none: the axis changes the drive.
+        suffix: end of the column's name, after the name of the axis.
+        plain: for axes of errors: the distribution that a plain number means. Normal: the number is the standard
+            deviation, around 0. Fixed: it is the value itself.
+    """
+
+    name: str
+    unit: str
+    values: Any
+    meaning: str
+    changes: tuple[str, ...] = ()
+    suffix: str = ""
+    plain: Shape = Shape.NORMAL
+
+    @property
+    def column(self) -> str:
+        return self.name + self.suffix
+
+    @property
+    def placement(self) -> bool:
+        """Whether a new value needs a new placement."""
+        return bool(self.changes)
+
+
+_BOX, _CARRIER = "box_friction_factor", "carrier_friction_factor"
+
+AXIS_KINDS: Final = {
+    kind.name: kind
+    for kind in (
+        AxisKind("profile", "", Names, "names of profiles"),
+        AxisKind("direction", "deg", Directions, "turn of the profile from +x to +y", suffix="_deg"),
+        AxisKind("scale", "1", Positives, "factor on the profile"),
+        AxisKind("level", "g", Positives, "level of the profile", suffix="_g"),
+        AxisKind("friction_factor", "1", Frictions, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),
+        AxisKind(_BOX, "1", Frictions, "factor on the friction of boxes alone", (_BOX,)),
+        AxisKind(_CARRIER, "1", Frictions, "factor on the friction of the carrier alone", (_CARRIER,)),
+        AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
+        AxisKind("size_tolerance_mm", "mm", SizeErrors, "error of each dimension of each box", ("size_mm",)),
+        AxisKind("size_tolerance_rel", "1", RelativeErrors, "the same as a share of the dimension", ("size_rel",)),
+        AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),
+        AxisKind("placement_error_x_mm", "mm", Errors, "the same in x alone", ("x_mm",)),
+        AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone", ("y_mm",)),
+        AxisKind("yaw_error_deg", "deg", YawErrors, "turn of each box about the vertical", ("yaw_deg",)),
+        AxisKind(
+            "drop_height_mm", "mm", Heights, "height of release above the place", ("drop_height_mm",), plain=Shape.FIXED
+        ),
+    )
 }
-"""Every axis a sweep file may have, in the order of `Axes`."""
+"""All axes of sweep files, in the order of nesting: of each half the last axis varies fastest."""
+
+_FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
+_Axes = create_model("_Axes", __base__=Checked, **_FIELDS)
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a sweep: its values, or for samples a continuous range."""
+    """One axis of a sweep: its values, or (mode ``sample``) a continuous range."""
 
     name: str
     values: tuple[Value, ...] = ()
@@ -328,29 +311,27 @@ class Axis:
 
     @property
     def random(self) -> bool:
-        """Whether two replicates differ on it."""
+        """Whether replicates differ in it."""
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """One value at random, depending on the key and the axis alone."""
+        """A random value. It depends only on the key and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as it stands in the results: distributions by their number where the axis has one shape
-        around zero, else written out."""
+        """A value as the results have it. A distribution is written as a plain number if all values of the axis can be,
+        else as text."""
         if not isinstance(value, Distribution):
             return value
-        numbers = [self._plain_number(entry) for entry in self.values]
-        if any(number is None for number in numbers):
-            return value.label()
         number = self._plain_number(value)
-        return value.label() if number is None else number
+        one_shape = all(self._plain_number(other) is not None for other in self.values)
+        return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number that stands for a value in a sweep file; None where it takes a table."""
+        """The plain number that a sweep file can have for a value; None if it needs a table."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is Shape.FIXED:
@@ -365,15 +346,15 @@ class Axis:
 
 
 def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
-    """``[axes]`` as axes by name, in the order of the file; for a validator.
+    """The table ``[axes]`` as axes by name, in the order of the file. Called by a validator.
 
     Args:
-        sampled: whether values are drawn from the axes, so that {from, to} alone is a continuous range.
+        sampled: whether {from, to} without step or count is allowed (mode ``sample``).
 
     Raises:
         ValidationError: names the axis and what it should be.
     """
-    checked = Axes.model_validate(tables)
+    checked = _Axes.model_validate(tables)
     given = {name: getattr(checked, name) for name in tables}
     return {name: _axis(name, value, sampled) for name, value in given.items() if value is not None}
 

@@ -1,4 +1,4 @@
-"""What a sweep varies: its variants, the same for every plan, counted and enumerated."""
+"""The variants of a sweep, which are the same for every plan: their number, and each one."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from petmjx.sweeps.axes import AXIS_KINDS, Axis, Value
 from petmjx.sweeps.file import Sweep
 from petmjx.world.profiles.base import Profile
 from petmjx.world.random import WorldKey
-from petmjx.world.variants import ZERO, Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
+from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
 
 Point = Mapping[str, Value]
 """A value on each axis, by the axis's name."""
@@ -29,8 +30,8 @@ class SearchItem:
 class Design:
     """The variants of a sweep.
 
-    They are numbered from 1 in the order of the axes; 0 is the nominal world, which is simulated only where the sweep
-    asks for it. Counting never enumerates a grid, so that one that is too large is refused at once.
+    They are numbered from 1, in the order of the axes. Number 0 is the nominal world, which is simulated only if the
+    sweep asks for it. A grid is counted without enumerating it, so that one that is too large is refused at once.
     """
 
     sweep: Sweep
@@ -54,12 +55,12 @@ class Design:
 
     @property
     def n_variants(self) -> int:
-        """Variants a plan, nominal included; in a search: at most, were every item to test all its rounds."""
+        """Variants per plan, with the nominal one. In a search: at most, if every item takes all its rounds."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
             return sweep.sample + nominal
-        per_profile = _n_points(axis for axis in self._drive_axes if axis.name != "profile")
+        per_profile = _n_points(axis for axis in self._axes(placement=False) if axis.name != "profile")
         profiles: list[Profile | None] = [*sweep.profiles.values()] or [None]
         total = 0
         for points, repeats in self._placement_counts():
@@ -72,7 +73,7 @@ class Design:
 
     @property
     def n_placements(self) -> int:
-        """Placements a plan, without the nominal world."""
+        """Placements per plan, without the nominal world."""
         if self.sweep.sample is not None:
             return len({variant.placement_key for variant in self._sampled()})
         return sum(points * repeats for points, repeats in self._placement_counts())
@@ -81,30 +82,21 @@ class Design:
         """(points, replicates of each): points with a random error are repeated, the others are not."""
         if not self.sweep.axes:
             return ()
-        everything = _n_points(self._placement_axes)
+        axes = self._axes(placement=True)
         calm = math.prod(
-            sum(not (isinstance(value, Distribution) and value.random) for value in axis.values)
-            for axis in self._placement_axes
+            sum(not (isinstance(value, Distribution) and value.random) for value in axis.values) for axis in axes
         )
-        return (calm, 1), (everything - calm, self.sweep.replicates)
-
-    @property
-    def _placement_axes(self) -> list[Axis]:
-        return self._axes(placement=True)
-
-    @property
-    def _drive_axes(self) -> list[Axis]:
-        return self._axes(placement=False)
+        return (calm, 1), (_n_points(axes) - calm, self.sweep.replicates)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """In the order of nesting, which is not the file's."""
+        """In the order of nesting, not in the order of the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with the worlds that share it; none of a search, which makes them level by level."""
+        """Each placement with the worlds that share it. In a search there are none: they are made level by level."""
         sweep = self.sweep
         if sweep.nominal:
             nominal = Variant(0, self._change({}))
@@ -119,7 +111,7 @@ class Design:
                 yield replace(members[0], drive=None), tuple(members)
             return
         index = itertools.count(1)
-        for point in _points(self._placement_axes):
+        for point in _points(self._axes(placement=True)):
             change = self._change(point)
             for replicate in range(sweep.replicates if change.random else 1):
                 placement = self._variant(0, point, replicate, change)
@@ -128,13 +120,30 @@ class Design:
                     continue
                 variants = tuple(
                     self._variant(next(index), {**point, **drive_point}, again, change)
-                    for drive_point in _points(self._drive_axes)
+                    for drive_point in _points(self._axes(placement=False))
                     for again in self._drive_replicates(drive_point, replicate, change)
                 )
                 yield placement, variants
 
+    def draws(self) -> dict[int, int]:
+        """Index of each variant with something random → its draw. Variants of one draw share their random numbers.
+
+        In a grid a draw is a replicate, with random numbers of each plan's own. In a sample it is the variant itself,
+        whose parameters are the same for every plan.
+        """
+        sweep = self.sweep
+        if sweep.sample is not None:
+            return {number: number for number in range(1, sweep.sample + 1)}
+        drawn = (
+            variant
+            for _, variants in self.placements()
+            for variant in variants
+            if variant.placement.random or (variant.drive and sweep.profiles[variant.drive.profile].random)
+        )
+        return {variant.index: variant.replicate for variant in drawn}
+
     def search_items(self) -> tuple[SearchItem, ...]:
-        """What a search asks of each placement: every profile in every direction."""
+        """The questions of a search for each placement: every profile in every direction."""
         directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)
         return tuple(
             SearchItem(name, direction)
@@ -143,31 +152,15 @@ class Design:
             if isinstance(direction, float)
         )
 
-    def search_world(self, placement: Variant, number: int, item: int, level_index: int) -> Variant:
-        """The world that tests one level of one item of a search. Its index says which, in any order.
-
-        Args:
-            number: the running number of the placement within its plan.
-        """
-        items, levels = self.search_items(), self.sweep.search_levels
-        asked, level = items[item], float(levels[level_index])
-        index = 1 + (number * len(items) + item) * len(levels) + level_index
-        drive = DriveSpec(asked.profile, level, asked.direction_deg)
-        column = AXIS_KINDS[self.sweep.strength].column
-        parameters = {**placement.parameters, "profile": asked.profile, column: level}
-        if "direction" in self.sweep.axes:
-            parameters["direction_deg"] = asked.direction_deg
-        return replace(placement, index=index, drive=drive, parameters=parameters)
-
     def _drive_replicates(self, point: Point, replicate: int, change: PlacementChange) -> Sequence[int]:
         name = point.get("profile")
-        if not change.random and isinstance(name, str) and self.sweep.profile(name).random:
+        if not change.random and isinstance(name, str) and self.sweep.profiles[name].random:
             return range(self.sweep.replicates)
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes; each is a replicate of its own and the same for every plan."""
-        axes = [*self._placement_axes, *self._drive_axes]
+        """Variants drawn from the axes, the same for every plan. Each has its own replicate number."""
+        axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
             point = {axis.name: axis.pick(key) for axis in axes}
@@ -189,29 +182,13 @@ class Design:
         return Variant(index, change, drive, replicate, parameters)
 
     def _change(self, point: Point) -> PlacementChange:
-        def factor(*names: str) -> float:
-            return math.prod(value for name in names if isinstance(value := point.get(name, 1.0), float))
-
-        def error(*names: str) -> Distribution:
-            found = (point.get(name) for name in names)
-            return next((value for value in found if isinstance(value, Distribution)), ZERO)
-
-        return PlacementChange(
-            box_friction_factor=factor("friction_factor", "box_friction_factor"),
-            carrier_friction_factor=factor("friction_factor", "carrier_friction_factor"),
-            mass_factor=factor("mass_factor"),
-            size_mm=error("size_tolerance_mm"),
-            size_rel=error("size_tolerance_rel"),
-            x_mm=error("placement_error_mm", "placement_error_x_mm"),
-            y_mm=error("placement_error_mm", "placement_error_y_mm"),
-            yaw_deg=error("yaw_error_deg"),
-            drop_height_mm=error("drop_height_mm"),
-            shifts_from_release=self.sweep.shifts_from == "release",
-        )
+        # Axes that change the same field are never in the same sweep.
+        changes: dict[str, Any] = {field: value for name, value in point.items() for field in AXIS_KINDS[name].changes}
+        return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
 
 
 def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
-    """The full grid, the last axis varying fastest; one empty point where there is no axis."""
+    """The full grid; the last axis varies fastest. One empty point if there is no axis."""
     names = [axis.name for axis in axes]
     for values in itertools.product(*(axis.values for axis in axes)):
         yield dict(zip(names, values, strict=True))

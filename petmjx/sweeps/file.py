@@ -1,7 +1,9 @@
-"""Sweep files (``sweeps/*.toml``): reading and checking. What may stand in one: sweeps/README.md."""
+"""Sweep files (``sweeps/*.toml``): reading and checking. What they may contain: docs/sweeps.md."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +26,7 @@ from pydantic import (
 from petmjx.checked import LIST, VALUE, Checked, complaint, read_toml, shape
 from petmjx.config import Simulation
 from petmjx.errors import InputError
-from petmjx.sweeps.axes import MAX_STRENGTH, Axis, read_axes
+from petmjx.sweeps.axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
 from petmjx.text import printable
 from petmjx.units import FloatArray
 from petmjx.world.profiles.base import Profile, Strength
@@ -32,16 +34,18 @@ from petmjx.world.profiles.registry import resolve
 from petmjx.world.profiles.tables import MAX_NAME, FileName, define_profiles
 
 SAMPLES: Final = "samples"
-"""Value of ``plans`` that stands for the samples petmjx brings along."""
+"""Value of ``plans`` for the bundled samples."""
 
 DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
-"""To what a search narrows the largest level survived (g) or scale."""
+"""How exactly a search finds the largest level (g) or scale survived."""
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
 MAX_PROFILE_STEPS: Final = 4_000_000
 """Steps of one profile: its samples take 24 bytes a step."""
 MAX_TEXT: Final = 100_000
 """Characters of the name and of the description."""
+MIN_TOLERANCE: Final = 1e-5
+"""Smallest tolerance of a search. Levels are rounded to 1e-12: much closer ones would become equal."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates; the results hold it in 32 bits."""
 
@@ -52,7 +56,9 @@ class Search(Checked):
     lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
     upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
     tolerance: StrictFloat | None = Field(
-        None, gt=0, description="to what the largest one survived is narrowed; by default 0.01 g, or a scale of 0.02"
+        None,
+        ge=MIN_TOLERANCE,
+        description="to what the largest one survived is narrowed; by default 0.01 g, or a scale of 0.02",
     )
     sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested per round")
 
@@ -62,13 +68,8 @@ class Search(Checked):
             raise complaint(f"must be > lower = {self.lower:g}, got {self.upper:g}", "upper")
         return self
 
-    def levels(self, tolerance: float) -> FloatArray:
-        """(n,) the levels that can be tested, from ``lower`` on."""
-        count = round((self.upper - self.lower) / tolerance) + 1
-        return np.round(self.lower + np.arange(count) * tolerance, 12)
-
     def tests(self, n_levels: int) -> int:
-        """Worlds that one question needs, at most: rounds × levels a round."""
+        """Most worlds that one question needs: the sum of the levels over all rounds."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -136,7 +137,7 @@ class Sweep(Checked):
     _file: Path | None = None
 
     def model_post_init(self, context: Any) -> None:
-        """The context of reading is the file's path."""
+        """Keep the file's path, which is the context of the validation."""
         self._file = context
 
     @property
@@ -146,13 +147,9 @@ class Sweep(Checked):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """The profiles the sweep uses, by name."""
+        """The profiles that the sweep uses, by name."""
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
         return {name: resolve(name, self.own_profiles)[0] for name in names}
-
-    def profile(self, name: str) -> Profile:
-        """A profile the sweep uses."""
-        return self.profiles[name]
 
     @property
     def strength(self) -> Strength:
@@ -162,8 +159,16 @@ class Sweep(Checked):
 
     @cached_property
     def search_levels(self) -> FloatArray:
-        """(n,) the levels a search can test: from lower to upper by its tolerance. Index 0 is `lower`."""
-        return np.zeros(0) if self.search is None else self.search.levels(self._tolerance)
+        """(n,) the levels a search can test, rising: from `lower` by its tolerance, and `upper` itself.
+
+        The last step is shorter where the tolerance does not lead to `upper`. No level lies beyond it.
+        """
+        if self.search is None:
+            return np.zeros(0)
+        lower, upper = self.search.lower, self.search.upper
+        # A hair less than the quotient, so that 0 … 2 by 0.01 has `upper` once and not also a level beside it.
+        count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
+        return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
     @property
     def _tolerance(self) -> float:
@@ -171,7 +176,7 @@ class Sweep(Checked):
         return given or DEFAULT_TOLERANCE[self.strength]
 
     def resolved(self) -> dict[str, Any]:
-        """What is written beside the results: every setting, defaults included, as plain JSON values."""
+        """What ``run.json`` has of the sweep: every setting, with defaults, as plain JSON values."""
         record = {"file": self.file, **self.model_dump(mode="json", exclude={"axes", "own_profiles"})}
         if self.search is not None:
             record["search"]["tolerance"] = self._tolerance
@@ -179,7 +184,7 @@ class Sweep(Checked):
         record["profiles"] = {name: {"kind": p.kind, "source": p.source} for name, p in self.profiles.items()}
         return record
 
-    # What contradicts what.
+    # Combinations that are refused.
 
     @model_validator(mode="after")
     def _mode(self) -> Self:
@@ -247,13 +252,10 @@ class Sweep(Checked):
 
     @model_validator(mode="after")
     def _axes_do_not_overlap(self) -> Self:
-        for general, parts in (
-            ("friction_factor", ("box_friction_factor", "carrier_friction_factor")),
-            ("placement_error_mm", ("placement_error_x_mm", "placement_error_y_mm")),
-        ):
-            for part in parts:
-                if general in self.axes and part in self.axes:
-                    raise _contradiction(general, f"axes.{part}: drop one of them")
+        given = [kind for kind in AXIS_KINDS.values() if kind.name in self.axes]
+        for one, other in itertools.combinations(given, 2):
+            if set(one.changes) & set(other.changes):
+                raise _contradiction(one.name, f"axes.{other.name}: drop one of them")
         return self
 
     @model_validator(mode="after")
@@ -275,13 +277,11 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: plans come from the command line, so the file need not name any, and those it names
-            need not exist.
+        plans_given: the caller gives plans, so the file may name none, and those that it names may be missing.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
-        InputError: one line that names file and field, such as
-            "x.toml: axes.scale must be > 0, got -1".
+        InputError: one line with file and field, such as "x.toml: axes.scale must be > 0, got -1".
     """
     path = Path(path)
     tables = read_toml(path)
@@ -296,7 +296,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 
 
 def _existing(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """Plan files from the sweep file's folder on."""
+    """Plan files; their names are relative to the sweep file's folder."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip

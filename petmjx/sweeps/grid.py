@@ -1,4 +1,4 @@
-"""From a sweep and its plans to the worlds to simulate, in groups that share one placement."""
+"""All worlds of a sweep and its plans, in groups that share one placement."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from petmjx.config import Check, Schedule
 from petmjx.engines.cost import Work
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, Skipped
+from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
-from petmjx.sweeps.file import Search
-from petmjx.text import counted, duration, rounded, shown
-from petmjx.units import FloatArray, deg_to_rad, seconds_to_steps
+from petmjx.text import counted, duration, rounded
+from petmjx.units import deg_to_rad, seconds_to_steps
 from petmjx.world.job import Drive
 from petmjx.world.profiles.base import Profile
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Variant, apply
+from petmjx.world.variants import DriveSpec, Variant, apply
 
 MAX_WORLDS = 1_000_000
-"""More worlds than this are refused unless the user insists."""
+"""More worlds than this are refused, unless the user allows them (``allow_large``)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementGroup:
-    """Worlds of one plan that share a placement: simulate that once, fork its settled state.
+    """Worlds of one plan that share a placement: it is simulated once, and its settled state is forked.
 
     Attributes:
-        number: running number of the placement within its plan, from 0.
-        placement: the variant whose scene is simulated (its drive does not matter).
-        variants: the worlds. One without a drive takes the placement's own outcome. Empty in a search,
-            whose variants are made level by level with `SweepPlan.search_variant`.
+        number: number of the placement within its plan, from 0.
+        placement: the variant whose scene is simulated (its drive is not used).
+        variants: the worlds. A world without a drive has the outcome of the placement. Empty in a search, whose
+            variants are made level by level with `SweepPlan.search_variant`.
     """
 
     plan: Plan
@@ -45,7 +45,7 @@ class SweepPlan(Design):
     """All worlds of a sweep, made one placement at a time.
 
     Args:
-        plans: the plans to sweep over; afterwards those of them that can be simulated.
+        plans: the plans of the sweep; later only those that can be simulated.
         allow_large: accept more than a million worlds.
         strict: refuse plans that would be skipped.
 
@@ -53,8 +53,8 @@ class SweepPlan(Design):
         skipped: plans whose run ``total_time_factor`` would end before the profile begins.
 
     Raises:
-        InputError: no usable plan, more than a million worlds without ``allow_large``, or a profile that the timestep
-            cannot show.
+        InputError: no usable plan, more than a million worlds without ``allow_large``, or a profile whose frequencies
+            are too high for the timestep.
     """
 
     plans: Sequence[Plan]
@@ -74,7 +74,7 @@ class SweepPlan(Design):
                 f"{file}: axes make {self.n_worlds:,} worlds ({self._plans_and_variants}), more than {MAX_WORLDS:,}: "
                 "pass --yes if that is meant"
             )
-        # once before the run, for what the timestep cannot show
+        # once before the run: it raises for a profile whose frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)
@@ -82,29 +82,14 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: {error}") from None
 
     def _has_time(self, plan: Plan) -> bool:
-        """Whether the run is long enough for a profile to begin; notes the plan as skipped where not."""
+        """Whether the run is long enough for a profile to begin. If not, the plan is added to ``skipped``."""
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
             return True
-        factor = self.sweep.simulation.total_time_factor
-        message = (
-            f"{plan.source}: plan {shown(plan.plan_id)}: the run ends before its profile begins, "
-            f"at {factor:g} times the placement time (total_time_factor)"
-        )
-        if self.strict:
-            raise InputError(message)
-        self.skipped.append(Skipped(plan.source, plan.plan_id, message))
+        at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
+        why = f": the run ends before its profile begins, {at}"
+        self.skipped.append(Skipped.plan(plan, why, self.strict))
         return False
-
-    @property
-    def search(self) -> Search | None:
-        """What the sweep searches for; None for grids and samples."""
-        return self.sweep.search
-
-    @property
-    def search_levels(self) -> FloatArray:
-        """(n,) the levels a search can test."""
-        return self.sweep.search_levels
 
     @property
     def n_worlds(self) -> int:
@@ -118,8 +103,16 @@ class SweepPlan(Design):
                 yield PlacementGroup(plan, number, placement, variants)
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The world of a placement that tests one level of one item of a search."""
-        return self.search_world(group.placement, group.number, item, level_index)
+        """The world of a placement that tests one level of an item of a search. Its index is the same in any order."""
+        items, levels = self.search_items(), self.sweep.search_levels
+        asked, level = items[item], float(levels[level_index])
+        index = 1 + (group.number * len(items) + item) * len(levels) + level_index
+        drive = DriveSpec(asked.profile, level, asked.direction_deg)
+        column = AXIS_KINDS[self.sweep.strength].column
+        parameters = {**group.placement.parameters, "profile": asked.profile, column: level}
+        if "direction" in self.sweep.axes:
+            parameters["direction_deg"] = asked.direction_deg
+        return replace(group.placement, index=index, drive=drive, parameters=parameters)
 
     def scene(self, group: PlacementGroup) -> Scene:
         """The scene of a group's placement."""
@@ -129,18 +122,18 @@ class SweepPlan(Design):
     # Drives.
 
     def drive_start_s(self, plan: Plan) -> float:
-        """Absolute time at which a drive begins under the fixed schedule, s: settle after the nominal end of
-        placement, n × interval, as in the reference. Rounding to steps puts the last placement a little later."""
+        """Absolute time at which a drive begins with the fixed schedule, s: ``settle_s`` after the nominal end of
+        placement, n × interval, as in the reference implementation."""
         sim = self.sweep.simulation
         placed_s = sim.interval_s * plan.n_boxes if sim.check is Check.ONE_BY_ONE else 0.0
         return placed_s + sim.settle_s
 
     def drive(self, plan: Plan, variant: Variant) -> Drive | None:
-        """What the engine is given for one world. Worlds that feel the same samples share the array."""
+        """The drive of one world. Worlds with the same samples share the array."""
         spec = variant.drive
         if spec is None:
             return None
-        profile = self.sweep.profile(spec.profile)
+        profile = self.sweep.profiles[spec.profile]
         start_s = self.drive_start_s(plan) if self.sweep.simulation.schedule is Schedule.FIXED else 0.0
         key: tuple[object, ...] = (spec.profile, start_s)
         if profile.random:
@@ -152,10 +145,10 @@ class SweepPlan(Design):
         return replace(self._drives[key], scale=spec.scale, yaw_rad=deg_to_rad(spec.direction_deg))
 
     def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
-        """A profile at scale 1, unturned.
+        """A profile at scale 1, not turned.
 
-        With ``total_time_factor`` the run ends as the reference's demo does, at a multiple of the placement
-        time, wherever the profile is then.
+        With ``total_time_factor`` the run ends at a multiple of the placement time, as the reference's demo does, even
+        if the profile is not over.
         """
         sim = self.sweep.simulation
         timestep_s = sim.physics.timestep_s
@@ -164,12 +157,12 @@ class SweepPlan(Design):
         if left is None:
             return Drive(excitation, rest_s=sim.rest_s)
         samples = excitation.samples[:left]
-        # Half a step more, so that truncation to whole steps gives back the number meant.
+        # Half a step more, so that truncation to whole steps gives exactly this number.
         rest_s = (left - len(samples) + 0.5) * timestep_s
         return Drive(replace(excitation, samples=samples), rest_s=rest_s)
 
     def _drive_steps_left(self, plan: Plan) -> int | None:
-        """Steps from a drive's beginning to the run's end where ``total_time_factor`` sets it, else None."""
+        """Steps from a drive's beginning to the run's end if ``total_time_factor`` sets the end, else None."""
         sim = self.sweep.simulation
         if sim.total_time_factor is None or not self.sweep.profiles:
             return None
@@ -180,7 +173,7 @@ class SweepPlan(Design):
     # Cost.
 
     def work(self) -> Work:
-        """What all worlds together are expected to cost."""
+        """The amount of work of all worlds, for estimates of time."""
         sim, profiles = self.sweep.simulation, list(self.sweep.profiles.values())
         rest_steps = seconds_to_steps(sim.rest_s, sim.physics.timestep_s)
         drives = [profile.n_steps(sim.physics.timestep_s) + rest_steps for profile in profiles]
@@ -194,10 +187,10 @@ class SweepPlan(Design):
         )
 
     def size(self, seconds: float | None) -> str:
-        """One line on how much there is to simulate, and how long that is expected to take (None: nobody knows)."""
+        """One line with the number of worlds and steps, and the expected time (``seconds``; None: not known)."""
         what = counted(len(self.plans), "plan")
         if self.sweep.axes:
-            most = "at most " if self.search is not None else ""
+            most = "at most " if self.sweep.search is not None else ""
             placements = counted(len(self.plans) * self.n_placements, "placement")
             what = f"{most}{counted(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
         long = "" if seconds is None else f", about {duration(seconds)}"

@@ -1,4 +1,4 @@
-"""Where the ready-made sweep files are: ``sweeps/`` of a checkout, or their copy in an installed package."""
+"""The ready-made sweep files: in ``sweeps/`` of a checkout, or their copies in an installed package."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from petmjx.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")
-"""The wheel carries ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml); a checkout has it beside the package."""
+"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout it is beside the package."""
 
 
 def ready_sweeps() -> dict[str, Path]:
@@ -21,7 +21,7 @@ def find_sweep(name_or_path: str | Path) -> Path:
     """The file of a sweep: a path to one, or the name of a ready-made one such as ``eumos``.
 
     Raises:
-        InputError: neither; the line lists the ready-made names.
+        InputError: there is no such file or name; the line lists the ready-made names.
     """
     path = Path(name_or_path)
     if path.is_file():

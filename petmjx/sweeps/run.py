@@ -1,7 +1,7 @@
-"""Runs a sweep: places every plan once per placement, forks the settled states into all drives, searches levels.
+"""Runs a sweep: simulates each placement once, forks the settled states into all drives, and searches levels.
 
-Placements and drives are handed to the engine as batches over many plans, since a device is fast with large batches.
-``Batching`` bounds what is held at a time, for sweeps of any size.
+The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
+``Batching`` limits what is in memory, for sweeps of any size.
 """
 
 from __future__ import annotations
@@ -13,31 +13,34 @@ from functools import cached_property
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, World, WorldResult, score_worlds
+from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup, SweepPlan
-from petmjx.sweeps.search import Bisection
+from petmjx.sweeps.search import Bisection, Found
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1)
-"""The retry procedure of placements whose states are kept, and of their forks. A state counts time in steps, so
-no world can start from one that was reached with half the timestep; the attempt that halves it is left out."""
+"""The attempts at placements whose states are kept, and at their forks. A state counts time in steps, so no world can
+start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
+
+Test = tuple[int, int]
+"""Item of a search and index of the tested level, as in `Bisection`."""
 
 
 @dataclass(frozen=True)
 class Batching:
-    """How much of a sweep is held and simulated at a time. None of it changes a result.
+    """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
 
     Attributes:
-        undriven: worlds without a drive handed to the engine at a time; their states are not kept. Their scenes take
-            160 MB, of 43 boxes each; fewer would have the MJX engines choose (and compile) their shapes more often.
-        placements: settled states kept at a time; one of 43 boxes takes 10 to 20 KB.
-        worlds: variants that these states are forked into, at most (a single placement with more is one chunk).
-        drives: forked worlds handed to the engine at a time; in a search a round of tests, whose outcomes are held.
+        undriven: most worlds without a drive in one call of the engine; their states are not kept. With 43 boxes each,
+            their scenes take 160 MB. With fewer, the MJX engines would choose (and compile) their shapes more often.
+        placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
+        worlds: most variants into which these states are forked (a single placement may have more).
+        drives: most forked worlds in one call of the engine; in a search also the tests of one round.
     """
 
     undriven: int = DEFAULT_CHUNK_WORLDS
@@ -48,7 +51,7 @@ class Batching:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """A placement that is over: what it came to, with the state that drives start from."""
+    """A placement that has settled: its outcome, with the state from which drives start."""
 
     group: PlacementGroup
     scene: Scene
@@ -61,9 +64,9 @@ class SweptWorld:
     """One world of a sweep with its final outcome.
 
     Attributes:
-        settled: the placement it was forked from; None for a world without a drive.
-        driven: whether its drive was simulated. A placement that collapsed or is invalid is not shaken:
-            its worlds have its outcome.
+        settled: the placement it was forked from; None for a world that was simulated from its beginning.
+        driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
+            early stop it is shaken, too, but is not stable.
     """
 
     plan: Plan
@@ -77,34 +80,25 @@ class SweptWorld:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a search found for one placement, profile and direction.
+    """The answer of a search for one placement, profile and direction.
 
     Attributes:
-        stands_at_rest: whether the placement stands without a drive; if not, nothing was tested.
         largest_survived, first_failed: level in g, or scale; None where there is none.
         at_largest, at_failure: the worlds that say so; None where no world was simulated for it.
-        box, mode: which box went first at ``first_failed`` (or at rest), −1 for none, and how it failed.
-        monotone: whether no tested level above ``first_failed`` was survived.
     """
 
-    plan: Plan
     group: PlacementGroup
     item: SearchItem
-    stands_at_rest: bool
+    found: Found
     largest_survived: float | None
     first_failed: float | None
     at_largest: SweptWorld | None
     at_failure: SweptWorld | None
-    box: int
-    mode: str
-    monotone: bool
-    n_tests: int
-    n_invalid: int
 
 
 @dataclass
 class Tally:
-    """What a sweep has cost. Steps are world-steps after the soft start, of each world's last attempt."""
+    """What a sweep has cost so far. Steps are world-steps after the soft start, of each world's last attempt."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -116,19 +110,18 @@ class Tally:
 
 @dataclass(frozen=True, eq=False)
 class _Placing(World):
-    """A placement on its way through the runner."""
+    """A placement as a world that the engine simulates."""
 
     group: PlacementGroup
-    scene: Scene
 
 
 @dataclass(frozen=True, eq=False)
 class _Driving(World):
-    """A fork on its way through the runner; ``test`` is its number among a round's tests."""
+    """A fork as a world that the engine simulates; ``test``: the test of a search that it is."""
 
     settled: Settled
     change: Variant
-    test: int = 0
+    test: Test = (-1, -1)
 
 
 @dataclass(eq=False)
@@ -137,10 +130,10 @@ class SweepRun:
 
     Args:
         plan: what to simulate.
-        engine: states are its own: placements and drives run on the same instance.
-        progress: kept up to date; its message says what is going on while no world finishes.
-        on_answer: is called with each answer of a search. It should keep only what it needs: an answer holds worlds
-            with all their boxes.
+        engine: placements and drives run on this one object, since only it can use its states.
+        progress: kept up to date; its message says what happens while no world finishes.
+        on_answer: called with each answer of a search. It should keep only what it needs: an answer has worlds with all
+            their boxes.
     """
 
     plan: SweepPlan
@@ -152,11 +145,11 @@ class SweepRun:
 
     @cached_property
     def sim(self) -> Simulation:
-        """The configuration of every world, before retries change it."""
+        """The options of every world, before attempts change them."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[SweptWorld]:
-        """Simulate everything; each world once, as it becomes final, in any order."""
+        """Simulate everything; yield each world when it is final, in any order."""
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
             yield from self._run_placements(group for group in self.plan.groups() if not _is_driven(group))
@@ -164,11 +157,11 @@ class SweepRun:
             return
         for chunk in self._chunks():
             settled = self._settle(chunk)
-            yield from self._search(settled) if self.plan.search is not None else self._fork(settled)
+            yield from self._search(settled) if self.plan.sweep.search is not None else self._fork(settled)
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
-        """Placements with drives, as many at a time as may be held."""
-        search = self.plan.search
+        """Placements with drives, in chunks as large as ``Batching`` allows."""
+        search = self.plan.sweep.search
         most = self.batching.worlds
         per_search = 0
         if search is not None:
@@ -186,215 +179,139 @@ class SweepRun:
         if chunk:
             yield chunk
 
+    def _score(self, worlds: Iterable[AnyWorld], chunk_worlds: int, forks: bool) -> Iterator[WorldResult[AnyWorld]]:
+        attempts = SAME_STEP_ATTEMPTS if forks else ATTEMPTS
+        return score_worlds(
+            worlds, self.sim, self.engine, progress=self.progress, chunk_worlds=chunk_worlds, attempts=attempts
+        )
+
     # Placements.
 
-    def _placing(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[_Placing]:
-        for group in groups:
-            scene = self.plan.scene(group)
-            yield _Placing(group.plan, group.placement.index, Job(scene, keep_state=keep_state), group, scene)
-
-    def _count_placement(self, outcome: Outcome) -> None:
-        self.tally.placements += 1
-        self.tally.placement_steps += outcome.n_steps
+    def _place(self, groups: Iterable[PlacementGroup], chunk_worlds: int, keep_state: bool) -> Iterator[Settled]:
+        begin = time.perf_counter()
+        worlds = (
+            _Placing(group.plan, group.placement.index, Job(self.plan.scene(group), keep_state=keep_state), group)
+            for group in groups
+        )
+        for result in self._score(worlds, chunk_worlds, forks=keep_state):
+            self.tally.placements += 1
+            self.tally.placement_steps += result.outcome.n_steps
+            yield Settled(result.world.group, result.world.job.scene, result.outcome, result.attempts)
+        self.tally.placement_s += time.perf_counter() - begin
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
-        """Worlds without a drive: the placement's own outcome, rest window included."""
-        watch = _Stopwatch()
-        results = score_worlds(
-            self._placing(groups, keep_state=False),
-            self.sim,
-            self.engine,
-            progress=self.progress,
-            chunk_worlds=self.batching.undriven,
-        )
-        for result in results:
-            world = result.world
-            assert isinstance(world, _Placing)
-            self._count_placement(result.outcome)
-            first, *others = world.group.variants
-            yield SweptWorld(world.plan, first, world.scene, result.outcome, result.attempts)
+        """Worlds without a drive: they have the placement's outcome, with rest window."""
+        for placed in self._place(groups, self.batching.undriven, keep_state=False):
+            first, *others = placed.group.variants
+            yield SweptWorld(placed.group.plan, first, placed.scene, placed.outcome, placed.attempts)
             for variant in others:
-                yield SweptWorld(world.plan, variant, world.scene, _as_fork(result.outcome), result.attempts)
-        self.tally.placement_s += watch.seconds
+                yield _undriven(placed, variant)
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[Settled]:
         """Simulate placements and keep their states, in the order of the groups."""
-        watch = _Stopwatch()
         found: dict[int, Settled] = {}
-        number = {id(group): index for index, group in enumerate(groups)}
-        results = score_worlds(
-            self._placing(groups, keep_state=True),
-            self.sim,
-            self.engine,
-            progress=self.progress,
-            chunk_worlds=self.batching.placements,
-            attempts=SAME_STEP_ATTEMPTS,
-        )
-        for result in results:
-            world = result.world
-            assert isinstance(world, _Placing)
-            self._count_placement(result.outcome)
-            found[number[id(world.group)]] = Settled(world.group, world.scene, result.outcome, result.attempts)
+        for settled in self._place(groups, self.batching.placements, keep_state=True):
+            found[id(settled.group)] = settled
             self.progress.message = f"placed {len(found):,} of {len(groups):,}"
-        self.tally.placement_s += watch.seconds
         self.progress.message = ""
-        return [found[index] for index in range(len(groups))]
+        return [found[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: Settled) -> bool:
-        """Not where the placement is invalid, or ended because a box dropped."""
+        """Not if the placement does not stand; without early stop, not if it is invalid."""
         outcome = settled.outcome
-        collapsed = self.sim.early_stop and bool(outcome.boxes.dropped.any())
-        return outcome.verdict is not Verdict.INVALID and not collapsed and outcome.state is not None
+        shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
+        return shaken and outcome.state is not None
 
     # Drives.
 
     def _fork(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
         """All variants of settled placements."""
-
-        def drives() -> Iterator[_Driving]:
-            for start in settled:
-                if self._can_be_driven(start):
-                    for variant in start.group.variants:
-                        yield self._driving(start, variant)
-
         for start in settled:
             if not self._can_be_driven(start):
                 for variant in start.group.variants:
                     yield _undriven(start, variant)
-        for _, world in self._drive(drives()):
+        shaken = (start for start in settled if self._can_be_driven(start))
+        drives = (self._driving(start, variant) for start in shaken for variant in start.group.variants)
+        for _, world in self._drive(drives):
             yield world
 
-    def _driving(self, start: Settled, variant: Variant, test: int = 0) -> _Driving:
+    def _driving(self, start: Settled, variant: Variant, test: Test = (-1, -1)) -> _Driving:
         plan = start.group.plan
         job = Job(start.scene, drive=self.plan.drive(plan, variant), start=start.outcome.state)
         return _Driving(plan, variant.index, job, start, variant, test)
 
-    def _drive(self, worlds: Iterable[_Driving]) -> Iterator[tuple[int, SweptWorld]]:
-        """Simulate forks; yields the number of the test with each."""
-        watch = _Stopwatch()
-        results = score_worlds(
-            worlds,
-            self.sim,
-            self.engine,
-            progress=self.progress,
-            chunk_worlds=self.batching.drives,
-            attempts=SAME_STEP_ATTEMPTS,
-        )
-        for result in results:
-            world = result.world
-            assert isinstance(world, _Driving)
+    def _drive(self, worlds: Iterable[_Driving]) -> Iterator[tuple[Test, SweptWorld]]:
+        """Simulate forks; yield each one with its test."""
+        begin = time.perf_counter()
+        for result in self._score(worlds, self.batching.drives, forks=True):
+            world, outcome = result.world, result.outcome
             self.tally.drives += 1
-            self.tally.drive_steps += result.outcome.n_steps
-            yield world.test, _swept(world, result)
-        self.tally.drive_s += watch.seconds
+            self.tally.drive_steps += outcome.n_steps
+            final = _as_placed(outcome, world.settled.outcome)
+            swept = SweptWorld(
+                world.plan, world.change, world.job.scene, final, result.attempts, world.settled, driven=True
+            )
+            yield world.test, swept
+        self.tally.drive_s += time.perf_counter() - begin
 
     # Search.
 
     def _search(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
-        """Bisection over all placements, profiles and directions of a chunk at once, round by round.
+        """Bisection over all placements, profiles and directions of a chunk together, round by round.
 
         A placement that does not stand has one row per profile and direction, at the lowest level, with its own
-        outcome; nothing is simulated for it.
+        outcome. Nothing more is simulated for it.
         """
-        if not settled:
-            return
-        plan, search = self.plan, self.plan.search
-        assert search is not None
-        items = plan.search_items()
+        sweep, items = self.plan.sweep, self.plan.search_items()
+        assert sweep.search is not None
         asked = [(start, number) for start in settled for number in range(len(items))]
-        stands = [start.outcome.verdict is Verdict.STABLE for start, _ in asked]
-        bisection = Bisection(plan.search_levels, len(asked), stands, search.sections, self.sim.thresholds.tilt_deg)
-        for (start, number), stood in zip(asked, stands, strict=True):
-            if not stood:
-                yield _undriven(start, plan.search_variant(start.group, number, 0))
-        worlds: dict[tuple[int, int], SweptWorld] = {}
-        while not bisection.done:
-            tests, levels = bisection.next_tests()
+        at_rest = [start.outcome for start, _ in asked]
+        bisection = Bisection(sweep.search_levels, at_rest, sweep.search.sections, self.sim.thresholds.tilt_deg)
 
-            def drives(
-                tests: Sequence[int] = tests.tolist(), levels: Sequence[int] = levels.tolist()
-            ) -> Iterator[_Driving]:
-                for test, (which, level) in enumerate(zip(tests, levels, strict=True)):
-                    start, number = asked[which]
-                    yield self._driving(start, plan.search_variant(start.group, number, level), test)
+        def variant(which: int, level: int) -> Variant:
+            start, number = asked[which]
+            return self.plan.search_variant(start.group, number, level)
 
-            done: dict[int, SweptWorld] = {}
-            for test, world in self._drive(drives()):
-                done[test] = world
+        for which, found in enumerate(bisection.items):
+            if not found.stands_at_rest:
+                yield _undriven(asked[which][0], variant(which, 0))
+        worlds: dict[Test, SweptWorld] = {}
+        while tests := bisection.next_tests():
+            drives = (self._driving(asked[test[0]][0], variant(*test), test) for test in tests)
+            for test, world in self._drive(drives):
+                worlds[test] = world
                 yield world
-            bisection.record(tests, levels, [done[test].outcome for test in range(len(tests))])
-            worlds.update({(int(tests[test]), int(levels[test])): world for test, world in done.items()})
-            worlds = _needed(worlds, bisection)
-        for answer in _answers(asked, items, bisection, worlds):
-            self.on_answer(answer)
+            bisection.record(tests, [worlds[test].outcome for test in tests])
+            # Only the worlds at the bounds of an item's search can still become an answer.
+            worlds = {test: worlds[test] for test in bisection.bounds() if test in worlds}
+        for which, ((start, number), found) in enumerate(zip(asked, bisection.items, strict=True)):
+            self.on_answer(
+                Answer(
+                    start.group,
+                    items[number],
+                    found,
+                    bisection.largest_survived(which),
+                    bisection.first_failed(which),
+                    worlds.get((which, found.survived)),
+                    worlds.get((which, found.failed)),
+                )
+            )
 
 
 def _is_driven(group: PlacementGroup) -> bool:
-    """Whether a placement's worlds have drives; all of a group have, or none. A search's group is empty."""
+    """Whether a placement's worlds have drives. All worlds of a group have one, or none has. True for a search."""
     return all(variant.drive is not None for variant in group.variants)
 
 
-def _swept(world: _Driving, result: WorldResult) -> SweptWorld:
-    return SweptWorld(
-        world.plan, world.change, world.settled.scene, result.outcome, result.attempts, world.settled, driven=True
-    )
+def _as_placed(outcome: Outcome, placed: Outcome) -> Outcome:
+    """What did not stand before it was shaken has not passed, even if it ends where the plan has it."""
+    if outcome.verdict is not Verdict.STABLE or placed.verdict is Verdict.STABLE:
+        return outcome
+    kept = ("verdict", "reason", "culprit", "first_sign_s")
+    return replace(outcome, **{name: getattr(placed, name) for name in kept})
 
 
 def _undriven(start: Settled, variant: Variant) -> SweptWorld:
-    return SweptWorld(start.group.plan, variant, start.scene, _as_fork(start.outcome), start.attempts, start)
-
-
-def _as_fork(outcome: Outcome) -> Outcome:
-    """The outcome of another world as this one's own: no step was taken for it."""
-    return replace(outcome, flags=outcome.flags | Flag.FORKED, n_steps=0, state=None)
-
-
-def _needed(worlds: dict[tuple[int, int], SweptWorld], bisection: Bisection) -> dict[tuple[int, int], SweptWorld]:
-    """The worlds that may yet be an answer: those at the bounds of each item's search."""
-    bounds = {(item, level) for item, pair in enumerate(bisection.bounds()) for level in pair}
-    return {key: world for key, world in worlds.items() if key in bounds}
-
-
-def _answers(
-    asked: Sequence[tuple[Settled, int]],
-    items: Sequence[SearchItem],
-    bisection: Bisection,
-    worlds: dict[tuple[int, int], SweptWorld],
-) -> Iterator[Answer]:
-    rows = bisection.result().to_dict("records")
-    for which, ((start, number), row, (low, high)) in enumerate(zip(asked, rows, bisection.bounds(), strict=True)):
-        stands = bool(row["stands_at_rest"])
-        box, mode = int(row["box"]), str(row["mode"])
-        if not stands:
-            box, mode = start.outcome.culprit, bisection.mode_of(start.outcome)
-        yield Answer(
-            plan=start.group.plan,
-            group=start.group,
-            item=items[number],
-            stands_at_rest=stands,
-            largest_survived=_known(row["largest_survived"]),
-            first_failed=_known(row["first_failed"]),
-            at_largest=worlds.get((which, low)),
-            at_failure=worlds.get((which, high)) if stands else None,
-            box=box,
-            mode=mode,
-            monotone=bool(row["monotone"]),
-            n_tests=int(row["n_tests"]),
-            n_invalid=int(row["n_invalid"]),
-        )
-
-
-def _known(value: float) -> float | None:
-    return None if value != value else float(value)
-
-
-class _Stopwatch:
-    """Seconds since it was made."""
-
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        self._clock = clock
-        self._begin = clock()
-
-    @property
-    def seconds(self) -> float:
-        return self._clock() - self._begin
+    """A world with the outcome of another one: no step was simulated for it."""
+    outcome = replace(start.outcome, flags=start.outcome.flags | Flag.FORKED, n_steps=0, state=None)
+    return SweptWorld(start.group.plan, variant, start.scene, outcome, start.attempts, start)

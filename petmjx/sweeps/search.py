@@ -1,12 +1,12 @@
-"""Searching for the largest level survived, and how a plan failed above it."""
+"""The search for the largest level survived, and how a plan failed above it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from petmjx.config import Thresholds
 from petmjx.units import FloatArray
@@ -14,17 +14,16 @@ from petmjx.verdict import Outcome, Reason, Verdict
 
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
-
 MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
-"""Reason of an unstable world → how it failed, as the answers of a search say it."""
+"""Reason of an unstable world → how it failed, as in the column ``mode``."""
 
 
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
-    """How the box that went first failed: "slide", "tilt" or "drop".
+    """How the first box failed: "slide", "tilt" or "drop".
 
-    It dropped; or it did not but tilted by more than ``tilt_deg``; or it moved too far. At the lowest level that
-    fails, which is where a search reads it, that is as a rule also how it began; far above that level a box that
-    slides also falls. The reason itself for invalid worlds, "" for stable ones.
+    "drop" if it dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at the
+    lowest level that fails. There it usually says how the failure began; far above that level, a box that slides also
+    falls. For invalid worlds: the reason; for stable worlds: "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -34,143 +33,120 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     return MODES[Reason.TILT if boxes.max_tilt_deg[box] > tilt_deg else Reason.SHIFT]
 
 
+@dataclass
+class Found:
+    """What a search knows about one item: a placement, a profile and a direction.
+
+    Attributes:
+        stands_at_rest: whether it stood before any profile; if not, nothing is tested.
+        survived: index of the largest level survived below every failure; −1: none.
+        failed: index of the smallest level that failed; the number of levels: none; 0 where it does not stand at rest.
+        highest: index of the largest level survived at all.
+        box, mode: which box went first at ``failed`` (or at rest), −1 for none, and how it failed.
+    """
+
+    stands_at_rest: bool
+    survived: int
+    failed: int
+    highest: int
+    box: int = -1
+    mode: str = ""
+    n_tests: int = 0
+    n_invalid: int = 0
+
+    @property
+    def monotone(self) -> bool:
+        """Whether no tested level above the smallest that failed was survived."""
+        return self.highest <= self.failed
+
+
 class Bisection:
     """Search for the largest level survived, for many items (placement × profile × direction) at once.
 
-    Levels lie on a common grid, so an answer is exact to the grid's step, and the same levels are tested
-    whatever the order of answers. Each round tests up to ``sections`` levels an item, evenly spread between
-    the largest survived and the smallest failed: a device is faster with fewer, larger rounds.
+    Levels are on a common grid, so an answer is exact to the grid's step, and the same levels are tested in any order
+    of answers. Each round tests up to ``sections`` levels per item, evenly spread between the largest survived and the
+    smallest failed: a device is faster with fewer, larger rounds.
 
-    It assumes that what survives a level survives all lower ones. A pallet need not: a stronger push may throw
-    a box against its neighbour and jam it. Where a tested level survived above one that
-    failed, the answer is the largest level below every failure, and ``monotone`` is False for that item.
+    It assumes that a pallet that survives a level survives all lower ones. This can be wrong: a stronger push may press
+    a box against its neighbour, where it jams. If a tested level above a failed one was survived, the answer is the
+    largest level below every failure, and ``monotone`` is False for that item.
 
     Args:
         levels: (n_levels,) rising; g, or scale.
-        n_items: number of searches.
-        stands_at_rest: (n_items,) which items stood before any profile; the others are through at once,
-            with nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
+        at_rest: of each item, the outcome before any profile. Items that do not stand are through at once, with
+            nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
         sections: levels tested per item and round, ≥ 1; 1 is plain bisection.
         tilt_deg: from where on a box that failed is said to have tilted.
+
+    Attributes:
+        items: what is known of each item.
     """
 
     def __init__(
         self,
         levels: ArrayLike,
-        n_items: int,
-        stands_at_rest: ArrayLike | None = None,
+        at_rest: Sequence[Outcome],
         sections: int = 3,
         tilt_deg: float = DEFAULT_TILT_DEG,
     ) -> None:
-        self._tilt_deg = tilt_deg
         self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
         if self.levels.ndim != 1 or len(self.levels) < 1 or np.any(np.diff(self.levels) <= 0):
             raise ValueError("levels must be a rising list of at least one level")
         if sections < 1:
             raise ValueError(f"sections must be ≥ 1, got {sections}")
-        stands = np.ones(n_items, dtype=bool) if stands_at_rest is None else np.asarray(stands_at_rest, dtype=bool)
-        if stands.shape != (n_items,):
-            raise ValueError(f"stands_at_rest must have one entry for each of {n_items} items")
         self.sections = sections
-        known_survived = 0 if self.levels[0] == 0 else -1
-        self._stands = stands
-        self._survived: NDArray[np.int64] = np.where(stands, known_survived, -1).astype(np.int64)
-        self._failed: NDArray[np.int64] = np.where(stands, len(self.levels), 0).astype(np.int64)
-        self._best_seen = self._survived.copy()
-        self._mode = np.full(n_items, "", dtype=object)
-        self._box = np.full(n_items, -1, dtype=np.int64)
-        self._invalid = np.zeros(n_items, dtype=np.int64)
-        self._tests = np.zeros(n_items, dtype=np.int64)
-        self.rounds = 0
+        self._tilt_deg = tilt_deg
+        self.items = [self._at_begin(outcome) for outcome in at_rest]
 
-    @property
-    def converged(self) -> NDArray[np.bool_]:
-        """(n_items,) whose largest level survived is known to the grid's step."""
-        done: NDArray[np.bool_] = self._failed - self._survived <= 1
-        return done
+    def _at_begin(self, outcome: Outcome) -> Found:
+        if outcome.verdict is not Verdict.STABLE:
+            return Found(False, -1, 0, -1, outcome.culprit, failure_mode(outcome, self._tilt_deg))
+        survived = 0 if self.levels[0] == 0 else -1
+        return Found(True, survived, len(self.levels), survived)
 
-    @property
-    def done(self) -> bool:
-        return bool(self.converged.all())
+    def bounds(self) -> set[tuple[int, int]]:
+        """(item, level index) of the largest level survived and of the smallest that failed of each item."""
+        return {(item, level) for item, found in enumerate(self.items) for level in (found.survived, found.failed)}
 
-    def bounds(self) -> list[tuple[int, int]]:
-        """Of each item, the indices of the largest level survived (−1: none) and of the smallest that failed."""
-        return list(zip(self._survived.tolist(), self._failed.tolist(), strict=True))
+    def largest_survived(self, item: int) -> float | None:
+        """Level in g, or scale; None: none."""
+        survived = self.items[item].survived
+        return float(self.levels[survived]) if survived >= 0 else None
 
-    def mode_of(self, outcome: Outcome) -> str:
-        """`failure_mode` with this search's threshold of tilt."""
-        return failure_mode(outcome, self._tilt_deg)
+    def first_failed(self, item: int) -> float | None:
+        """Level in g, or scale; None: none up to the highest, or nothing was tested."""
+        found = self.items[item]
+        return float(self.levels[found.failed]) if found.stands_at_rest and found.failed < len(self.levels) else None
 
-    def next_tests(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(items, level indices) of the next round, item by item; both empty when all have converged."""
-        items, indices = [], []
-        for item in np.flatnonzero(~self.converged):
-            low, high = int(self._survived[item]), int(self._failed[item])
-            open_levels = high - low - 1
-            count = min(self.sections, open_levels)
-            inner = low + np.round(np.arange(1, count + 1) * (open_levels + 1) / (count + 1)).astype(np.int64)
-            items.append(np.full(count, item))
-            indices.append(inner)
-        if not items:
-            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-        return np.concatenate(items).astype(np.int64), np.concatenate(indices)
+    def next_tests(self) -> list[tuple[int, int]]:
+        """(item, level index) of the next round's tests; empty when all answers are exact."""
+        tests = []
+        for item, found in enumerate(self.items):
+            untested = found.failed - found.survived - 1
+            count = min(self.sections, untested)
+            steps = np.round(np.arange(1, count + 1) * (untested + 1) / (count + 1)).astype(np.int64)
+            tests += [(item, found.survived + step) for step in steps.tolist()]
+        return tests
 
-    def record(
-        self,
-        items: ArrayLike,
-        level_indices: ArrayLike,
-        outcomes: Sequence[Outcome] | None = None,
-        *,
-        survived: ArrayLike | None = None,
-        modes: Sequence[str] | None = None,
-        boxes: ArrayLike | None = None,
-    ) -> None:
-        """Take the results of a round's tests, given as outcomes or as plain arrays (survived, failure modes, boxes).
+    def record(self, tests: Sequence[tuple[int, int]], outcomes: Sequence[Outcome]) -> None:
+        """Record the outcomes of a round's tests.
 
-        A world without a verdict that can be believed has not survived: its mode is why it is invalid.
+        An invalid world has not survived; its mode is the reason why it is invalid.
         """
-        item_list = np.asarray(items, dtype=np.int64)
-        index_list = np.asarray(level_indices, dtype=np.int64)
-        if outcomes is not None:
-            survived = [outcome.verdict is Verdict.STABLE for outcome in outcomes]
-            modes = [self.mode_of(outcome) for outcome in outcomes]
-            boxes = [outcome.culprit for outcome in outcomes]
-            np.add.at(self._invalid, item_list, [outcome.verdict is Verdict.INVALID for outcome in outcomes])
-        if survived is None:
-            raise ValueError("record needs outcomes or survived")
-        lived = np.asarray(survived, dtype=bool)
-        mode_list = list(modes) if modes is not None else [""] * len(item_list)
-        box_list = np.asarray(boxes if boxes is not None else np.full(len(item_list), -1), dtype=np.int64)
-        if not len(item_list) == len(index_list) == len(lived) == len(mode_list) == len(box_list):
+        if len(tests) != len(outcomes):
             raise ValueError("record needs one answer for each test")
-        np.add.at(self._tests, item_list, 1)
-        # Failures first: a survivor above a failure must not raise the answer.
-        for test in np.flatnonzero(~lived):
-            item = item_list[test]
-            if index_list[test] < self._failed[item]:
-                self._failed[item] = index_list[test]
-                self._mode[item], self._box[item] = mode_list[test], box_list[test]
-        np.maximum.at(self._best_seen, item_list[lived], index_list[lived])
-        below = lived & (index_list < self._failed[item_list])
-        np.maximum.at(self._survived, item_list[below], index_list[below])
-        self.rounds += 1
-
-    def result(self) -> pd.DataFrame:
-        """One row an item: stands_at_rest, largest_survived (NaN: none), first_failed (NaN: none up to the
-        highest level), box and mode of that failure, monotone, n_tests, n_invalid, converged."""
-        survived, failed = self._survived, self._failed
-        top = len(self.levels) - 1
-        has_failed = self._stands & (failed <= top)
-        return pd.DataFrame(
-            {
-                "stands_at_rest": self._stands,
-                "largest_survived": np.where(survived >= 0, self.levels[np.maximum(survived, 0)], np.nan),
-                "first_failed": np.where(has_failed, self.levels[np.minimum(failed, top)], np.nan),
-                "box": self._box,
-                "mode": self._mode.astype(str),
-                "monotone": self._best_seen <= failed,
-                "n_tests": self._tests,
-                "n_invalid": self._invalid,
-                "converged": self.converged,
-            }
-        )
+        survivors = []
+        for (item, level), outcome in zip(tests, outcomes, strict=True):
+            found = self.items[item]
+            found.n_tests += 1
+            found.n_invalid += outcome.verdict is Verdict.INVALID
+            if outcome.verdict is Verdict.STABLE:
+                survivors.append((found, level))
+            elif level < found.failed:
+                found.failed = level
+                found.box, found.mode = outcome.culprit, failure_mode(outcome, self._tilt_deg)
+        # Failures came first: a level survived above a failed one must not raise the answer.
+        for found, level in survivors:
+            found.highest = max(found.highest, level)
+            if level < found.failed:
+                found.survived = max(found.survived, level)

@@ -1,4 +1,4 @@
-"""Shares of worlds that stand, with their intervals."""
+"""Shares of worlds that stand, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from petmjx.verdict import Verdict
 
 DEFAULT_CONFIDENCE = 0.95
 
-ALL_PLANS = "*"
-"""``plan_id`` of summary rows over all plans together."""
+ALL_PLANS = "all"
+ONE_PLAN = "plan"
+"""``scope`` of summary rows over all plans together, whose ``plan_id`` is null, and of rows about one plan."""
 
-SUMMARY_UNITS = {"n_worlds": "1", "n_standing": "1", "n_invalid": "1", "share": "1", "low": "1", "high": "1"}
-"""Units of the summary's number columns."""
+KEYS = ("scope", "plan_id", "axis", "value")
+"""Columns that say what a summary row is about."""
 
 
 def wilson_interval(
@@ -26,8 +27,8 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It stays inside [0, 1] and has a width also at shares
-    of 0 and 1, where the usual ± interval has none.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It is always inside [0, 1], and it has a width at shares of
+    0 and 1 too, where the usual ± interval has none.
 
     Raises:
         ValueError: successes outside 0 … n, or a confidence outside (0, 1).
@@ -48,47 +49,66 @@ def wilson_interval(
     return low, high
 
 
-def share_standing(
-    worlds: pd.DataFrame, axes: Sequence[str], confidence: float = DEFAULT_CONFIDENCE, per_plan: bool = True
-) -> pd.DataFrame:
-    """The share of worlds that stand, for every value of every axis, with its Wilson interval.
-
-    Invalid worlds say nothing about the pallet: they are counted apart and left out of the share. Worlds
-    without a value on an axis (the nominal one) do not count there.
+def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
+    """Worlds in groups: over all plans and for each plan; all of them (axis "") and by axis value.
 
     Args:
-        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis.
-        axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
-        per_plan: also one row per plan, beside the row over all plans (``plan_id`` "*").
+        columns: what is computed of each group, as pandas' ``agg`` takes it: name=(column, function).
 
     Returns:
-        Columns plan_id, axis, value (text), n_worlds, n_standing, n_invalid, share, low, high; a row with
-        axis "" sums over everything.
+        Columns ``KEYS`` and those asked for. Rows over all plans come first; no plan's id can be taken for theirs.
     """
-    frame = worlds.assign(
-        standing=worlds["verdict"].astype(str) == str(Verdict.STABLE),
-        invalid=worlds["verdict"].astype(str) == str(Verdict.INVALID),
-    )
-    scopes = [frame.assign(plan_id=ALL_PLANS)]
-    if per_plan:
-        scopes.append(frame)
-    columns = ["plan_id", "axis", "value", "n_worlds", "n_standing", "n_invalid"]
-    counts = []
-    for scope in scopes:
+    parts = []
+    for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
         for axis in ("", *axes):
             keys = ["plan_id", axis] if axis else ["plan_id"]
-            groups = scope.groupby(keys, sort=True, observed=True)
-            count = groups.agg(
-                n_worlds=("standing", "size"), n_standing=("standing", "sum"), n_invalid=("invalid", "sum")
-            ).reset_index()
-            value = [_text(entry) for entry in count[axis]] if axis else ""
-            counts.append(count.assign(axis=axis, value=value)[columns].astype({"axis": object, "value": object}))
-    summary = pd.concat(counts, ignore_index=True).astype(dict.fromkeys(columns[3:], "int64"))
-    judged = summary["n_worlds"] - summary["n_invalid"]
-    low, high = wilson_interval(summary["n_standing"].to_numpy(), judged.to_numpy(), confidence)
-    with np.errstate(invalid="ignore"):
-        share = summary["n_standing"].to_numpy() / np.where(judged > 0, judged, np.nan)
-    return summary.assign(share=share, low=low, high=high)
+            part = rows.groupby(keys, sort=True, observed=True).agg(**columns).reset_index()
+            value = [_text(entry) for entry in part[axis]] if axis else ""
+            part = part.assign(scope=scope, axis=axis, value=value)[[*KEYS, *columns]]
+            parts.append(part.astype(dict.fromkeys(KEYS, object)))
+    summary = pd.concat(parts, ignore_index=True)
+    summary.loc[summary["scope"] == ALL_PLANS, "plan_id"] = None
+    return summary
+
+
+def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
+    """The share of worlds that stand, for every value of every axis, with its Wilson 95 % interval where it has one.
+
+    Invalid worlds say nothing about the pallet: they are counted separately and are not in the share. Worlds without a
+    value on an axis (the nominal one) do not count there.
+
+    Only draws have an interval: a world without anything random comes out the same every time, and a row that has
+    such a world has none. Worlds of one draw are not independent of each other. So the interval is that of as many
+    trials as there are draws, whatever the number of worlds: the mean of one draw's worlds varies at most as much as
+    one world does.
+
+    Args:
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis; ``draw``, if it is there, is equal for
+            worlds that share their random numbers, and null for worlds without any.
+        axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
+
+    Returns:
+        Columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 where the row has no interval), low, high;
+        a row with axis "" sums over everything.
+    """
+    verdict = worlds["verdict"].astype(str)
+    invalid = verdict == str(Verdict.INVALID)
+    draw = worlds["draw"] if "draw" in worlds else pd.Series(np.nan, index=worlds.index)
+    judged = worlds.assign(
+        standing=verdict == str(Verdict.STABLE), invalid=invalid, drawn=draw.notna(), draw=draw.where(~invalid)
+    )
+    counts = {"n_worlds": ("standing", "size"), "n_standing": ("standing", "sum"), "n_invalid": ("invalid", "sum")}
+    counts |= {"n_draws": ("draw", "nunique"), "drawn": ("drawn", "all")}
+    summary = by_plan_and_axis(judged, axes, **counts)
+    n_worlds, n_standing, n_invalid, n_draws = (summary[name].to_numpy(np.int64) for name in [*counts][:4])
+    n_draws = np.where(summary["drawn"].astype(bool), n_draws, 0)
+    n_judged = n_worlds - n_invalid
+    known = np.where(n_judged > 0, n_judged, 1)
+    bounds = wilson_interval(n_standing * n_draws / known, n_draws)
+    low, high = (np.where(n_draws > 0, bound, np.nan) for bound in bounds)
+    share = np.where(n_judged > 0, n_standing / known, np.nan)
+    whole = {"n_worlds": n_worlds, "n_standing": n_standing, "n_invalid": n_invalid}
+    return summary[[*KEYS]].assign(**whole, share=share, n_draws=n_draws, low=low, high=high)
 
 
 def _text(value: object) -> str:

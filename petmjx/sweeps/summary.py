@@ -1,4 +1,4 @@
-"""What a sweep adds to the tables: parameters and answers as columns of ``worlds``, and the ``summary`` table."""
+"""What a sweep adds to the results: parameters and answers as columns of ``worlds``, and the table ``summary``."""
 
 from __future__ import annotations
 
@@ -16,24 +16,22 @@ from petmjx.results.schema import Param
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.run import Answer, SweptWorld
+from petmjx.sweeps.run import Answer, Settled, SweptWorld
 from petmjx.sweeps.search import failure_mode
-from petmjx.sweeps.shares import SUMMARY_UNITS, share_standing
+from petmjx.sweeps.shares import KEYS, by_plan_and_axis, share_standing
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
 
 RANGE_BINS = 8
-"""Equal parts into which the summary divides an axis whose values were drawn from a range."""
+"""Number of equal parts into which the summary divides an axis with a continuous range."""
 
 MODE = Param("mode", TEXT, "what became of the box that went first: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
-_STRENGTHS = ("level_g", "scale")
-
 
 class SweepColumns:
-    """The columns that a sweep's worlds have besides those of every run."""
+    """The additional columns of a sweep's worlds."""
 
     def __init__(self, plan: SweepPlan) -> None:
         self._plan = plan
@@ -43,33 +41,29 @@ class SweepColumns:
             Param(name, unit, "parameter of the variant", _type_of(name, sweep.axes))
             for name, unit in plan.parameter_columns.items()
         ]
+        self.strength = AXIS_KINDS[sweep.strength].column
         self.has_drives = bool(sweep.profiles)
         self.has_tilt = any(isinstance(profile, Tilt) for profile in sweep.profiles.values())
         self.has_eumos = EUMOS_PROFILE in sweep.profiles
 
     @property
     def params(self) -> list[Param]:
-        """All of them, in their order."""
+        """All of these columns, in order."""
         columns = [*self.parameters, MODE]
         columns += [SIGN] if self.has_drives else []
         columns += [FAIL_ANGLE] if self.has_tilt else []
         columns += EUMOS_COLUMNS if self.has_eumos else ()
         return columns
 
-    @property
-    def strength(self) -> str:
-        """Column of what a search looks for: ``level_g`` or ``scale``."""
-        return next(param.name for param in self.parameters if param.name in _STRENGTHS)
-
     def of(self, world: SweptWorld) -> dict[str, Any]:
-        """Column → value of one world; what is missing is null."""
+        """Column → value of one world; missing ones become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         values |= self.during_drive(world)
         return values
 
     def during_drive(self, world: SweptWorld) -> dict[str, Any]:
-        """Those of the columns that come from the drive."""
+        """The values that come from the drive."""
         values: dict[str, Any] = {}
         drive = world.variant.drive
         if drive is None:
@@ -77,43 +71,48 @@ class SweepColumns:
         if world.driven:
             sign_s = self._sign_in_profile_s(world.outcome)
             values[SIGN.name] = sign_s
-            profile = self._plan.sweep.profile(drive.profile)
+            profile = self._plan.sweep.profiles[drive.profile]
             if isinstance(profile, Tilt) and sign_s is not None:
                 values[FAIL_ANGLE.name] = min(sign_s * profile.rate_deg_s, profile.max_deg)
         if drive.profile == EUMOS_PROFILE and world.settled is not None:
-            settled = world.settled.outcome.boxes.pos
-            found = eumos_assessment(world.outcome.boxes, settled, world.scene.half_size).columns()
-            # a world that was not driven has no displacements during a test, and has not passed it
-            values |= {name: None if value != value else value for name, value in found.items()}
-            if world.outcome.verdict is Verdict.INVALID:
-                values["eumos_passed"] = None
+            values |= self._eumos(world, world.settled)
+        return values
+
+    def _eumos(self, world: SweptWorld, settled: Settled) -> dict[str, Any]:
+        """EUMOS's figures, which count from where the boxes stood; what did not stand has none, or has not passed."""
+        values: dict[str, Any] = {}
+        if world.driven:
+            found = eumos_assessment(world.outcome.boxes, settled.outcome.boxes.pos, world.scene.half_size)
+            values = {name: None if value != value else value for name, value in found.items()}
+        if settled.outcome.verdict is not Verdict.STABLE:
+            values["eumos_passed"] = False
+        if world.outcome.verdict is Verdict.INVALID:
+            values["eumos_passed"] = None
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
-        """Time from the profile's beginning to the first sign; None without one, or with one from before."""
+        """Time from the profile's beginning to the first sign; None if there is none, or one from before."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # half a step: the running sum of the timestep is not its multiple to the last digit
+        # half a step, because the running sum of the timestep differs from a multiple in the last digits
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 
-def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] | type[bool] | type[str]:
+def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] | type[str]:
     if column == "replicate":
         return int
-    for axis in axes.values():
-        if axis.kind.column == column:
-            return str if any(isinstance(axis.cell(value), str) for value in axis.values) else float
-    return float
+    cells = [axis.cell(value) for axis in axes.values() if axis.kind.column == column for value in axis.values]
+    return str if any(isinstance(cell, str) for cell in cells) else float
 
 
 # Grids and samples.
 
 
 def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
-    """The summary of a grid or a sample: share standing by axis value, over all plans ("*") and for each plan.
+    """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
 
-    Axes drawn from a range are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile the share that the
-    standard passes stands beside, and with ``tilt`` the smallest angle at which a world failed.
+    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there is also the share that
+    passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
 
     Args:
         folder: the run's folder, with all parts written.
@@ -122,12 +121,13 @@ def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
     axes = [AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes]
     extra = ["eumos_passed"] if columns.has_eumos else []
     extra += [FAIL_ANGLE.name] if columns.has_tilt else []
-    wanted = ["plan_id", "verdict", *axes, *extra]
+    wanted = ["plan_id", "variant", "verdict", *axes, *extra]
     worlds = ds.dataset(folder / "worlds", format="parquet").to_table(columns=wanted).to_pandas()
     for axis in plan.sweep.axes.values():
         if axis.continuous:
             worlds[axis.kind.column] = _binned(worlds[axis.kind.column], axis)
-    keys = ["plan_id", "axis", "value"]
+    worlds["draw"] = _draws(worlds, plan)
+    keys = [*KEYS]
     summary = share_standing(worlds, axes)
     if columns.has_eumos:
         tested = worlds[worlds["eumos_passed"].notna()]
@@ -138,9 +138,17 @@ def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
         summary = summary.merge(eumos[[*keys, *names]].rename(columns=names), on=keys, how="left")
         summary[["n_eumos", "n_eumos_passed"]] = summary[["n_eumos", "n_eumos_passed"]].fillna(0).astype("int64")
     if columns.has_tilt:
-        angles = _smallest(worlds, axes, FAIL_ANGLE.name).rename(columns={FAIL_ANGLE.name: "smallest_fail_angle_deg"})
+        angles = by_plan_and_axis(worlds, axes, smallest_fail_angle_deg=(FAIL_ANGLE.name, "min"))
         summary = summary.merge(angles, on=keys, how="left")
     return summary
+
+
+def _draws(worlds: pd.DataFrame, plan: SweepPlan) -> pd.Series[float]:
+    """A number that worlds with the same random numbers share; NaN for worlds without any."""
+    drawn = worlds["variant"].map(plan.draws())
+    if plan.sweep.sample is not None:  # the same for every plan
+        return drawn
+    return worlds.assign(draw=drawn).groupby(["plan_id", "draw"]).ngroup().where(drawn.notna())
 
 
 def _binned(values: pd.Series[float], axis: Axis) -> pd.Series[str]:
@@ -151,47 +159,34 @@ def _binned(values: pd.Series[float], axis: Axis) -> pd.Series[str]:
     return named.where(values.notna())
 
 
-def _smallest(worlds: pd.DataFrame, axes: Sequence[str], column: str) -> pd.DataFrame:
-    """Smallest value of a column by plan and axis value, with the keys of `share_standing`."""
-    parts = []
-    for scope in (worlds.assign(plan_id="*"), worlds):
-        for axis in ("", *axes):
-            names = ["plan_id", axis] if axis else ["plan_id"]
-            part = scope.groupby(names, observed=True)[column].min().reset_index()
-            value = [f"{v:g}" if isinstance(v, float) else str(v) for v in part[axis]] if axis else ""
-            parts.append(part.assign(axis=axis, value=value)[["plan_id", "axis", "value", column]])
-    return pd.concat(parts, ignore_index=True)
-
-
 # Searches.
 
 
 def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
     """One row of a search's summary."""
-    strength = columns.strength
-    box = answer.box if answer.box >= 0 else None
+    group, found = answer.group, answer.found
+    box = found.box if found.box >= 0 else None
+    at_failure = columns.during_drive(answer.at_failure) if answer.at_failure is not None else {}
     row: dict[str, Any] = {
-        "plan_id": answer.plan.plan_id,
-        "placement": answer.group.number,
-        **answer.group.placement.parameters,
+        "plan_id": group.plan.plan_id,
+        "placement": group.number,
+        **group.placement.parameters,
         "profile": answer.item.profile,
         "direction_deg": answer.item.direction_deg,
-        "stands_at_rest": answer.stands_at_rest,
-        f"largest_{strength}": answer.largest_survived,
-        f"first_failed_{strength}": answer.first_failed,
+        "stands_at_rest": found.stands_at_rest,
+        f"largest_{columns.strength}": answer.largest_survived,
+        f"first_failed_{columns.strength}": answer.first_failed,
         "box": box,
-        "article": answer.plan.articles[box] if box is not None else "",
-        "mode": answer.mode,
-        SIGN.name: None,
-        "monotone": answer.monotone,
-        "n_tests": answer.n_tests,
-        "n_invalid": answer.n_invalid,
+        "article": group.plan.articles[box] if box is not None else "",
+        "mode": found.mode,
+        SIGN.name: at_failure.get(SIGN.name),
+        "monotone": found.monotone,
+        "n_tests": found.n_tests,
+        "n_invalid": found.n_invalid,
     }
-    if answer.at_failure is not None:
-        row[SIGN.name] = columns.during_drive(answer.at_failure).get(SIGN.name)
     if columns.has_eumos:
-        seen = columns.during_drive(answer.at_largest) if answer.at_largest is not None else {}
-        row |= {param.name: seen.get(param.name) for param in EUMOS_COLUMNS}
+        at_largest = columns.during_drive(answer.at_largest) if answer.at_largest is not None else {}
+        row |= {param.name: at_largest.get(param.name) for param in EUMOS_COLUMNS}
     return row
 
 
@@ -214,33 +209,28 @@ def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str], dict[str, str]]:
     """(units, descriptions) of a summary's columns."""
     known = {param.name: (param.unit, param.description) for param in SweepColumns(plan).params}
-    units = dict(SUMMARY_UNITS)
-    texts: dict[str, str] = dict(_DESCRIPTIONS)
+    units: dict[str, str] = {}
+    texts = dict(_DESCRIPTIONS)
     for name in map(str, frame):
         if name in known:
             units[name], text = known[name]
             texts.setdefault(name, text)
-        elif name not in units and pd.api.types.is_numeric_dtype(frame[name]):
-            units[name] = _unit_by_name(name)
+        elif pd.api.types.is_numeric_dtype(frame[name]):
+            units[name] = "g" if name.endswith("_g") else "deg" if name.endswith("_deg") else DIMENSIONLESS
     return units, texts
 
 
-def _unit_by_name(name: str) -> str:
-    for ending, unit in (("_g", "g"), ("_deg", "deg")):
-        if name.endswith(ending):
-            return unit
-    return DIMENSIONLESS
-
-
 _DESCRIPTIONS = {
-    "plan_id": "id of the packing plan; * stands for all plans together",
+    "scope": "all: the row is about all plans together; plan: about one",
+    "plan_id": "id of the packing plan; null where the row is about all of them",
     "axis": "which parameter the row is about; empty: all worlds",
     "value": "the parameter's value",
     "n_standing": "worlds that are stable",
     "n_invalid": "worlds without a verdict; not in the share",
     "share": "stable worlds / worlds with a verdict",
-    "low": "lower end of the share's Wilson 95 % interval",
-    "high": "upper end of the share's Wilson 95 % interval",
+    "n_draws": "independent random draws behind the share; 0 where a world of the row has nothing random",
+    "low": "lower end of the share's Wilson 95 % interval over these draws; null without draws",
+    "high": "upper end of it; null without draws",
     "n_eumos": "worlds that were held against EUMOS 40509's own limits",
     "n_eumos_passed": "those that keep them",
     "eumos_share": "n_eumos_passed / n_eumos, with its interval in eumos_low and eumos_high",

@@ -1,1 +1,1 @@
-"""One plan's world: scene, exact model, variants, what shakes it, and what an engine is asked to simulate."""
+"""One plan's world: scene, exact model, variants, profiles that shake it, and jobs for engines."""

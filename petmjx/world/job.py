@@ -1,4 +1,4 @@
-"""What an engine is asked to simulate: one world, and what shakes it."""
+"""What an engine simulates: one world, and the drive that shakes it."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from petmjx.world.scene import Scene
 
 FORCE: Final = "force"
 ACCELERATION: Final = "acceleration"
-"""Kinds of excitations, and of the profiles that they are made from."""
+"""Kinds of excitations and of profiles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A force or acceleration profile as dense per-step samples, in profile coordinates.
+    """A force or acceleration profile as an array: one vector per step, in the profile's own axes.
 
     Attributes:
         name: for messages.
         kind: "force" (on the carrier, samples in units of total mass × 9.81 m/s²) or "acceleration"
-            (of the carrier, samples in m/s²; simulated as gravity − a with the carrier held fast).
+            (of the carrier, samples in m/s²; simulated as gravity − a with the carrier clamped).
         samples: (n_steps, 3); row i acts during step i + 1 of the profile; zero beyond its end.
     """
 
@@ -40,10 +40,11 @@ class Drive:
     """Time to come to rest after the last sample of the excitation."""
 
     def unit(self, total_mass: float) -> float:
-        """The unit of the excitation's samples: N for forces, m/s² for accelerations.
+        """The unit of the excitation's samples, in N for forces and in m/s² for accelerations (1).
 
-        That of a force is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², whatever gravity the physics has: it is
-        the reference implementation's unit, and a force does not become weaker where things weigh less.
+        The unit of forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², on all engines, and also if the
+        physics has another gravity. It is the unit of the reference implementation; a push must not become weaker
+        because boxes weigh less.
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 
@@ -52,9 +53,9 @@ class Drive:
 class Job:
     """One world to simulate.
 
-    ``start`` is the ``state`` of an earlier outcome of the same engine: the world then skips soft start
-    and placement and begins with its drive. ``keep_state`` asks for such a state, taken where placement has
-    settled; a job that keeps its state and has no drive may end there, without a rest window.
+    ``start`` is the ``state`` of an earlier outcome of the same engine: the world then skips soft start and placement,
+    and begins with its drive. ``keep_state`` asks for such a state, taken when the placement has settled. A job with
+    ``keep_state`` and no drive may end at that moment, without a rest window.
     """
 
     scene: Scene

@@ -1,4 +1,4 @@
-"""The exact MuJoCo model of one scene: what the C engine steps and what ``petmjx export`` writes."""
+"""The exact MuJoCo model of one scene. The engine ``mujoco`` steps it, and ``petmjx export`` writes it."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ CARRIER_NAME = "carrier"
 _CONE = {Cone.PYRAMIDAL: mujoco.mjtCone.mjCONE_PYRAMIDAL, Cone.ELLIPTIC: mujoco.mjtCone.mjCONE_ELLIPTIC}
 
 _SOLIMP_TAIL = (0.5, 2.0)
-"""MuJoCo's defaults for the last two solimp numbers, which the reference leaves alone."""
+"""MuJoCo's defaults for the last two solimp numbers. The reference implementation does not change them."""
 
 _BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
-"""Cardboard in three shades: neighbours in packing order can be told apart in a viewer."""
+"""Cardboard in three shades, so that a viewer shows where one box ends and the next begins."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldCarrier:
-    """A carrier that is clamped: a static body at this pose. pos (3,) m, quat (4,) (w, x, y, z)."""
+    """The pose at which a carrier is clamped, as a static body. pos (3,) m, quat (4,) (w, x, y, z)."""
 
     pos: FloatArray
     quat: FloatArray
@@ -41,8 +41,8 @@ def build_spec(
 ) -> mujoco.MjSpec:
     """The exact, unpadded model of a scene (docs/rules.md, section 1).
 
-    Bodies in order: world (with the floor), carrier, box_0, box_1, …; a free carrier has the first free
-    joint (qpos 0…6, qvel 0…5), box i the next but i. Initial positions are the release poses.
+    Bodies in order: world (with the floor), carrier, box_0, box_1, …. A free carrier has the first free joint (qpos
+    0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses.
 
     Args:
         held_carrier: clamp the carrier at this pose instead of giving it a free joint.
@@ -99,7 +99,7 @@ def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, first: int, s
 
 
 def to_mjcf(scene: Scene, physics: Physics) -> str:
-    """The scene as MJCF text with every box at its release pose; opens in MuJoCo's viewer."""
+    """The scene as MJCF text for MuJoCo's viewer, with every box at its release pose."""
     spec = build_spec(scene, physics)
     spec.modelname = "petmjx"
     spec.worldbody.add_light(pos=[0.0, 0.0, 4.0], dir=[0.0, 0.0, -1.0])

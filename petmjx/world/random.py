@@ -1,4 +1,4 @@
-"""Random numbers that depend on what a world is, never on when or where it is simulated."""
+"""Random numbers that depend on which world it is, never on when or where it is simulated."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class WorldKey:
     replicate: int = 0
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """A generator of its own for each purpose ("size", "yaw", …), so that adding one axis to a sweep
-        leaves the numbers of the others as they were.
+        """A separate generator for each purpose ("size", "yaw", …), so that a new axis in a sweep does not change the
+        numbers of the others.
 
         Philox (Salmon et al., SC'11) is counter-based: its 128-bit key is the BLAKE2b hash of the world's
         identity, the same on every platform, engine, batch and order.

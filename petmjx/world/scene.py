@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import CARRIER_EXTENT_M, Simulation, Triple
 from petmjx.plans.plan import Plan
-from petmjx.units import mm_to_m, round_to_micrometre
+from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
@@ -25,10 +25,11 @@ class Scene:
         half_size: (n, 3) box half extents, m.
         mass: (n,) kg.
         target: (n, 3) planned centres, m: what shifts are measured from.
-        start_pos: (n, 3) centres at which boxes are released, m (= target in the nominal variant).
+        start_pos: (n, 3) centres at which boxes are released, m; the same as ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
         box_friction, carrier_friction, floor_friction: sliding / torsional / rolling coefficients.
-        carrier_half_size: (3,) m; the carrier's top is at z = 0 and its corner at the origin.
+        carrier_half_size: (3,) m.
+        carrier_pos: (3,) centre of the carrier before the soft start, m; its top is at z = 0.
         carrier_mass: kg.
         floor_z: m.
     """
@@ -42,18 +43,13 @@ class Scene:
     carrier_friction: Triple
     floor_friction: Triple
     carrier_half_size: NDArray[np.float64]
+    carrier_pos: NDArray[np.float64]
     carrier_mass: float
     floor_z: float
 
     @property
     def n_boxes(self) -> int:
         return len(self.mass)
-
-    @property
-    def carrier_pos(self) -> NDArray[np.float64]:
-        """(3,) centre of the carrier before the soft start, m."""
-        half = self.carrier_half_size
-        return np.array([half[0], half[1], -half[2]])
 
     @property
     def total_mass(self) -> float:
@@ -64,17 +60,14 @@ class Scene:
 def build_scene(plan: Plan, sim: Simulation) -> Scene:
     """The nominal scene of a plan.
 
-    Sizes shrink by ``sim.size_reduction_mm`` (absolute) with the front-left-bottom corner kept; half
-    sizes and centres are rounded half-up to 1 µm, as the reference implementation writes them.
+    Each size is reduced by ``sim.size_reduction_mm``; the front-left-bottom corner stays. Half sizes and centres are
+    rounded half up to 1 µm, as the reference implementation writes them.
     """
     physics = sim.physics
     size = plan.size_mm - sim.size_reduction_mm
     half_size = round_to_micrometre(mm_to_m(size / 2))
     target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
-    extent = CARRIER_EXTENT_M[sim.carrier]
-    if extent is None:
-        top_corner_mm = (plan.corner_mm + plan.size_mm).max(axis=0)
-        extent = (float(top_corner_mm[0]) / 1000, float(top_corner_mm[1]) / 1000)
+    carrier_half_size, carrier_pos = _carrier(plan, sim)
     return Scene(
         half_size=half_size,
         mass=plan.mass_kg.copy(),
@@ -84,7 +77,22 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         box_friction=physics.box_friction,
         carrier_friction=physics.carrier_friction,
         floor_friction=physics.floor_friction,
-        carrier_half_size=np.array([extent[0] / 2, extent[1] / 2, physics.carrier_half_height_m]),
+        carrier_half_size=carrier_half_size,
+        carrier_pos=carrier_pos,
         carrier_mass=physics.carrier_mass_kg,
         floor_z=physics.floor_z_m,
     )
+
+
+def _carrier(plan: Plan, sim: Simulation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(3,) half extents and (3,) centre of the carrier, m: the plan's bounding box, or one of a fixed size whose
+    front-left corner is the origin."""
+    extent = CARRIER_EXTENT_M[sim.carrier]
+    if extent is None:
+        low_mm = plan.corner_mm[:, :2].min(axis=0)
+        extent_mm = (plan.corner_mm + plan.size_mm)[:, :2].max(axis=0) - low_mm
+        corner, size = low_mm / MM_PER_M, extent_mm / MM_PER_M
+    else:
+        corner, size = np.zeros(2), np.array(extent)
+    half_height = sim.physics.carrier_half_height_m
+    return np.array([*(size / 2), half_height]), np.array([*(corner + size / 2), -half_height])

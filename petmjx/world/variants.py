@@ -21,14 +21,14 @@ from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene
 
 MIN_SIZE_FRACTION = 0.1
-"""No drawn size falls below this fraction of the planned one: a box must keep a positive extent."""
+"""Smallest size that can be drawn, as a fraction of the planned size: a box must keep a positive extent."""
 
 LARGEST_SIZE_M = 7.0
 """Nor does any exceed this: boxes that wait for their turn hang 8 m apart."""
 
 STEP_TOLERANCE_M = 0.01
-"""A box whose top is at most this far above another's bottom, where they overlap, carries it: it is set down
-on top rather than into it. Higher neighbours are walls beside it."""
+"""Of two boxes that overlap horizontally, one carries the other if its planned top is at most this far above the
+other's planned bottom: the other one is then set down on it. A box that is higher counts as a wall beside it."""
 
 _SAME_HEIGHT_M = 1e-9
 
@@ -43,7 +43,7 @@ class Shape(StrEnum):
 
 @dataclass(frozen=True)
 class Distribution:
-    """Of one error, in the unit of the axis it belongs to.
+    """The distribution of one error, in the unit of its axis.
 
     ``fixed``: always ``centre``; ``normal``: mean ``centre`` and standard deviation ``spread``;
     ``uniform``: from ``centre − spread`` to ``centre + spread``.
@@ -62,8 +62,8 @@ class Distribution:
         return self.centre == 0 and not self.random
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-        """Samples. Standard numbers are drawn and then scaled, so that with the same generator twice the
-        spread gives twice the error of the same boxes: levels of a sweep can be compared pairwise."""
+        """Samples. Standard numbers are drawn and then scaled. So with the same generator, twice the spread gives each
+        box twice the error, and levels of a sweep can be compared pair by pair."""
         if self.shape is Shape.NORMAL:
             return self.centre + self.spread * rng.standard_normal(shape)
         if self.shape is Shape.UNIFORM:
@@ -71,7 +71,7 @@ class Distribution:
         return np.full(shape, self.centre)
 
     def label(self) -> str:
-        """As it stands in the results where an axis mixes shapes."""
+        """Its text in the results, if the axis has distributions of several shapes."""
         if self.zero:
             return "0"
         if self.shape is Shape.FIXED:
@@ -86,12 +86,12 @@ ZERO = Distribution()
 
 @dataclass(frozen=True)
 class PlacementChange:
-    """What is different while boxes are placed. Factors multiply, errors are drawn per box.
+    """What is different while boxes are placed. Factors multiply; errors are drawn for each box.
 
     Attributes:
         box_friction_factor, carrier_friction_factor: on all three friction coefficients. MuJoCo takes the
-            larger coefficient of two touching geoms, so lowering one side alone changes little.
-        mass_factor: on every box's mass; the carrier keeps its own.
+            larger coefficient of two touching geoms, so a lower value on one side alone changes little.
+        mass_factor: on the mass of every box; the carrier's mass does not change.
         size_mm: added to each dimension of each box, mm.
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
@@ -124,7 +124,7 @@ PlacementKey = tuple[PlacementChange, int]
 
 @dataclass(frozen=True)
 class DriveSpec:
-    """What shakes the finished pallet: a profile by name, its factor or level, and its direction."""
+    """What shakes the finished pallet: the name of a profile, its scale or level, and its direction."""
 
     profile: str
     scale: float = 1.0
@@ -137,7 +137,7 @@ class Variant:
 
     Attributes:
         index: ``variant`` in the results; 0 is the nominal world.
-        placement, drive: the two halves; no drive: the world ends when the placement has come to rest.
+        placement, drive: the two halves. Without a drive the world ends when the placement is at rest.
         replicate: which repetition; random numbers depend on (seed, plan id, replicate) alone.
         parameters: result column → value.
     """
@@ -150,20 +150,19 @@ class Variant:
 
     @property
     def placement_key(self) -> PlacementKey:
-        """Equal for variants of one plan that share a placement. Replicates share it unless something random
-        happens while boxes are placed."""
+        """Equal for variants of one plan that share a placement. Replicates share it, unless something random acts
+        while boxes are placed."""
         return (self.placement, self.replicate if self.placement.random else 0)
 
 
 def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
-    """The scene of a plan under a variant's placement change; the drive does not matter here.
+    """The scene of a plan under a variant's placement change; its drive is not used here.
 
-    When sizes change, boxes keep their horizontal centres (so neighbours that grew overlap sideways and push
-    each other apart) and are set down on the actual tops of those below. Placement errors in x, y and yaw move
-    and turn ``start_pos`` and ``start_quat``; a box that comes to stand over a slightly higher neighbour is
-    released above it. Nothing starts in penetration vertically. ``target``, from which shifts are measured,
-    stays at the planned x and y; its z is the height at which the box really stands, so that a tolerance in
-    height is no shift.
+    When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways and push
+    each other apart. Boxes are set down on the actual tops of those below. Placement errors in x, y and yaw change
+    ``start_pos`` and ``start_quat``; a box whose new place is over a slightly higher neighbour is released above it. No
+    box starts inside another one vertically. ``target``, from which shifts are measured, stays at the planned x and y;
+    its z is the height at which the box really stands, so that a tolerance in height is no shift.
 
     Returns:
         The same object where nothing changes.
@@ -235,12 +234,12 @@ def _overlapping(centre: FloatArray, half: FloatArray, box: int) -> NDArray[np.b
 
 
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(n,) heights of centres when each box is put onto the actual tops of those below it.
+    """(n,) heights of centres when each box is set down on the actual tops of those below it.
 
-    Boxes are taken from the bottom up. Those below a box are the ones whose planned top is not above its
-    planned bottom (with a tolerance of `STEP_TOLERANCE_M`) and whose footprint overlaps its own, as planned or
-    as placed. The planned gap to the highest of them (the 0.1 mm of the size reduction; more for a box that
-    floats in the plan) stays, but never a penetration.
+    Boxes are taken from the bottom up. A box is below another one if its planned top is not above the other's planned
+    bottom (with a tolerance of `STEP_TOLERANCE_M`) and their footprints overlap, as planned or as placed. The planned
+    gap to the highest box below stays (0.1 mm from the size reduction; more for a box that floats in the plan). A
+    planned penetration does not stay.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
@@ -257,7 +256,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
         if not below.any():
             continue
         supports = lower & planned_over
-        # A box that overlaps nothing as planned stands on the carrier, or floats above it.
+        # A box that overlaps no other in the plan stands on the carrier, or floats above it.
         support_top = planned_top[supports].max() if supports.any() else 0.0
         gap = max(planned_bottom[box] - support_top, 0.0)
         actual_top = float((centre_z + half_size[:, 2])[below].max())

@@ -22,6 +22,7 @@ from support.command_line import (
     run,
     run_interrupted,
     run_process,
+    run_with_closed,
     write,
 )
 
@@ -236,7 +237,7 @@ def test_a_run_goes_on_when_nobody_reads_its_progress(plans: Path, tmp_path: Pat
 @pytest.mark.parametrize("closed", [1, 2], ids=["stdout", "stderr"])
 def test_closed_streams(closed: int, plans: Path, tmp_path: Path) -> None:
     command = ("score", plans, "--engine", "mujoco", "--json", "--out", tmp_path / "out")
-    done = run_process(*command, preexec_fn=lambda: os.close(closed))
+    done = run_with_closed(closed, *command)
     assert done.returncode == 0
     assert "Traceback" not in done.stderr
     assert load_run(tmp_path / "out").info["status"] == "finished"
@@ -352,7 +353,7 @@ def test_every_command_explains_itself(
         for flag in (entry for record in (Simulation, Thresholds) for entry in flags_of(record)):
             assert re.search(rf"^  {flag}\b", printed, flags=re.MULTILINE), flag
         text = " ".join(printed.split())
-        assert "--interval S Time between two placements, s; the longest unless" in text
+        assert "--interval S Time between two placements, s; at most, unless" in text
         assert "[default: 0.7]" in text
         assert "petmjx-results/DATE-TIME" in text
 

@@ -21,7 +21,7 @@ SAME_FORCE = 0.01
 LANDED_M = 0.01
 """A fall multiplies what it started from."""
 STANDING = ("hand-overhang-45", "brickwork", "uneven pile")
-FALLING = ("hand-beside-carrier",)
+FALLING = ("hand-falls-off",)
 
 
 def assert_alike(found: Outcome, expected: Outcome) -> None:
@@ -36,7 +36,7 @@ def assert_alike(found: Outcome, expected: Outcome) -> None:
     np.testing.assert_allclose(found.boxes.rest_top_force_n, expected.boxes.rest_top_force_n, rtol=SAME_FORCE, atol=0.1)
 
 
-@pytest.mark.parametrize("name", ["hand-overhang-45", "hand-beside-carrier", "uneven pile"])
+@pytest.mark.parametrize("name", ["hand-overhang-45", "hand-falls-off", "uneven pile"])
 def test_alone_as_in_a_full_batch_with_refills(name: str) -> None:
     alone = simulate(jax_engine(), {name: scenes()[name]}, Simulation())[name]
     assert_alike(alone, jax_outcomes()[name])
@@ -44,7 +44,7 @@ def test_alone_as_in_a_full_batch_with_refills(name: str) -> None:
 
 def test_last_in_the_queue_as_first() -> None:
     # Reversed, other worlds take the lanes first, and these get refilled ones.
-    names = ["hand-overhang-45", "hand-one-box", "hand-beside-carrier"]
+    names = ["hand-overhang-45", "hand-one-box", "hand-falls-off"]
     crowd = {f"{name} {k}": scenes()[name] for k in range(LANES // 2) for name in reversed(names)}
     assert len(crowd) > LANES
     found = simulate(jax_engine(), crowd, Simulation())

@@ -39,7 +39,7 @@ SAME_FORCE = 0.05
 """For single boxes 3 % were measured."""
 SMALL_FORCE_N = 1.0
 
-TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-beside-carrier", "corner overhang of 30 %")
+TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "corner overhang of 30 %")
 CAPACITY = 3
 
 SHORT = Simulation(interval_s=0.1, rest_window_s=0.1)

@@ -9,17 +9,18 @@ import sys
 import threading
 from collections.abc import Generator, Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from support.plans import make_scene, stack
 
-from petmjx.config import PHYSICS, Cone, Schedule, Simulation, Thresholds
+from petmjx.config import PHYSICS, Carrier, Cone, Schedule, Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu import live as mujoco_live
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.world import Clock
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
@@ -35,11 +36,11 @@ SAME_M = 1e-9
 def leaning(n: int = 5, overhang_mm: float = 20.0, physics: str = "pallet") -> Scene:
     """A tower that stands: each box sits ``overhang_mm`` further along x on every other level."""
     boxes = stack(n, overhang_mm, size_mm=(300, 200, 150), kg=np.linspace(8.0, 3.0, n).tolist(), at_mm=(100, 100))
-    return make_scene(boxes, Simulation(physics=physics))
+    return make_scene(boxes, Simulation(physics=physics, carrier=Carrier.EURO_PALLET))
 
 
 def falling() -> Scene:
-    """The second box reaches over the carrier's edge at x = 0 by more than half and falls to the floor."""
+    """The second box reaches over the first one's edge by more than half, and takes the third with it."""
     return make_scene(stack(3, -200.0, size_mm=(300, 200, 150)))
 
 
@@ -105,29 +106,27 @@ def test_tilt_and_lowest_point_of_turned_boxes() -> None:
     np.testing.assert_allclose(lowest_z(np.array([[0, 0, 1.0]] * 3), quat, half_size), [0.7, turned, 0.7])
 
 
-def sample_of(scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s: float = 1.0) -> Sample:
+def sample_of(scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s: float = 1.0) -> tuple[Any, ...]:
     n = scene.n_boxes
-    quiet = np.zeros((n, 3))
-    return Sample(
-        time_s, scene.target + np.array([offset_m, 0, 0]), scene.start_quat, quiet, quiet + ang_acc, np.zeros(n)
-    )
+    acc = np.repeat([[0.0, ang_acc]], 3, axis=1).repeat(n, axis=0)
+    return time_s, scene.target + np.array([offset_m, 0, 0]), scene.start_quat, acc, np.zeros(n)
 
 
 def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
     scene = leaning(2)
     metrics = OracleMetrics(scene, Thresholds())
-    assert not metrics.add_sample(sample_of(scene))
-    assert metrics.add_sample(sample_of(scene, ang_acc=100.0))
-    assert not metrics.add_sample(sample_of(scene, offset_m=0.021, ang_acc=100.0, time_s=2.0))
-    assert not metrics.add_sample(sample_of(scene, ang_acc=100.0, time_s=3.0))
+    assert not metrics.add_sample(*sample_of(scene))
+    assert metrics.add_sample(*sample_of(scene, ang_acc=100.0))
+    assert not metrics.add_sample(*sample_of(scene, offset_m=0.021, ang_acc=100.0, time_s=2.0))
+    assert not metrics.add_sample(*sample_of(scene, ang_acc=100.0, time_s=3.0))
     assert metrics.first_sign_s == 2.0
 
 
 def test_verdicts_come_in_their_order() -> None:
     scene = leaning(2)
     metrics = OracleMetrics(scene, Thresholds())
-    metrics.add_sample(sample_of(scene))
-    boxes = metrics.finish(scene.target + np.array([0.03, 0, 0]), scene.start_quat, came_to_end=True)
+    metrics.add_sample(*sample_of(scene))
+    boxes = metrics.finish(scene.target + np.array([0.03, 0, 0]), scene.start_quat, 2, came_to_end=True)
     found = [judge(Flag.NONE, boxes, 2, Thresholds())]
     boxes.max_tilt_deg[1] = 21.0
     found.append(judge(Flag.NONE, boxes, 2, Thresholds()))
@@ -330,3 +329,21 @@ def test_broken_numbers_are_invalid_and_leave_no_log(tmp_path: Path, monkeypatch
 def test_fewer_than_one_thread_is_refused() -> None:
     with pytest.raises(ValueError, match="threads must be at least 1"):
         MujocoEngine(0)
+
+
+def test_a_tilt_between_samples_and_the_end_is_seen() -> None:
+    """A box that tips over for a second, with one sample at most before it lies."""
+    scene = make_scene(stack(2, 220.0, size_mm=(400, 300, 200)))
+    for interval_s in (0.2, 30.0):
+        sim = Simulation(sample_interval_s=interval_s, early_stop=False, thresholds={"shift_m": 10.0})
+        outcome = run_one(Job(scene), sim)
+        assert outcome.verdict is Verdict.UNSTABLE
+        assert outcome.boxes.max_tilt_deg[1] >= tilt_deg(outcome.boxes.quat)[1] > 20.0
+
+
+def test_the_largest_force_is_not_below_the_force_at_rest() -> None:
+    sim = Simulation(sample_interval_s=30.0)
+    outcome = run_one(Job(leaning()), sim)
+    assert outcome.verdict is Verdict.STABLE
+    assert outcome.boxes.rest_top_force_n[0] > 100.0
+    assert (outcome.boxes.max_top_force_n >= outcome.boxes.rest_top_force_n).all()

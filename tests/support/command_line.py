@@ -59,6 +59,13 @@ def run_process(*arguments: str | Path, **options: Any) -> subprocess.CompletedP
     return subprocess.run([sys.executable, "-m", "petmjx", *map(str, arguments)], text=True, check=False, **streams)
 
 
+def run_with_closed(descriptor: int, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """petmjx in a process whose stdout (1) or stderr (2) is closed. Closed by a shell: Python's own way forks this
+    process, which JAX's threads do not survive."""
+    command = ["sh", "-c", f'exec "$@" {descriptor}>&-', "sh", sys.executable, "-m", "petmjx", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
 def run_interrupted(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     """petmjx in a process that gets SIGINT, as from Ctrl-C, while the engine's threads work on further worlds."""
     command = [sys.executable, "-c", _INTERRUPTED, *map(str, arguments)]

@@ -8,12 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 from support.outcomes import make_plan
+from support.plans import make_scene
 
 from petmjx.config import Quiet, Simulation, Thresholds
+from petmjx.engines.batch.outcomes import reduce_metrics
+from petmjx.engines.batch.state import fresh_state, upload_worlds
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics import force_jax as force
 from petmjx.metrics import force_np, motion_np
 from petmjx.metrics import motion_jax as motion
+from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 RNG = np.random.default_rng(3)
@@ -188,3 +192,27 @@ def test_metrics_are_strict_about_ranks() -> None:
     assert jax.config.jax_numpy_rank_promotion == "raise"
     with pytest.raises(ValueError, match="rank_promotion"):
         jnp.zeros((2, 3, 3)) - jnp.zeros(3)
+
+
+def test_the_final_pose_and_the_force_at_rest_enter_the_maxima() -> None:
+    """Of boxes that were placed, in worlds that came to their end."""
+    scene = make_scene(3)
+    worlds = upload_worlds([Job(scene)] * 2, 2, 3, {}, 0.002)
+    fresh = fresh_state(worlds, all_placed=False, ends=jnp.array([10, 10]), rest_steps=5)
+    lying = jnp.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0], jnp.float32)
+    state = fresh._replace(
+        pose=fresh.pose.at[:, 1:, 3:].set(lying),
+        placed=jnp.array([2, 2]),
+        step=jnp.array([10, 7]),
+        metrics=fresh.metrics._replace(
+            max_tilt=fresh.metrics.max_tilt.at[:, 0].set(4.0),
+            max_top_force=jnp.full((2, 3), 50.0),
+            rest_force_sum=jnp.array([[400.0, 100.0, 0.0]] * 2),
+            rest_samples=jnp.array([5, 5]),
+        ),
+    )
+    found = reduce_metrics(state, worlds, Simulation())
+    np.testing.assert_allclose(found.max_tilt, [[4.0, 90.0, 0.0]] * 2, atol=1e-4)
+    np.testing.assert_allclose(found.max_top_force, [[80.0, 50.0, 50.0], [50.0] * 3])
+    np.testing.assert_allclose(found.rest_force[0], [80.0, 20.0, 0.0])
+    assert np.isnan(found.rest_force[1]).all()

@@ -78,7 +78,7 @@ def test_no_attempt_repeats_another() -> None:
     engine = FailingEngine()
     list(score_worlds(worlds_failing(9), Simulation(), engine))
     sims = [sim for sim, _ in engine.calls]
-    assert len(sims) == len(ATTEMPTS) == 5
+    assert len(sims) == 5
     assert all(sims[i] != sims[j] for i in range(5) for j in range(i))
     assert [sim.solver for sim in sims] == [Solver.NEWTON, Solver.NEWTON, Solver.CG, Solver.CG, Solver.NEWTON]
     assert [sim.solver_iterations for sim in sims] == [None, CAREFUL_ITERATIONS, None, CAREFUL_ITERATIONS, None]
@@ -87,7 +87,7 @@ def test_no_attempt_repeats_another() -> None:
 
 def test_half_the_timestep_keeps_durations() -> None:
     sim = Simulation()
-    half = ATTEMPTS[-1].apply_to_sim(sim)
+    (half,) = (recipe.apply_to_sim(sim) for recipe in ATTEMPTS if recipe.timestep_divisor == 2)
     assert half.physics.timestep_s == sim.physics.timestep_s / 2
     for name in ("steps", "min_steps", "poll_steps"):
         before, after = (getattr(s.quiet, name) * s.physics.timestep_s for s in (sim, half))
@@ -155,4 +155,44 @@ def test_second_attempts_change_what_the_c_engine_computes() -> None:
         [outcome] = MujocoEngine(1).run(recipe.apply_to_jobs(jobs), recipe.apply_to_sim(sim))
         positions.append(outcome.boxes.pos)
         assert outcome.verdict is Verdict.STABLE
-    assert all((positions[i] != positions[j]).any() for i in range(5) for j in range(i))
+    assert all((positions[i] != positions[j]).any() for i in range(len(ATTEMPTS)) for j in range(i))
+
+
+@dataclass
+class AnsweringEngine:
+    """Answers the k-th run with the k-th of some reasons ("" for stable)."""
+
+    reasons: list[Reason]
+    name: str = "answering"
+    sims: list[Simulation] = field(default_factory=list)
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        reason = self.reasons[len(self.sims)]
+        self.sims.append(sim)
+        for index in range(len(jobs)):
+            yield make_outcome(1, Verdict.INVALID if reason else Verdict.STABLE, reason, job=index)
+
+
+SINKING, EXPLOSION, NONE = Reason.SINKING, Reason.EXPLOSION, Reason.NONE
+
+
+@pytest.mark.parametrize(
+    ("reasons", "attempts"),
+    [
+        ([SINKING, NONE], [1, 6]),
+        ([SINKING, SINKING], [1, 6]),
+        ([SINKING, EXPLOSION], [1, 6]),
+        ([EXPLOSION, EXPLOSION, SINKING, NONE], [1, 2, 3, 6]),
+        ([EXPLOSION] * 5, [1, 2, 3, 4, 5]),
+        ([Reason.FAILED, NONE], [1, 2]),
+        ([Reason.TIMEOUT], [1]),
+        ([EXPLOSION, Reason.TIMEOUT], [1, 2]),
+    ],
+)
+def test_attempts_are_for_what_went_wrong(reasons: list[Reason], attempts: list[int]) -> None:
+    engine = AnsweringEngine(reasons)
+    (result,) = score_worlds(worlds_failing(0), Simulation(), engine)
+    assert [attempt.attempt for attempt in result.attempts] == attempts
+    assert result.outcome.reason is reasons[-1]
+    for sim, number in zip(engine.sims, attempts, strict=True):
+        assert (sim.physics.solimp[1] > 0.99) == (number == 6)

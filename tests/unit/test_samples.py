@@ -41,12 +41,12 @@ Plan = list[dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def plans() -> dict[str, Plan]:
-    return generate(N, SEED)
+    return dict(generate(N, SEED))
 
 
 @pytest.fixture(scope="module")
 def strict_plans() -> dict[str, Plan]:
-    return generate(25, SEED, loose_share=0.0)
+    return dict(generate(25, SEED, loose_share=0.0))
 
 
 def geometry(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
@@ -161,7 +161,7 @@ def test_strict_plans_keep_the_support_rule(strict_plans: dict[str, Plan]) -> No
 
 
 def test_loose_plans_use_the_freedom_they_have_and_no_more() -> None:
-    least = [min(support_shares(plan)) for plan in generate(25, SEED, loose_share=1.0).values()]
+    least = [min(support_shares(plan)) for _, plan in generate(25, SEED, loose_share=1.0)]
     assert min(least) >= LOOSE_SUPPORT[0] - 1e-9
     assert np.median(least) < LOOSE_SUPPORT[1]
 
@@ -177,9 +177,9 @@ def test_no_box_is_put_below_one_that_stands(plans: dict[str, Plan]) -> None:
 
 
 def test_fewer_plans_are_a_prefix_and_a_plan_is_made_alone(plans: dict[str, Plan]) -> None:
-    assert list(generate(10, SEED).items()) == list(plans.items())[:10]
+    assert list(generate(10, SEED)) == list(plans.items())[:10]
     assert generate_one(93, SEED) == ("s7-000093", plans["s7-000093"])
-    assert generate(3, SEED + 1)["s8-000000"] != plans["s7-000000"]
+    assert dict(generate(3, SEED + 1))["s8-000000"] != plans["s7-000000"]
 
 
 def test_hull_of_two_supports_holds_the_middle_but_not_the_side() -> None:
@@ -352,11 +352,11 @@ def test_handmade_geometry_is_what_the_reasons_say() -> None:
     assert {plan.expected for plan in HANDMADE} == {"stable", "unstable"}
     for plan in HANDMADE:
         assert n_overlapping_pairs(list(plan.placements)) == 0, plan.plan_id
-        assert (plan.culprit >= 0) == (plan.expected == "unstable"), plan.plan_id
     for name, share in (("45", 0.55), ("55", 0.45)):
         assert support_shares(list(plans[f"hand-overhang-{name}"].placements))[1] == pytest.approx(share)
     assert support_shares(list(plans["hand-bridge"].placements))[2] == pytest.approx(2 / 3)
     assert min(support_shares(list(plans["hand-staircase"].placements))) == pytest.approx(0.6)
+    assert support_shares(list(plans["hand-over-corner"].placements))[1] == pytest.approx(0.36)
     tower_low, tower_high = geometry(list(plans["hand-tower"].placements))
     assert tower_high[:, 2].max() == 1840
     assert (tower_low[:, :2] == 0).all()

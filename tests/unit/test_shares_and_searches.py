@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from support.outcomes import make_boxes, make_outcome
 
 from petmjx.sweeps.eumos import eumos_assessment
 from petmjx.sweeps.search import Bisection, failure_mode
-from petmjx.sweeps.shares import ALL_PLANS, share_standing, wilson_interval
+from petmjx.sweeps.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.verdict import BoxMetrics, Outcome, Reason, Verdict
 
 
@@ -23,6 +24,20 @@ def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> Bo
 
 def outcome(verdict: Verdict, reason: Reason = Reason.NONE, culprit: int = -1) -> Outcome:
     return make_outcome(1, verdict, reason, culprit=culprit)
+
+
+STANDS = outcome(Verdict.STABLE)
+SLID = outcome(Verdict.UNSTABLE, Reason.SHIFT, culprit=0)
+
+
+def search_with(search: Bisection, survives: Callable[[int, float], bool], backwards: bool = False) -> int:
+    """Answer a search's tests, by item and level, to the end; how many rounds that took."""
+    rounds = 0
+    while tests := search.next_tests():
+        tests = tests[::-1] if backwards else tests
+        search.record(tests, [STANDS if survives(item, search.levels[level]) else SLID for item, level in tests])
+        rounds += 1
+    return rounds
 
 
 @pytest.mark.parametrize(
@@ -65,18 +80,55 @@ def test_share_standing_counts_by_plan_and_axis_and_leaves_invalid_worlds_out() 
         ("b", 0, np.nan, "unstable"),
     ]
     worlds = pd.DataFrame(rows, columns=["plan_id", "variant", "level_g", "verdict"])
-    summary = share_standing(worlds, ["level_g"]).set_index(["plan_id", "axis", "value"])
-    assert summary.loc[(ALL_PLANS, "", ""), ["n_worlds", "n_standing", "n_invalid"]].tolist() == [7, 3, 2]
-    assert summary.loc[("a", "level_g", "0.5"), "share"] == 0.5
-    nothing_known = summary.loc[("a", "level_g", "1")]
-    assert np.isnan(nothing_known["share"])
-    assert (nothing_known["low"], nothing_known["high"]) == (0.0, 1.0)
-    half = summary.loc[(ALL_PLANS, "level_g", "0.5")]
-    assert half["share"] == pytest.approx(2 / 3)
-    assert (half["low"], half["high"]) == pytest.approx(tuple(float(x) for x in wilson_interval(2, 3)))
-    shuffled = share_standing(worlds.sample(frac=1, random_state=1), ["level_g"]).set_index(summary.index.names)
-    pd.testing.assert_frame_equal(summary, shuffled)
-    assert set(share_standing(worlds, ["level_g"], per_plan=False)["plan_id"]) == {ALL_PLANS}
+    summary = shares_by_key(worlds, ["level_g"])
+    assert summary.loc[(ALL_PLANS, "", "", ""), ["n_worlds", "n_standing", "n_invalid"]].tolist() == [7, 3, 2]
+    assert summary.loc[(ONE_PLAN, "a", "level_g", "0.5"), "share"] == 0.5
+    nothing_known = summary.loc[(ONE_PLAN, "a", "level_g", "1")]
+    assert nothing_known[["share", "low", "high"]].isna().all()
+    assert summary.loc[(ALL_PLANS, "", "level_g", "0.5"), "share"] == pytest.approx(2 / 3)
+    pd.testing.assert_frame_equal(summary, shares_by_key(worlds.sample(frac=1, random_state=1), ["level_g"]))
+
+
+def shares_by_key(worlds: pd.DataFrame, axes: list[str]) -> pd.DataFrame:
+    """Rows by scope, plan id ("" for all), axis and value."""
+    return share_standing(worlds, axes).fillna({"plan_id": ""}).set_index([*KEYS])
+
+
+def test_what_is_not_drawn_has_no_interval() -> None:
+    worlds = pd.DataFrame({"plan_id": "a", "level_g": [0.1, 0.2, 0.3], "verdict": ["stable", "stable", "unstable"]})
+    for given in (worlds, worlds.assign(draw=[np.nan, 0, 1])):
+        total = shares_by_key(given, []).loc[(ONE_PLAN, "a", "", "")]
+        assert total["share"] == pytest.approx(2 / 3)
+        assert total["n_draws"] == 0
+        assert total[["low", "high"]].isna().all()
+
+
+def test_an_interval_is_that_of_independent_draws() -> None:
+    verdicts = ["stable", "unstable"] * 10 + ["stable"] * 20
+    worlds = pd.DataFrame({"plan_id": "a", "error_mm": [1.0] * 20 + [2.0] * 20, "verdict": verdicts})
+    alone = shares_by_key(worlds.assign(draw=range(40)), []).loc[(ONE_PLAN, "a", "", "")]
+    assert alone["n_draws"] == 40
+    assert (alone["low"], alone["high"]) == tuple(map(float, wilson_interval(30, 40)))
+    shared = shares_by_key(worlds.assign(draw=[*range(20)] * 2), ["error_mm"])
+    total = shared.loc[(ONE_PLAN, "a", "", "")]
+    assert (total["n_worlds"], total["n_draws"], total["share"]) == (40, 20, 0.75)
+    assert (total["low"], total["high"]) == tuple(map(float, wilson_interval(15, 20)))
+    assert shared.loc[(ONE_PLAN, "a", "error_mm", "1"), "high"] == float(wilson_interval(10, 20)[1])
+    invalid = worlds.assign(draw=range(40), verdict=["invalid"] * 20 + verdicts[20:])
+    assert shares_by_key(invalid, []).loc[(ALL_PLANS, "", "", ""), "n_draws"] == 20
+    nothing = shares_by_key(worlds.assign(draw=range(40), verdict="invalid"), []).iloc[0]
+    assert nothing[["share", "low", "high"]].isna().all()
+
+
+@pytest.mark.parametrize("plan_id", ["*", "", "all", "plan"])
+def test_no_plan_s_id_is_taken_for_all_plans(plan_id: str) -> None:
+    worlds = pd.DataFrame({"plan_id": [plan_id, "b"], "level_g": 0.1, "verdict": ["stable", "unstable"]})
+    summary = share_standing(worlds, ["level_g"])
+    assert not summary.duplicated([*KEYS]).any()
+    totals = summary[summary["scope"] == ALL_PLANS]
+    assert totals["plan_id"].isna().all()
+    assert totals["n_worlds"].tolist() == [2, 2]
+    assert summary.groupby("plan_id")["n_worlds"].sum().to_dict() == {plan_id: 2, "b": 2}
 
 
 @pytest.mark.parametrize(("sections", "most_rounds"), [(1, 8), (3, 4), (7, 3), (200, 1)])
@@ -84,93 +136,73 @@ def test_bisection_finds_the_level_to_the_tolerance_in_counted_evaluations(secti
     levels = np.round(np.arange(201) * 0.01, 12)
     rng = np.random.default_rng(1)
     limit = np.concatenate([rng.uniform(0.0, 2.0, 40), [0.004, 1.9999, 5.0]])
-    search = Bisection(levels, len(limit), sections=sections)
-    tested = 0
-    while not search.done:
-        items, indices = search.next_tests()
-        tested += len(items)
-        lived = levels[indices] < limit[items]
-        modes = ["" if alive else "slide" for alive in lived]
-        search.record(items, indices, survived=lived, modes=modes, boxes=np.where(lived, -1, items))
-    result = search.result()
-    assert search.rounds <= most_rounds
-    assert tested == result["n_tests"].sum() <= len(limit) * most_rounds * sections
+    search = Bisection(levels, [STANDS] * len(limit), sections=sections)
+    rounds = search_with(search, lambda item, level: level < limit[item])
+    assert rounds <= most_rounds
+    assert sum(found.n_tests for found in search.items) <= len(limit) * most_rounds * sections
+    survived, failed = (
+        np.array([answer(item) for item in range(len(limit))], dtype=float)  # None becomes NaN
+        for answer in (search.largest_survived, search.first_failed)
+    )
     inside = limit < 2.0
-    survived, failed = result["largest_survived"].to_numpy(), result["first_failed"].to_numpy()
     assert (survived < limit).all()
     assert (failed[inside] >= limit[inside]).all()
     np.testing.assert_allclose(failed[inside] - survived[inside], 0.01)
     assert survived[-1] == 2.0
     assert np.isnan(failed[-1])
-    assert result["box"].tolist() == [*range(42), -1]
-    assert result["mode"].tolist() == ["slide"] * 42 + [""]
-    assert result["monotone"].all()
-    assert search.next_tests()[0].size == 0
+    assert [found.box for found in search.items] == [0] * 42 + [-1]
+    assert [found.mode for found in search.items] == ["slide"] * 42 + [""]
+    assert all(found.monotone for found in search.items)
 
 
 def test_bisection_leaves_out_what_does_not_stand_at_rest() -> None:
-    search = Bisection([0.0, 0.5, 1.0], 2, stands_at_rest=[False, True])
-    assert search.converged.tolist() == [True, False]
-    items, indices = search.next_tests()
-    assert items.tolist() == [1, 1]
-    assert indices.tolist() == [1, 2]
-    search.record(items, indices, survived=[False, False], modes=["tilt", "drop"], boxes=[4, 5])
-    result = search.result()
-    assert np.isnan(result["largest_survived"][0])
-    assert np.isnan(result["first_failed"][0])
-    assert (result["largest_survived"][1], result["first_failed"][1]) == (0.0, 0.5)
-    assert (result["box"][1], result["mode"][1]) == (4, "tilt")
+    search = Bisection([0.0, 0.5, 1.0], [SLID, STANDS])
+    assert [found.stands_at_rest for found in search.items] == [False, True]
+    tests = search.next_tests()
+    assert tests == [(1, 1), (1, 2)]
+    tilted = make_outcome(5, Verdict.UNSTABLE, Reason.TILT, culprit=4, max_tilt_deg=np.full(5, 30.0))
+    search.record(tests, [tilted, SLID])
+    assert (search.largest_survived(0), search.first_failed(0)) == (None, None)
+    assert (search.items[0].box, search.items[0].mode, search.items[0].n_tests) == (0, "slide", 0)
+    assert (search.largest_survived(1), search.first_failed(1)) == (0.0, 0.5)
+    assert (search.items[1].box, search.items[1].mode) == (4, "tilt")
+    assert search.next_tests() == []
 
 
 def test_bisection_with_a_lower_bound_above_zero_tests_that_bound() -> None:
-    search = Bisection([0.5, 0.6], 1, sections=5)
-    items, indices = search.next_tests()
-    assert indices.tolist() == [0, 1]
-    search.record(items, indices, survived=[False, False])
-    assert np.isnan(search.result()["largest_survived"][0])
-    assert search.result()["first_failed"][0] == 0.5
+    search = Bisection([0.5, 0.6], [STANDS], sections=5)
+    tests = search.next_tests()
+    assert tests == [(0, 0), (0, 1)]
+    search.record(tests, [SLID, SLID])
+    assert (search.largest_survived(0), search.first_failed(0)) == (None, 0.5)
 
 
 def test_a_survivor_above_a_failure_is_told_and_not_believed() -> None:
-    search = Bisection(np.arange(11) / 10, 1, sections=4)
-    while not search.done:
-        items, indices = search.next_tests()
-        # Jams between 0.55 and 0.9: survives 0.6 and 0.8 although 0.4 fails.
-        level = indices / 10
-        search.record(items, indices, survived=(level < 0.35) | ((level > 0.55) & (level < 0.9)))
-    result = search.result().iloc[0]
-    assert (result["largest_survived"], result["first_failed"]) == (0.3, 0.4)
-    assert not result["monotone"]
+    search = Bisection(np.arange(11) / 10, [STANDS], sections=4)
+    # Jams between 0.55 and 0.9: survives 0.6 and 0.8 although 0.4 fails.
+    search_with(search, lambda _, level: level < 0.35 or 0.55 < level < 0.9)
+    assert (search.largest_survived(0), search.first_failed(0)) == (0.3, 0.4)
+    assert not search.items[0].monotone
 
 
 def test_the_order_of_answers_does_not_matter() -> None:
-    levels = np.arange(101) / 100
-    limit = np.array([0.313, 0.777])
-
-    def run(reverse: bool) -> pd.DataFrame:
-        search = Bisection(levels, 2, sections=3)
-        while not search.done:
-            items, indices = search.next_tests()
-            if reverse:
-                items, indices = items[::-1], indices[::-1]
-            search.record(items, indices, survived=levels[indices] < limit[items])
-        return search.result()
-
-    pd.testing.assert_frame_equal(run(False), run(True))
+    limit = (0.313, 0.777)
+    forwards, backwards = (Bisection(np.arange(101) / 100, [STANDS] * 2, sections=3) for _ in range(2))
+    search_with(forwards, lambda item, level: level < limit[item])
+    search_with(backwards, lambda item, level: level < limit[item], backwards=True)
+    assert forwards.items == backwards.items
 
 
 def test_bisection_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> None:
-    search = Bisection([0.0, 0.1, 0.2, 0.3], 1, sections=3)
-    items, indices = search.next_tests()
+    search = Bisection([0.0, 0.1, 0.2, 0.3], [STANDS], sections=3)
     answers = [
         outcome(Verdict.STABLE),
         outcome(Verdict.INVALID, Reason.NONFINITE),
         outcome(Verdict.UNSTABLE, Reason.DROP, culprit=0),
     ]
-    search.record(items, indices, answers)
-    result = search.result().iloc[0]
-    assert (result["largest_survived"], result["first_failed"]) == (0.1, 0.2)
-    assert (result["mode"], result["n_invalid"]) == ("nonfinite", 1)
+    search.record(search.next_tests(), answers)
+    assert (search.largest_survived(0), search.first_failed(0)) == (0.1, 0.2)
+    assert (search.items[0].mode, search.items[0].n_invalid) == ("nonfinite", 1)
     assert failure_mode(answers[0]) == ""
 
 
@@ -185,41 +217,48 @@ def test_the_mode_is_that_of_the_box_that_went_first() -> None:
 
 
 def test_an_answer_for_each_test_is_asked_for() -> None:
-    search = Bisection([0.0, 0.1], 1)
+    search = Bisection([0.0, 0.1], [STANDS])
     with pytest.raises(ValueError, match="one answer for each test"):
-        search.record([0], [1], survived=[True, False])
+        search.record([(0, 1)], [STANDS, STANDS])
 
 
 def test_bisection_refuses_levels_that_do_not_rise() -> None:
     for bad in ([], [0.1, 0.1], [0.2, 0.1]):
         with pytest.raises(ValueError, match="rising"):
-            Bisection(bad, 1)
+            Bisection(bad, [STANDS])
 
 
 HALF = np.array([[0.2, 0.15, 0.25], [0.2, 0.15, 0.25]])
 SETTLED = np.array([[0.2, 0.15, 0.25], [0.2, 0.15, 0.75]])
 
 
+def assess(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> dict[str, Any]:
+    """EUMOS's columns, by their last words, of boxes that came to rest in these places."""
+    found = eumos_assessment(moved(pos, max_sway_m, dropped), SETTLED, HALF)
+    return {name.removeprefix("eumos_"): value for name, value in found.items()}
+
+
+def shifted(lower_m: list[float], upper_m: list[float]) -> np.ndarray:
+    return SETTLED + np.array([lower_m, upper_m])
+
+
 def test_eumos_limits_are_shares_of_the_load_s_height() -> None:
-    still = eumos_assessment(moved(SETTLED, [0.0, 0.09]), SETTLED, HALF)
-    assert still.load_height_m == 1.0
-    assert (still.elastic_share, still.permanent_share, still.foot_permanent_m) == (0.09, 0.0, 0.0)
-    assert still.passed
-    assert not eumos_assessment(moved(SETTLED, [0.0, 0.101]), SETTLED, HALF).elastic_ok
-    far = SETTLED + np.array([[0.0, 0.0, 0.0], [0.03, 0.04, 0.5]])
-    at_limit = eumos_assessment(moved(far, [0.0, 0.05]), SETTLED, HALF)
-    assert at_limit.permanent_share == pytest.approx(0.05)
-    beyond = eumos_assessment(moved(SETTLED + np.array([[0, 0, 0], [0.051, 0, 0]]), [0.0, 0.051]), SETTLED, HALF)
-    assert not beyond.permanent_ok
-    foot = eumos_assessment(moved(SETTLED + np.array([[0.041, 0, 0], [0, 0, 0]]), [0.041, 0.0]), SETTLED, HALF)
-    assert foot.permanent_share < 0.05
-    assert foot.foot_permanent_m == pytest.approx(0.041)
-    assert not foot.passed
+    # the load is 1 m high
+    still = assess(SETTLED, [0.0, 0.09])
+    assert still == {"elastic_share": 0.09, "permanent_share": 0.0, "foot_permanent_m": 0.0, "passed": True}
+    assert not assess(SETTLED, [0.0, 0.101])["passed"]
+    at_limit = assess(shifted([0.0, 0.0, 0.0], [0.03, 0.04, 0.5]), [0.0, 0.05])
+    assert at_limit["permanent_share"] == pytest.approx(0.05)
+    beyond = assess(shifted([0, 0, 0], [0.051, 0, 0]), [0.0, 0.051])
+    assert beyond["elastic_share"] < 0.1
+    assert not beyond["passed"]
+    foot = assess(shifted([0.041, 0, 0], [0, 0, 0]), [0.041, 0.0])
+    assert foot["permanent_share"] < 0.05
+    assert foot["foot_permanent_m"] == pytest.approx(0.041)
+    assert not foot["passed"]
 
 
 def test_eumos_never_passes_a_drop_or_a_test_that_did_not_run() -> None:
-    assert not eumos_assessment(moved(SETTLED, [0.0, 0.0], dropped=True), SETTLED, HALF).passed
-    missing = eumos_assessment(moved(SETTLED, [np.nan, np.nan]), SETTLED, HALF)
-    assert not missing.passed
-    assert missing.columns()["eumos_passed"] is False
-    assert replace(missing, elastic_share=0.0).passed
+    assert assess(SETTLED, [0.0, 0.0])["passed"]
+    assert not assess(SETTLED, [0.0, 0.0], dropped=True)["passed"]
+    assert assess(SETTLED, [np.nan, np.nan])["passed"] is False

@@ -21,7 +21,7 @@ from petmjx.show.compare_tables import comparison_tables
 from petmjx.show.layout import Column, FittedTable, number, percent, print_each
 from petmjx.show.progress import ProgressLines, progress
 from petmjx.show.sweep_tables import FEW_ROWS, MAX_VALUES, sweep_tables
-from petmjx.show.tables import SHOWN_SKIPPED, notes, run_tables, summary_table, worlds_table
+from petmjx.show.tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
 from petmjx.text import counted, printable, three_digits, time_left
 from petmjx.verdict import Outcome
 
@@ -184,6 +184,9 @@ def test_notes_are_counted() -> None:
     assert lines[0] == "skipped: plans.json: plan 0\\u001b: bad"
     assert lines[-2] == "skipped: 2 more, in run.json"
     assert lines[-1].startswith("1 plan with overlapping")
+    lines = lines_of(list(notes({"skipped": [], "warnings": ["all slide", "odd"], "counts": {"odd_plans": 1}})))
+    assert lines[0].startswith("1 plan with overlapping")
+    assert lines[1] == "note: all slide"
 
 
 # Comparisons and sweeps.
@@ -208,8 +211,9 @@ def test_comparison(tmp_path: Path) -> None:
 
 
 def shares(n_values: int) -> pd.DataFrame:
-    row = {"plan_id": "*", "n_worlds": 123456, "n_standing": 61728, "share": 0.5, "low": 0.4, "high": 1.0}
-    row |= {"eumos_share": 0.25, "smallest_fail_angle_deg": np.nan}
+    row = {"scope": "all", "plan_id": None, "n_worlds": 123456, "n_standing": 61728, "share": 0.5}
+    row |= {"n_draws": 32, "low": 0.4, "high": 1.0, "n_invalid": 3456}
+    row |= {"n_eumos": 120000, "eumos_share": 0.25, "smallest_fail_angle_deg": np.nan}
     axes = [("", "")] + [("placement_error_direction_deg", f"a-profile-of-mine-{k}") for k in range(n_values)]
     return pd.DataFrame([{**row, "axis": axis, "value": value} for axis, value in axes])
 
@@ -223,22 +227,65 @@ def levels(n_plans: int) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_tables_of_sweeps_fit(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.show.sweep_tables.ALL_PLANS", "*")
+def test_tables_of_sweeps_fit(width: int) -> None:
     for summary in (shares(3), levels(3)):
         for line in lines_of(list(sweep_tables(summary)), width):
             assert cell_len(line) <= width
     lines = words_of(list(sweep_tables(shares(3))), 80)
-    assert "all 123,456 61,728 50.0 % 40.0 % to 100.0 % 25.0 % -" in lines
+    # a wide table has no room for how many stand: the share and what it is of stay
+    assert "all 120,000 50.0 % 40.0 % to 100.0 % 120,000 25.0 % -" in lines
     lines = words_of(list(sweep_tables(levels(3))), 120)
-    assert "largest level, g survived" in lines
-    assert "eumos-40509 270 3 2 0 0.265 0.53 0.53 0.53" in lines
+    assert "largest level, g survived, where placements stand at rest" in lines
+    assert "eumos-40509 270 3 2 0 0.53 0.53 0.53 0.53 0.53" in lines
     assert any(line.startswith("plan-0 eumos-40509 270 0.53 * slide 4 xxx") for line in lines)
     assert "* a level above the smallest that failed was survived" in lines
 
 
-def test_long_answers_are_left_to_the_summary(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.show.sweep_tables.ALL_PLANS", "*")
+def test_intervals_are_shown_where_there_are_any() -> None:
+    frame = shares(2)
+    frame.loc[1, ["n_draws", "low", "high"]] = [0, np.nan, np.nan]
+    lines = words_of(list(sweep_tables(frame)), 120)
+    assert "placement_error_direction_deg a-profile-of-mine-0 123,456 61,728 50.0 % 25.0 % -" in lines
+    lines = words_of(list(sweep_tables(frame.assign(n_draws=0, low=np.nan, high=np.nan))), 120)
+    assert not any("95 %" in line or "draws" in line for line in lines)
+    assert "all 123,456 61,728 50.0 % 25.0 % -" in lines
+
+
+@pytest.mark.parametrize(
+    ("largest", "expected"),
+    [
+        ([0.0, 0.2, 0.4, 0.6, 0.8], "5 5 1 0 0.2 0.4 0.6 0.8"),
+        ([np.nan, np.nan, 0.5, 0.6, 0.7], "5 5 2 none none 0.5 0.6 0.7"),
+        ([None, 0.3], "2 2 1 none none none none 0.3"),
+        ([None, None], "2 2 2 none none none none none"),
+        ([], "1 0 0 - - - - -"),
+    ],
+)
+def test_levels_are_those_of_placements_that_stand(largest: list[float | None], expected: str) -> None:
+    frame = levels(1 + len(largest)).iloc[1:].assign(largest_level_g=np.array(largest, dtype=float))
+    frame = frame if len(frame) else levels(1)  # which does not stand
+    assert f"eumos-40509 270 {expected}" in words_of(next(sweep_tables(frame)), 80)
+
+
+def test_a_search_counts_its_answers_not_its_probes() -> None:
+    rows = [
+        ("a", 0, True, 0.5, 0.6, "slide", 5, 1), ("a", 0, True, 1.0, np.nan, "", 4, 0),
+        ("b", 0, True, np.nan, 0.1, "drop", 3, 0), ("c", 0, False, np.nan, np.nan, "drop", 0, 0),
+        ("d", 0, False, np.nan, np.nan, "nonfinite", 0, 0),
+    ]  # fmt: skip
+    names = ["plan_id", "placement", "stands_at_rest", "largest_level_g", "first_failed_level_g", "mode", "n_tests"]
+    frame = pd.DataFrame(rows, columns=[*names, "n_invalid"])
+    info = {"counts": {"worlds": 14, "stable": 5, "skipped_plans": 2}, "timings": {"wall_s": 4.0}}
+    lines = words_of(search_table(info, frame))
+    assert lines[1:10] == [
+        "placements 4", "stand 2 50.0 %", "invalid 1 25.0 %",
+        "answers 3", "survive no level 1 33.3 %", "survive all levels 1 33.3 %",
+        "tests simulated 12", "invalid 1 8.3 %", "skipped plans 2",
+    ]  # fmt: skip
+    assert "tests/s 3 4.0 s" in lines
+
+
+def test_long_answers_are_left_to_the_summary() -> None:
     assert len(list(sweep_tables(levels(FEW_ROWS + 1)))) == 1
     assert lines_of(list(sweep_tables(shares(MAX_VALUES + 4))))[-1] == "5 more in summary"
 

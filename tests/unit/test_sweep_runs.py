@@ -20,7 +20,7 @@ from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.run import SAME_STEP_ATTEMPTS, Batching, SweepRun
+from petmjx.sweeps.run import Batching, SweepRun
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 
@@ -36,7 +36,7 @@ early_stop = false
 
 
 def leaning(plan_id: str, n: int = 2, overhang_mm: float = 0.0) -> Plan:
-    """Cartons on top of each other, every second moved along x; the carrier ends at x = 0."""
+    """Cartons on top of each other, every second moved along x."""
     return make_plan(plan_id, stack(n, overhang_mm))
 
 
@@ -162,15 +162,23 @@ def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path
 def test_the_summary_has_shares_with_intervals_and_units(tmp_path: Path) -> None:
     results = petmjx.sweep(write_sweep(tmp_path, MIXED), [leaning("a"), leaning("b", 3)], engine="mujoco")
     assert results.summary is not None
-    summary = results.summary.set_index(["plan_id", "axis", "value"])
+    summary = results.summary.query("scope == 'plan'").set_index(["plan_id", "axis", "value"])
     worlds = results.worlds
     chosen = worlds[(worlds["plan_id"] == "b") & (worlds["level_g"] == 0.3)]
     row = summary.loc[("b", "level_g", "0.3")]
     assert row["n_worlds"] == len(chosen) == 6
     assert row["n_standing"] == (chosen["verdict"] == "stable").sum()
     assert row["n_eumos_passed"] == chosen["eumos_passed"].sum()
-    assert row["low"] <= row["share"] <= row["high"]
-    assert summary.loc[("*", "", ""), "n_worlds"] == len(worlds) == 26
+    assert row["n_draws"] == 0  # the placement without an error is the same every time
+    assert pd.isna(row["low"])
+    drawn = summary.loc[("b", "placement_error_mm", "3")]
+    assert drawn["n_draws"] == 2  # replicates, each at several levels and directions
+    assert drawn["low"] <= drawn["share"] <= drawn["high"]
+    total = results.summary.query("scope == 'all' and axis == ''").iloc[0]
+    assert pd.isna(total["plan_id"])
+    assert total["n_worlds"] == len(worlds) == 26
+    both = results.summary.query("scope == 'all' and axis == 'placement_error_mm' and value == '3'").iloc[0]
+    assert both["n_draws"] == 4  # random numbers are each plan's own
     units = results.units("summary")
     assert units["share"] == units["n_eumos"] == "1"
     assert units["plan_id"] == ""
@@ -219,7 +227,7 @@ def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
     fallen = summary.loc[("falls", 1.0, 0.0)]
     assert not fallen["stands_at_rest"]
     assert np.isnan(fallen["largest_level_g"])
-    assert (fallen["box"], fallen["mode"], fallen["n_tests"]) == (1, "drop", 0)
+    assert (fallen["box"], fallen["mode"], fallen["n_tests"]) == (1, "tilt", 0)
     # one unsimulated row for each of its searches
     assert worlds.query("plan_id == 'falls'")["n_steps"].tolist() == [0] * 4
     assert results.units("summary")["largest_level_g"] == "g"
@@ -251,7 +259,7 @@ class _NeverBelieved(Recorder):
 def test_states_are_never_shared_between_timesteps(tmp_path: Path) -> None:
     engine = _NeverBelieved(1)
     results = petmjx.sweep(write_sweep(tmp_path, QUICK + EUMOS_GRID), [leaning("a", 1)], engine=engine)
-    assert len(engine.batches) == len(SAME_STEP_ATTEMPTS)
+    assert len(engine.batches) == 4
     assert {sim.physics.timestep_s for _, sim in engine.batches} == {0.002}
     assert set(results.worlds["reason"]) == {"nonfinite"}
     assert results.worlds["mode"].unique().tolist() == ["nonfinite"]
@@ -271,3 +279,55 @@ def test_a_hard_landing_is_no_sign_of_the_drive() -> None:
     assert metrics.culprit == -1
     metrics.add_pose(1.0, scene.target + np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0]]), upright)
     assert (metrics.culprit, metrics.first_sign_s) == (1, 1.0)
+
+
+ASKEW = (((400, 300, 200), (0, 0, 0), 6.0), ((300, 200, 150), (50, 50, 260), 3.0))
+"""The second box falls by 60 mm and lies flat: it did not stand, but no box dropped."""
+
+GENTLE = QUICK.replace("early_stop = false", "") + '[axes]\nprofile = "eumos-40509"\nlevel = [0.05, 0.1]\n'
+
+
+def test_what_does_not_stand_is_not_shaken_and_passes_nothing(tmp_path: Path) -> None:
+    engine = Recorder(2)
+    plans = [make_plan("askew", ASKEW), make_plan("stands", stack(2))]
+    results = petmjx.sweep(write_sweep(tmp_path, GENTLE), plans, engine=engine)
+    worlds = results.worlds.set_index("plan_id")
+    askew, stands = worlds.loc["askew"], worlds.loc["stands"]
+    assert set(askew["verdict"]) == {"unstable"}
+    assert set(askew["reason"]) == {"shift"}
+    assert (askew["n_steps"] == 0).all()
+    assert set(askew["eumos_passed"]) == {False}
+    assert askew["eumos_permanent_share"].isna().all()
+    assert set(stands["eumos_passed"]) == {True}
+    assert results.summary is not None
+    summary = results.summary.set_index(["plan_id", "axis"])
+    assert summary.loc[("askew", ""), ["n_worlds", "n_eumos", "n_eumos_passed"]].tolist() == [2, 2, 0]
+    assert summary.loc[("*", ""), ["n_worlds", "n_eumos", "eumos_share"]].tolist() == [4, 4, 0.5]
+    assert len([job for jobs, _ in engine.batches for job in jobs if job.start is not None]) == 2
+
+
+def test_without_early_stop_it_is_shaken_but_passes_nothing(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, GENTLE.replace("[axes]", "early_stop = false\n[axes]"))
+    results = petmjx.sweep(file, [make_plan("askew", ASKEW)], engine="mujoco")
+    assert (results.worlds["n_steps"] > 0).all()
+    assert set(results.worlds["verdict"]) == {"unstable"}
+    assert set(results.worlds["eumos_passed"]) == {False}
+    assert results.worlds["eumos_permanent_share"].notna().all()
+
+
+class _Forgiving(Recorder):
+    """Placements do not stand; all that is shaken ends where it should."""
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        for outcome in super().run(jobs, sim, progress):
+            if jobs[outcome.job].drive is None:
+                yield replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, culprit=1, first_sign_s=0.4)
+            else:
+                yield outcome
+
+
+def test_no_profile_makes_a_placement_stand(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, GENTLE.replace("[axes]", "early_stop = false\n[axes]"))
+    worlds = petmjx.sweep(file, [make_plan("a", stack(2))], engine=_Forgiving(1)).worlds
+    assert worlds[["verdict", "reason", "culprit"]].to_numpy().tolist() == [["unstable", "shift", 1]] * 2
+    assert set(worlds["eumos_passed"]) == {False}

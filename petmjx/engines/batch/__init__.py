@@ -1,4 +1,4 @@
-"""What both MJX engines share: padded batches of worlds in stages; and the engine mjx-jax.
+"""The base of both MJX engines, which simulate padded batches of worlds in stages; and the engine mjx-jax.
 
 Shapes are annotations that tests check at every call. Their axes, here and in ``petmjx.metrics``:
 

@@ -1,4 +1,4 @@
-"""Which capacities the stages of a run have: chosen from the plans' sizes, not a fixed list."""
+"""The capacities of a run's stages, chosen from the sizes of its plans."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 GRANULE = 4
-"""Capacities are multiples of this, so that runs over different plan files share compiled programs."""
+"""Capacities are multiples of this, so that runs with different plans can use the same compiled programs."""
 
 FIXED_COST_BOXES = 6.0
-"""A step at capacity C costs about (C + this)²: it grows with the square of the boxes, and costs something with
-no box at all (docs/performance.md)."""
+"""A step at capacity C costs about (C + this)²: it grows with the square of the boxes, and it costs something without
+any box too (docs/performance.md)."""
 
 
 def step_cost(capacity: int) -> float:
@@ -22,11 +22,11 @@ def step_cost(capacity: int) -> float:
 def growing_capacities(sizes: Sequence[int], max_stages: int) -> list[int]:
     """Capacities of the stages through which every plan grows, smallest first; the last holds the largest plan.
 
-    The work below a capacity is the number of boxes, over all plans, that are placed by its end.
+    The work up to a capacity is the number of boxes, over all plans, that are placed until then.
 
     Args:
         sizes: number of boxes of each plan.
-        max_stages: at most so many; each stage is one compiled program.
+        max_stages: most stages; each is one compiled program.
     """
     counts = np.asarray(sizes)
     top = round_up(int(counts.max()))
@@ -37,7 +37,7 @@ def growing_capacities(sizes: Sequence[int], max_stages: int) -> list[int]:
 def class_capacities(sizes: Sequence[int], max_classes: int) -> list[int]:
     """Capacities for stages in which a world stays from its start to its end (static check, profiles).
 
-    The work below a capacity is the number of plans that fit into it.
+    The work up to a capacity is the number of plans that fit into it.
     """
     counts = np.asarray(sizes)
     work = {capacity: int((counts <= capacity).sum()) for capacity in {0, *map(round_up, counts.tolist())}}

@@ -1,13 +1,12 @@
-"""What both MJX engines share: groups of worlds, stages, hand-over between capacities, streaming of outcomes."""
+"""The base class of the MJX engines: groups of worlds, stages, hand-over between capacities, outcomes as they come."""
 
 from __future__ import annotations
 
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -27,11 +26,14 @@ from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
 
 MAX_GROWTH = 8
-"""Buffers that overflowed are doubled up to this factor; a world that needs more is invalid."""
+"""Largest factor for buffers that overflow; they are doubled each time. A world that needs more is invalid."""
+
+MAX_STAGES = 6
+"""Most capacities of a run; each is compiled once."""
 
 MAX_LANES = 1 << 16
 MIN_LANES = 16
-"""Fewer lanes than this save no memory worth having."""
+"""With fewer lanes than this, no useful amount of memory is saved."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
@@ -52,8 +54,8 @@ class StageKey:
 class _Run:
     """One run: what its groups have in common.
 
-    ``capacities`` are those of the placement stages ("") and of each kind of drive; ``lane_limit`` is what device
-    memory was found to hold.
+    ``capacities``: of the placement stages ("") and of the stages of each kind of drive. ``lane_limit``: most lanes,
+    lowered when device memory runs out.
     """
 
     sim: Simulation
@@ -79,36 +81,31 @@ class _Group:
         return np.asarray(self.table.status)[: len(self.jobs)]
 
     def overflowed(self) -> NDArray[np.int64]:
-        """Rows that a stage gave back as they had entered it, because a buffer was too small."""
+        """Rows that a stage returned unchanged, because a buffer was too small."""
         flags = np.asarray(self.table.flags)[: len(self.jobs)]
         return np.flatnonzero((flags & OVERFLOW_BITS != 0) & (self.status() != Status.FINISHED))
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Clear overflow bits: a re-run in buffers that are large enough is as true as any other, and says so."""
-        at = jnp.asarray(rows)
-        flags = (self.table.flags[at] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
-        self.table = self.table._replace(flags=self.table.flags.at[at].set(flags))
+        """Clear the overflow bits and set the bit for a re-run: in larger buffers the result is valid."""
+        flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
+        self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
-        """End worlds that this device cannot simulate."""
-        at = jnp.asarray(rows)
-        self.table = self.table._replace(
-            flags=self.table.flags.at[at].set(self.table.flags[at] | int(flag)),
-            status=self.table.status.at[at].set(Status.FINISHED),
-        )
+        """End worlds that cannot be simulated on this device."""
+        flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
+        self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
 
 class MjxEngine(ABC):
     """Simulates worlds in batches on one JAX device.
 
     Args:
-        lanes: worlds stepped side by side, at most; fewer where fewer worlds are there or memory runs out.
-        group_size: worlds whose states are on the device at a time; bounds memory whatever the number of jobs.
-        max_stages: capacities in use, at most; each is compiled once.
-        capacities: fixed capacities instead of ones chosen from the plans (tests).
-        chunk_steps: steps between two looks at which lanes are through.
-        drain_share: a stage hands worlds that lag on to the next capacity once fewer than this share of its lanes
-            run. The last stage, and a single one, runs all to their end.
+        lanes: most worlds stepped side by side; fewer if there are fewer worlds, or if memory runs out.
+        group_size: worlds whose states are on the device at the same time; it bounds memory for any number of jobs.
+        capacities: fixed capacities, instead of capacities chosen from the plans (for tests).
+        chunk_steps: steps between two looks at which lanes have finished.
+        drain_share: when fewer than this share of a stage's lanes run, the stage ends, and its worlds continue in the
+            next capacity. The last stage simulates all its worlds to their end.
     """
 
     name = "mjx"
@@ -118,37 +115,28 @@ class MjxEngine(ABC):
         lanes: int | None = None,
         *,
         group_size: int = 8192,
-        max_stages: int = 6,
         capacities: Sequence[int] | None = None,
         chunk_steps: int = 25,
         drain_share: float = 0.25,
     ) -> None:
         set_up_jax()
-        self.lanes = lanes
-        self.group_size = group_size
-        self.max_stages = max_stages
-        self.capacities = capacities
-        self.chunk_steps = chunk_steps
-        self.drain_share = drain_share
-        self._stages: dict[StageKey, Stage] = {}
+        self.lanes, self.capacities, self.group_size = lanes, capacities, group_size
+        self.chunk_steps, self.drain_share = chunk_steps, drain_share
+        self.stages: dict[StageKey, Stage] = {}
+        """The stages that are compiled, and kept for later runs."""
         self._warm: set[Stage] = set()
         self._growth: dict[tuple[Cone, int], int] = {}
         self._running = RunLock(self.name)
 
-    @property
-    def stages(self) -> Mapping[StageKey, Stage]:
-        """The stages that are compiled and kept."""
-        return MappingProxyType(self._stages)
-
     @abstractmethod
     def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
-        """The implementation's stepper for a shape; ``growth`` multiplies its contact and constraint buffers."""
+        """The stepper for a shape; ``growth`` multiplies the sizes of its contact and constraint buffers."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once. Outcomes come stage by stage, as worlds reach their end.
 
         Raises:
-            RuntimeError: an earlier run of the same thread is not at its end. Other threads wait for theirs.
+            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
         """
         if not jobs:
             return
@@ -162,19 +150,17 @@ class MjxEngine(ABC):
 
     def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
         """Capacities of the placement stages ("") and of the stages of each kind of drive."""
+        sizes: dict[str, list[int]] = {}
+        for job in jobs:
+            for kind in ([""] if job.start is None else []) + ([job.drive.excitation.kind] if job.drive else []):
+                sizes.setdefault(kind, []).append(job.scene.n_boxes)
         if self.capacities is not None:
-            chosen = list(self.capacities)
-            return {"": chosen, "force": chosen, "acceleration": chosen}
-        choice: dict[str, list[int]] = {}
-        placed = [job.scene.n_boxes for job in jobs if job.start is None]
-        if placed:
-            grow = growing_capacities if sim.check is Check.ONE_BY_ONE else class_capacities
-            choice[""] = grow(placed, self.max_stages)
-        for kind in ("force", "acceleration"):
-            sizes = [job.scene.n_boxes for job in jobs if job.drive and job.drive.excitation.kind == kind]
-            if sizes:
-                choice[kind] = class_capacities(sizes, self.max_stages)
-        return choice
+            return {kind: list(self.capacities) for kind in sizes}
+        grows = sim.check is Check.ONE_BY_ONE
+        return {
+            kind: (growing_capacities if grows and not kind else class_capacities)(found, MAX_STAGES)
+            for kind, found in sizes.items()
+        }
 
     def _run_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
         group = self._load_group(run, jobs, first_job)
@@ -188,13 +174,9 @@ class MjxEngine(ABC):
                 yield from outcomes(np.array(rows), jobs, first_job, group.table, group.worlds, run.timetable, run.sim)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
-        if "" in run.capacities:
-            yield from self._run_stages(group, run.capacities[""], "", n_boxes, finished)
-        for kind in ("force", "acceleration"):
-            mine = np.array([job.drive is not None and job.drive.excitation.kind == kind for job in jobs])
-            if mine.any():
-                mine_alone = np.where(mine, n_boxes, NEVER)
-                yield from self._run_stages(group, run.capacities[kind], kind, mine_alone, finished)
+        for kind in sorted(run.capacities, key=("", "force", "acceleration").index):
+            mine = np.array([not kind or (job.drive is not None and job.drive.excitation.kind == kind) for job in jobs])
+            yield from self._run_stages(group, run.capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
 
     def _load_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> _Group:
         sim, timetable = run.sim, run.timetable
@@ -226,7 +208,7 @@ class MjxEngine(ABC):
         n_boxes: NDArray[np.int64],
         finished: Callable[[], Iterator[Outcome]],
     ) -> Iterator[Outcome]:
-        """All worlds of a stage before the next. ``n_boxes`` is NEVER for worlds that are none of these stages'."""
+        """Run the stages one after the other. ``n_boxes`` is NEVER for worlds that do not belong to these stages."""
         grows = drive == "" and group.run.sim.check is Check.ONE_BY_ONE
         waiting = (Status.SETTLED, Status.RUNNING) if drive else (Status.READY, Status.RUNNING)
         for capacity in capacities:
@@ -239,7 +221,7 @@ class MjxEngine(ABC):
                 yield from finished()
 
     def _run_stage(self, group: _Group, capacity: int, drive: str, rows: NDArray[np.int64], *, may_drain: bool) -> None:
-        """Run a stage over some worlds; again with larger buffers for those that overflowed."""
+        """Run a stage over some worlds, and again with larger buffers over those that overflowed."""
         run = group.run
         growth = self._growth.get((run.sim.physics.cone, capacity), 1)
         while len(rows):
@@ -252,7 +234,7 @@ class MjxEngine(ABC):
                 if not is_out_of_memory(error):
                     raise
                 group.table = entered
-                self._stages.clear()
+                self.stages.clear()
                 self._warm.clear()
                 self.release()
                 if lanes <= MIN_LANES:
@@ -274,7 +256,7 @@ class MjxEngine(ABC):
             group.retry(rows)
 
     def release(self) -> None:  # noqa: B027 (most implementations hold nothing)
-        """Give back device memory that an implementation holds between stages. Called when nothing runs."""
+        """Free device memory that an implementation keeps between stages. Called when nothing runs."""
 
     def _lane_count(self, run: _Run, capacity: int, n_worlds: int) -> int:
         """Lanes for a stage: a power of two, so that few shapes are compiled."""
@@ -283,26 +265,26 @@ class MjxEngine(ABC):
         return min(wanted, limit)
 
     def default_lanes(self, capacity: int) -> int:
-        """Lanes at a capacity where the user names no number."""
+        """Number of lanes at a capacity, if the user gives none."""
         return 256
 
     def _stage(self, group: _Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
         sim, timetable = group.run.sim, group.run.timetable
         key = StageKey(sim, capacity, lanes, drive, growth, len(timetable.clock))
-        if key not in self._stages:
+        if key not in self.stages:
             held = drive == "acceleration"
             begin = time.perf_counter()
             stepper = self.make_stepper(capacity, lanes, sim, held=held, growth=growth)
             rules = Rules(sim, timetable, capacity, driven=bool(drive))
-            self._stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
+            self.stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
             group.run.progress.compile_s += time.perf_counter() - begin
-        return self._stages[key]
+        return self.stages[key]
 
     def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
-        """Chunks and refills until the stage's worlds are through, or so few run that they are better handed on.
+        """Run chunks and refill lanes until the stage's worlds are finished, or few enough run to end the stage.
 
-        The counters that decide are those of the chunk before: the host asks for the next chunk first, so that the
-        device never waits for it.
+        The counters that decide are one chunk old: the host starts the next chunk before it reads them, so that the
+        device never waits for the host.
         """
         progress, capacity = group.run.progress, stage.rules.capacity
         padded = np.zeros(len(group.table.step), np.int32)
@@ -311,7 +293,7 @@ class MjxEngine(ABC):
         fresh = stage not in self._warm
         begin = time.perf_counter()
         chunks = lane_steps = 0
-        # Placement knows no profiles: with their table as it is, each new shape of it would compile again.
+        # Placement needs no profiles. Their table would make it compile again for each new shape of the table.
         profiles = group.profiles if stage.rules.driven else jnp.zeros((1, 1, 3))
         if fresh:
             progress.message = f"compiling capacity {capacity} for {stage.lanes} lanes"
@@ -341,8 +323,8 @@ class MjxEngine(ABC):
         for what, amount in spent.items():
             progress.extra[f"{key} {what}"] = progress.extra.get(f"{key} {what}", 0) + amount
         progress.extra[f"{key} lanes"] = stage.lanes
-        progress.extra[f"{key} contacts"] = max(progress.extra.get(f"{key} contacts", 0), contacts)
-        progress.extra[f"{key} rows"] = max(progress.extra.get(f"{key} rows", 0), constraint_rows)
+        for what, most in (("contacts", contacts), ("rows", constraint_rows)):
+            progress.extra[f"{key} {what}"] = max(progress.extra.get(f"{key} {what}", 0), most)
 
 
 def is_out_of_memory(error: Exception) -> bool:

@@ -1,7 +1,7 @@
-"""``mujoco.mjx``, imported without a word.
+"""``mujoco.mjx``, imported without its message.
 
-Where Warp is not installed, MJX says so on stdout (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine mjx-jax needs
-no Warp, and what petmjx prints may be a table that a program reads.
+If Warp is not installed, MJX prints a message to standard output (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine
+mjx-jax does not need Warp, and standard output may be JSON that a program reads.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _PRINTS = "mujoco.mjx.warp"
 
 
 class _SilentLoader(SourceFileLoader):
-    """Runs a module in which ``print`` does nothing while it is imported."""
+    """Imports a module in which ``print`` does nothing during the import."""
 
     def exec_module(self, module: ModuleType) -> None:
         module.__dict__["print"] = lambda *_, **__: None
@@ -31,7 +31,7 @@ class _SilentFinder(MetaPathFinder):
     """Finds the module that prints, and no other."""
 
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
-        # ``path`` is a list of folders or an iterable of importlib's own
+        # ``path`` is a list of folders, or an iterable that importlib makes
         spec = PathFinder.find_spec(fullname, path) if fullname == _PRINTS else None
         if spec is None or not isinstance(spec.loader, SourceFileLoader):
             return None

@@ -16,16 +16,15 @@ from petmjx.engines.batch.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 
 LINE_SEARCH_ITERATIONS = 10
-"""Under ``vmap`` every step of a line search is computed, needed or not: MuJoCo's 50 would cost five times as much."""
+"""Under ``vmap`` all iterations of a line search are computed, even those not needed: MuJoCo's 50 cost five times
+more."""
 
 
 class JaxStepper:
     """Steps lanes with ``mjx.step`` under ``vmap``. Contacts have fixed slots, so nothing can overflow."""
 
     def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics) -> None:
-        self.template = template
-        self.lanes = lanes
-        self.physics = physics
+        self.template, self.lanes, self.physics = template, lanes, physics
         self.model: Any = mjx.put_model(template, impl="jax")
 
     def scratch(self) -> Any:
@@ -36,9 +35,9 @@ class JaxStepper:
         def one_lane(fields: dict[str, jax.Array], data: Any) -> Any:
             model = self.model.tree_replace(fields)
             done = mjx.forward(model, data)
-            # MJX's line search takes the root of a squared tangential force, which float32 can make slightly negative
-            # where contacts are almost at rest (3.17: solver.py, _LSPoint). The accelerations and forces of the last
-            # step are then as good: the solver started from them.
+            # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
+            # for contacts almost at rest (3.17: solver.py, _LSPoint). Then the accelerations and forces of the last
+            # step are used, from which the solver started.
             lost = ~jnp.isfinite(done.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, done.qacc)
             done = done.replace(qacc=qacc, qacc_warmstart=qacc)
@@ -52,7 +51,7 @@ class JaxStepper:
         pyramidal = self.physics.cone is Cone.PYRAMIDAL
         rows_per_contact = 4 if pyramidal else 3
         geom = contact.geom[0]
-        # Every candidate contact owns the same rows in every lane; inactive ones carry no force.
+        # A contact has the same rows in every lane; inactive ones have no force.
         row = jnp.asarray(contact.efc_address)[:, None] + jnp.arange(rows_per_contact)
         rows = scratch._impl.efc_force[:, row]
         rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))
@@ -79,7 +78,7 @@ class JaxStepper:
 
 
 class MjxJaxEngine(MjxEngine):
-    """Batched MJX in pure JAX, on whatever device JAX has."""
+    """Batched MJX in pure JAX, on any device of JAX."""
 
     name = "mjx-jax"
 
@@ -94,6 +93,6 @@ class MjxJaxEngine(MjxEngine):
             native_ccd=True,
             line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
-        # Nothing is damped here. With damping left on, each step would compute its accelerations a second time.
+        # Nothing is damped. With damping enabled, each step would compute its accelerations twice.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         return JaxStepper(template, lanes, sim.physics)

@@ -24,6 +24,8 @@ class Reduced(NamedTuple):
     """Metrics of worlds that need the whole run."""
 
     shift: Float[Array, "world box 3"]
+    max_tilt: Float[Array, "world box"]
+    max_top_force: Float[Array, "world box"]
     rest_force: Float[Array, "world box"]
 
 
@@ -35,7 +37,13 @@ def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Reduced:
     shift = motion.shift(state.pose[..., :3], worlds.target, sim.thresholds.shift_floor_m)
     rested = (m.rest_samples > 0) & (state.step >= state.end)
     mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
-    return Reduced(jnp.where(placed[..., None], shift, 0.0), jnp.where(rested[:, None], mean, jnp.nan))
+    tilt = jnp.where(placed, motion.tilt_deg(state.pose[..., 3:]), 0.0)
+    return Reduced(
+        shift=jnp.where(placed[..., None], shift, 0.0),
+        max_tilt=jnp.fmax(m.max_tilt, tilt),
+        max_top_force=jnp.where(rested[:, None], jnp.maximum(m.max_top_force, mean), m.max_top_force),
+        rest_force=jnp.where(rested[:, None], mean, jnp.nan),
+    )
 
 
 def doubles(values: Any) -> NDArray[np.float64]:
@@ -68,10 +76,10 @@ def outcomes(
         drops = m.drop_step[i, :n]
         boxes = BoxMetrics(
             shift_m=doubles(found.shift[i, :n]),
-            max_tilt_deg=doubles(m.max_tilt[i, :n]),
+            max_tilt_deg=doubles(found.max_tilt[i, :n]),
             max_lin_acc=doubles(m.max_lin_acc[i, :n]),
             max_ang_acc=doubles(m.max_ang_acc[i, :n]),
-            max_top_force_n=doubles(m.max_top_force[i, :n]),
+            max_top_force_n=doubles(found.max_top_force[i, :n]),
             rest_top_force_n=doubles(found.rest_force[i, :n]),
             dropped=np.asarray(drops >= 0),
             drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),

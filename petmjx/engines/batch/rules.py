@@ -25,7 +25,7 @@ UNBELIEVABLE = 1e10
 
 
 class _Seen(NamedTuple):
-    """What samples look at: all of one step, at its begin. Shapes and units as in ``Rules.after_step``."""
+    """What samples see: values at the beginning of a step. Shapes and units as in ``Rules.after_step``."""
 
     pose: Float[Array, "lane box 7"]
     acceleration: Float[Array, "lane box 6"]
@@ -52,7 +52,7 @@ class Rules:
         return placed & state.running[:, None]
 
     def park(self, state: State) -> State:
-        """Boxes that are not in play as the step is to see them: where they wait, at rest."""
+        """Put boxes that are not in play to the places where they wait, at rest."""
         standing = self.standing(state)[..., None]
         return state._replace(
             pose=jnp.where(standing, state.pose, self.parked_pose()[None]),
@@ -89,7 +89,7 @@ class Rules:
         return self.place_next(state._replace(status=jnp.where(waited, Status.RUNNING, state.status)), worlds, waited)
 
     def _forget_transients(self, state: State, worlds: Worlds, begins: Bool[Array, " lane"]) -> Metrics:
-        """A box that dipped while it landed and stands again is no sign: the drive starts with a clean record."""
+        """Forget signs from the placement (a hard landing) in worlds in which no box is over a threshold now."""
         m, limits = state.metrics, self.sim.thresholds
         pos, quat = state.pose[..., :3], state.pose[..., 3:]
         shift = motion.shift(pos, worlds.target, limits.shift_floor_m)
@@ -114,7 +114,7 @@ class Rules:
 
         Args:
             state: poses, velocities and step counters as the step left them.
-            seen_pose: poses at the step's begin, where contacts and accelerations belong to: what samples look at.
+            seen_pose: poses at the beginning of the step, to which contacts and accelerations belong.
             acceleration: linear (m/s²) and angular (rad/s²) of each box in that step.
             top_force: N.
             overflow: non-zero where a buffer was too small for the step to be right.
@@ -192,7 +192,7 @@ class Rules:
         )
 
     def count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> State:
-        """Where ``poll`` says so, count the steps for which all boxes have been slow; anew where one creeps.
+        """In lanes with ``poll``, count the steps for which all boxes were slow. If one creeps, start again.
 
         A pallet is quiet from ``quiet.steps`` on, counted in ``state.quiet_steps``.
         """

@@ -1,9 +1,9 @@
 """Sets up JAX and Warp for petmjx: device memory shared between the two, compiled programs kept between runs.
 
-XLA's programs go to JAX's persistent cache, Warp's kernels to Warp's own. Both live under ``$PETMJX_CACHE_DIR``
-(default: ``~/.cache/petmjx``). Where caches are, and that Warp is silent, are settings of the process: the first engine
-that is built makes them, they stay, and they also hold for the caller's own JAX and Warp programs. What the caller has
-set before wins.
+XLA's programs are kept in JAX's persistent cache, Warp's kernels in Warp's cache. Both are under ``$PETMJX_CACHE_DIR``
+(default: ``~/.cache/petmjx``). The folders of the caches, and that Warp prints nothing, are settings of the process.
+The first engine makes them; they stay, and they also apply to the caller's own JAX and Warp programs. If the caller has
+set one of them before, it is not changed.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import jax
 from petmjx.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
-"""Programs that compile faster than this are not kept. A run has some hundred small ones: seconds, together."""
+"""Programs that compile faster than this are not kept. A run has about a hundred small ones, together some seconds."""
 
 CPU_COMPILER_OPTIONS = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
-"""With XLA's CPU scheduler that is optimised for concurrency, programs of stages stop for ever in XLA's thread pool
-(jaxlib 0.10.2, two cores: 7 runs of 7; without it 0 of 4)."""
+"""With XLA's CPU scheduler that is optimised for concurrency, programs of stages hang in XLA's thread pool (jaxlib
+0.10.2, two cores: 7 runs of 7; without it 0 of 4)."""
 
 
 def cache_dir() -> Path:
@@ -42,24 +42,24 @@ def set_up_jax() -> None:
 
 @functools.cache
 def compiler_options() -> dict[str, bool]:
-    """What ``jax.jit`` is to be given as ``compiler_options`` for large programs on this backend.
+    """The ``compiler_options`` of ``jax.jit`` for large programs on this backend.
 
-    Options go with each program, not into ``XLA_FLAGS``: those are read once, may have been by the time petmjx is
-    imported, and end the process where XLA does not know one.
+    They are given with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx is
+    imported, and ends the process if it does not know one of them.
     """
     if jax.default_backend() != "cpu":
         return {}
     try:
         jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options=dict(CPU_COMPILER_OPTIONS))
     except jax.errors.JaxRuntimeError:
-        return {}  # this jaxlib has no such option, so nothing that could be switched off
+        return {}  # this jaxlib has no such option, so there is nothing to switch off
     return dict(CPU_COMPILER_OPTIONS)
 
 
 def set_up_warp() -> None:
-    """Point Warp's kernel cache beside JAX's, and keep Warp from printing into what petmjx prints.
+    """Put Warp's kernel cache beside JAX's, and stop Warp from printing.
 
-    Each only where it is as Warp has it: a folder is set when the user sets one or Warp has started.
+    Each setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.)
     """
     import warp
 

@@ -113,7 +113,7 @@ class Stage:
 
     @property
     def compiled(self) -> dict[str, int]:
-        """Program → how often it was compiled: once, whatever worlds have run."""
+        """Program → how often it was compiled: once, for any worlds."""
         programs: dict[str, Any] = {"refill": self.refill, "run_chunk": self.run_chunk, "unload": self.unload}
         return {name: program._cache_size() for name, program in programs.items()}
 
@@ -182,7 +182,7 @@ class Stage:
         return renewed, table, queue, counters
 
     def _unload(self, lanes: Lanes, table: State) -> State:
-        """Write every lane's world back as it is, running ones included: a later stage goes on with them."""
+        """Write the worlds of all lanes back as they are. Later stages continue those that still run."""
         return self._write_back(lanes, table, jnp.ones_like(lanes.state.running), len(table.step))
 
     @staticmethod
@@ -194,7 +194,7 @@ class Stage:
         return table._replace(flags=table.flags.at[row].set(lanes.state.flags, mode="drop"))
 
     def _park_idle(self, state: State) -> State:
-        """Hang the carriers of idle lanes in the air as well: a world without contacts costs next to nothing."""
+        """Put the carriers of idle lanes into the air too: a world without contacts costs almost nothing."""
         idle = ~state.running[:, None]
         aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, 1.0, 0.0, 0.0, 0.0]])
         return state._replace(

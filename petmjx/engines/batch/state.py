@@ -37,7 +37,7 @@ class Status:
     """Placement is over and a drive follows."""
     FINISHED = 3
     OVERFLOWED = 4
-    """A buffer was too small: the stage is to be run again from where the world entered it."""
+    """A buffer was too small: the stage must run again from the state with which the world entered it."""
 
 
 class Worlds(NamedTuple):
@@ -54,6 +54,7 @@ class Worlds(NamedTuple):
     target: Float[Array, "world box 3"]
     start: Float[Array, "world box 7"]
     carrier_half: Float[Array, "world 3"]
+    carrier_pos: Float[Array, "world 3"]
     carrier_mass: Float[Array, " world"]
     friction: Float[Array, "world 3 3"]
     profile: Int[Array, " world"]
@@ -80,7 +81,7 @@ class Metrics(NamedTuple):
 
 
 class State(NamedTuple):
-    """What a stage takes and hands on. Steps are counted from the end of the soft start."""
+    """The state of worlds between stages. Steps are counted from the end of the soft start."""
 
     # Positions and velocities as MuJoCo's qpos and qvel of free bodies, and the accelerations the solver starts from.
     pose: Float[Array, "world box 7"]
@@ -95,13 +96,13 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
 
-    # What the rules watch: steps for which all boxes have been slow, their squared pace at the first of these, and
-    # the first of the violent samples in a row.
+    # For the rules: steps for which all boxes have been slow, their squared pace at the first of these, and the first
+    # of consecutive violent samples.
     quiet_steps: Int[Array, " world"]
     quiet_pace: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
-    # How it goes on, as steps or NEVER: when the drive starts, the resting force is averaged, and the world ends.
+    # What follows, as steps or NEVER: when the drive starts, the rest window starts, and the world ends.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
@@ -196,6 +197,7 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
         target=spread(target),
         start=spread(start),
         carrier_half=spread([scene.carrier_half_size for scene in scenes]),
+        carrier_pos=spread([scene.carrier_pos for scene in scenes]),
         carrier_mass=spread([scene.carrier_mass for scene in scenes]),
         friction=spread([[s.floor_friction, s.carrier_friction, s.box_friction] for s in scenes]),
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
@@ -227,7 +229,6 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
     n, width = worlds.mass.shape
     zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)
     never = jnp.full(n, NEVER, jnp.int32)
-    carrier_centre = worlds.carrier_half * jnp.array([[1.0, 1.0, -1.0]])
     upright = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (n, 4))
     metrics = Metrics(
         max_tilt=zeros,
@@ -246,7 +247,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         pose=worlds.start,
         vel=jnp.zeros((n, width, 6)),
         warm=jnp.zeros((n, width, 6)),
-        carrier_pose=jnp.concatenate([carrier_centre, upright], axis=-1),
+        carrier_pose=jnp.concatenate([worlds.carrier_pos, upright], axis=-1),
         carrier_vel=jnp.zeros((n, 6)),
         carrier_warm=jnp.zeros((n, 6)),
         step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),

@@ -1,1 +1,1 @@
-"""C MuJoCo on CPU threads: exact models, one world a thread. The oracle."""
+"""Engine mujoco: C MuJoCo on CPU threads, exact models, one world per thread. The oracle."""

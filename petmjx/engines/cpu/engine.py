@@ -1,26 +1,30 @@
-"""The ``mujoco`` engine: the exact model of each plan on C MuJoCo, one world a thread."""
+"""The ``mujoco`` engine: the exact model of each plan on C MuJoCo, one world per thread."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from functools import partial
+from itertools import islice
 
 import mujoco
+import numpy as np
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.cpu.world import WorldRun
+from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.machine import cpu_threads
-from petmjx.verdict import Outcome
+from petmjx.text import one_line
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 
 
 class _QuietMujoco:
-    """Keeps MuJoCo from printing, and from writing MUJOCO_LOG.TXT where the user stands, while any run is on.
+    """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
 
-    What it would say (bad numbers, full buffers) is read from the data and reaches the results as flags. The setting
-    is the process's: the first run makes it and the last one puts back what was there before.
+    Its messages (bad numbers, full buffers) are read from its data instead and become flags in the results. The setting
+    belongs to the process: the first run changes it and the last one restores it.
     """
 
     def __init__(self) -> None:
@@ -49,54 +53,88 @@ _QUIET_MUJOCO = _QuietMujoco()
 
 
 class MujocoEngine:
-    """Simulates each world alone and exactly: the oracle, and the fast path without a GPU.
+    """Simulates each world alone, on its exact model: the oracle, and the fastest engine without a GPU.
 
-    ``mj_step`` releases the GIL for as many steps as there are to the next event, so threads scale with
-    cores. A world's outcome does not depend on the number of threads.
+    ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
+    does not depend on the number of threads.
+
+    A world whose simulation raises (a model that does not compile, no memory, an error of MuJoCo) is invalid; the
+    others go on.
 
     Args:
-        threads: worlds at a time; None: as many CPU threads as this process may use.
+        threads: number of worlds simulated at once; None: as many CPU threads as this process may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: no limit.
     """
 
     name = "mujoco"
 
-    def __init__(self, threads: int | None = None) -> None:
+    def __init__(self, threads: int | None = None, world_timeout_s: float | None = None) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.threads = threads if threads is not None else cpu_threads()
+        self.world_timeout_s = world_timeout_s
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
-        Closing the generator, or an exception such as KeyboardInterrupt inside it, stops the threads
-        within a few dozen steps. At most two jobs a thread are submitted at a time, so memory does not
-        grow with the number of jobs.
+        If the generator is closed, or an exception such as KeyboardInterrupt comes, the threads stop within a few dozen
+        steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of jobs.
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
+        runs = (partial(_simulate, index, job, sim, stop, self.world_timeout_s) for index, job in enumerate(jobs))
         pending: set[Future[Outcome]] = set()
         with _QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
-                for index, job in enumerate(jobs):
-                    pending.add(pool.submit(_simulate, index, job, sim, stop))
-                    while len(pending) >= 2 * self.threads:
-                        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                        yield from _collect(finished, progress)
-                while pending:
+                while pending := pending | {pool.submit(run) for run in islice(runs, 2 * self.threads - len(pending))}:
                     finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                    yield from _collect(finished, progress)
+                    for outcome in (future.result() for future in finished):
+                        progress.worlds_done += 1
+                        progress.world_steps += outcome.n_steps
+                        yield outcome
             finally:
                 stop.set()
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event) -> Outcome:
-    return WorldRun(index, job, sim, stop.is_set).run()
+def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event, timeout_s: float | None = None) -> Outcome:
+    try:
+        return WorldRun(index, job, sim, stop.is_set, timeout_s).run()
+    except Cancelled:
+        raise
+    except Exception as error:
+        return _failed(index, job, sim, one_line(error))
 
 
-def _collect(finished: set[Future[Outcome]], progress: Progress) -> Iterator[Outcome]:
-    for future in finished:
-        outcome = future.result()
-        progress.worlds_done += 1
-        progress.world_steps += outcome.n_steps
-        yield outcome
+def _failed(index: int, job: Job, sim: Simulation, message: str) -> Outcome:
+    """The outcome of a world whose simulation raised an exception: it has no metrics."""
+    n = job.scene.n_boxes
+    unknown = np.full(n, np.nan)
+    boxes = BoxMetrics(
+        shift_m=np.full((n, 3), np.nan),
+        max_tilt_deg=unknown,
+        max_lin_acc=unknown,
+        max_ang_acc=unknown,
+        max_top_force_n=unknown,
+        rest_top_force_n=unknown,
+        dropped=np.zeros(n, np.bool_),
+        drop_s=unknown,
+        max_sway_m=unknown,
+        pos=job.scene.start_pos,
+        quat=job.scene.start_quat,
+    )
+    return Outcome(
+        job=index,
+        verdict=Verdict.INVALID,
+        reason=Reason.FAILED,
+        culprit=-1,
+        first_sign_s=np.nan,
+        n_boxes=n,
+        n_placed=0,
+        sim_time_s=np.nan,
+        n_steps=0,
+        flags=Flag.FAILED | (Flag.FORKED if job.start is not None else Flag.NONE),
+        boxes=boxes,
+        solver=sim.solver.value,
+        message=message,
+    )

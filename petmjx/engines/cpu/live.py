@@ -1,4 +1,4 @@
-"""A MuJoCo world that grows as boxes are placed: model, data, and the views the rules need."""
+"""A MuJoCo world that grows while boxes are placed: model, data, and the array views that the rules need."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from petmjx.world.model import HeldCarrier, add_boxes, build_spec
 from petmjx.world.scene import Scene
 
 GROWTH_BLOCK = 8
-"""Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a recompilation about
-1 ms. On a plan of 40 boxes, adaptive, blocks of 1 and blocks of 40 both take 5 % longer than blocks of 8."""
+"""Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a new compilation about 1 ms.
+With 40 boxes and the schedule adaptive, blocks of 1 and blocks of 40 both take 5 % longer than blocks of 8."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -25,9 +25,9 @@ _PARKING_PITCH_M = 10.0
 _WAITING_NAME = "waiting"
 _WAITING_MASS_KG = 1.0
 _STOP_STIFFNESS = 99.0
-"""Constraint weight of the stop per kg: impedance / (1 − impedance) at solimp 0.99."""
+"""Constraint weight of the stop, per kg: impedance / (1 − impedance) at solimp 0.99."""
 _FLOOR_STIFFNESS = 396.0
-"""Summed weights of a box's four pyramidal contacts with the floor (solimp 0.99, friction 1) per kg of the box."""
+"""Sum of the weights of a box's four pyramidal contacts with the floor (solimp 0.99, friction 1), per kg."""
 
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
@@ -42,16 +42,16 @@ class BodyState:
 
 
 class LiveWorld:
-    """Model and data of one world with the first ``n_placed`` boxes in play.
+    """Model and data of one world in which the first ``n_placed`` boxes are placed.
 
-    Boxes that are in the model but not yet placed stand far apart in the air, held by a force equal to
-    their weight. They touch nothing, so they do not influence the pallet.
+    Boxes that are in the model but not placed yet hang far apart in the air, each held by a force equal to its weight.
+    They touch nothing, so they do not influence the pallet.
 
-    With pyramidal cones, the reference's physics, a small body on a stop stands for the boxes that wait. Newton's
-    method starts from the last step's accelerations or from the unconstrained ones, whichever costs less in the
-    *whole* world, and stops at a tolerance; so the choice shows, by 100 N in single sampled blows. In the reference
-    the waiting boxes stand on the floor and take part in that choice. The stop adds exactly their share of the
-    difference in cost, at the price of one constraint row.
+    With pyramidal cones (physics ``reference``) one small body on a stop represents the boxes that wait. Reason:
+    Newton's method starts from the accelerations of the last step or from the unconstrained ones, from those with the
+    lower cost in the *whole* world, and it stops at a tolerance. So the choice is visible in the results: up to 100 N
+    in single sampled impacts. In the reference implementation the waiting boxes stand on the floor and take part in the
+    choice. The stop adds exactly their part of the difference in cost, with one constraint row.
 
     Attributes:
         pose: (capacity, 7) view of the boxes' positions and quaternions after the last step.
@@ -91,11 +91,11 @@ class LiveWorld:
             self.model.opt.iterations = self._sim.solver_iterations
         if self._sim.solver_tolerance is not None:
             self.model.opt.tolerance = self._sim.solver_tolerance
-        # MuJoCo would silently start a diverged world afresh; here it has to stay visible.
+        # MuJoCo would silently reset a world that diverges; petmjx must see it.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         if self._sim.physics.cone is Cone.ELLIPTIC:
-            # A pallet is one island; to look for islands costs 10 % of the time. With pyramidal cones they are looked
-            # for: the solver's tolerance is relative to the island, and the creep of the reference depends on it.
+            # A pallet is one island, and the search for islands costs 10 % of the time. With pyramidal cones the search
+            # stays on: the solver's tolerance is relative to the island, and the reference's creep depends on it.
             self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         self.data = mujoco.MjData(self.model)
         self._first_body = 2 + self._has_waiting
@@ -107,7 +107,7 @@ class LiveWorld:
         self._warmstart: FloatArray = self.data.qacc_warmstart[first_v:].reshape(capacity, 6)
 
     def _grow(self) -> None:
-        """Add the next boxes to the model; everything that is there moves over bit for bit."""
+        """Add the next boxes to the model. The state of all others is copied bit for bit."""
         old_capacity, old = self.capacity, self.data
         capacity = min(self.scene.n_boxes, old_capacity + GROWTH_BLOCK)
         add_boxes(self._spec, self.scene, self._sim.physics, old_capacity, capacity)
@@ -140,10 +140,10 @@ class LiveWorld:
             self._press_waiting()
 
     def _press_waiting(self) -> None:
-        """Press on the stop so that its cost equals that of the waiting boxes standing on the floor.
+        """Press on the stop so that its cost equals that of the waiting boxes if they stood on the floor.
 
-        A mass m at rest on constraints of summed weight D, pulled by g, costs (D + m)·g²/2 more with the
-        unconstrained acceleration than with the true one; both D are proportional to m.
+        A mass m at rest on constraints of summed weight D, pulled by g, costs (D + m)·g²/2 more with the unconstrained
+        acceleration than with the true one. In both cases D is proportional to m.
         """
         waiting_kg = float(self.scene.mass[self.n_placed :].sum())
         gravity = self._sim.physics.gravity_m_s2
@@ -163,15 +163,15 @@ class LiveWorld:
         self.data.xfrc_applied[1, :3] = force_n
 
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
-        """(k, 3) centres and (k, 4) orientations of the placed boxes at the start of the last step.
+        """(k, 3) centres and (k, 4) orientations of the placed boxes at the beginning of the last step.
 
-        That is the instant to which accelerations and contact forces of that step belong.
+        The accelerations and contact forces of that step belong to the same moment.
         """
         rows = slice(self._first_body, self._first_body + self.n_placed)
         return self.data.xpos[rows], self.data.xquat[rows]
 
     def hold_carrier(self) -> None:
-        """Clamp the carrier where it is. What stands on it keeps pose and velocity."""
+        """Clamp the carrier where it is. The boxes keep their poses and velocities."""
         state, time_s = self.body_state(), self.data.time
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
@@ -179,7 +179,7 @@ class LiveWorld:
         self._restore(state, time_s)
 
     def body_state(self) -> BodyState:
-        """A copy of the moving state of a world whose carrier is free."""
+        """A copy of the state of a world with a free carrier."""
         data = self.data
         return BodyState(
             pose=np.vstack((data.qpos[:7], self.pose)),
@@ -189,7 +189,7 @@ class LiveWorld:
 
     @classmethod
     def resume(cls, scene: Scene, sim: Simulation, state: BodyState, time_s: float) -> LiveWorld:
-        """A world with all boxes, in a state that another world had reached."""
+        """A world with all its boxes, in the state that another world has reached."""
         live = cls(scene, sim, n_boxes=len(state.pose) - 1)
         live._restore(state, time_s)
         return live

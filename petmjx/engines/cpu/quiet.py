@@ -1,4 +1,4 @@
-"""The rule that says when a pallet is quiet, for one world of the C engine (docs/rules.md)."""
+"""The rule for quiet (docs/rules.md, section 5), for one world of the C engine. Its twin: ``Rules.count_quiet``."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from petmjx.units import FloatArray
 
 
 class QuietRule:
-    """Looks at a pallet every ``sim.quiet.poll_steps`` and says whether it is quiet: see ``petmjx.config.Quiet``.
+    """Counts the looks at a pallet and says whether it is quiet. Its numbers: ``petmjx.config.Quiet``.
 
-    That no pallet is quiet before ``min_steps`` after a placement is left to the caller, who knows when that was.
+    The caller looks every ``poll_steps``, and makes sure that ``min_steps`` have passed since the last placement.
     """
 
     def __init__(self, sim: Simulation) -> None:
@@ -22,7 +22,7 @@ class QuietRule:
         self._first_pace: FloatArray = np.zeros(0)
 
     def restart(self) -> None:
-        """A box was placed: the count begins anew."""
+        """A box was placed: the count starts again."""
         self._steps = 0
 
     def is_quiet(self, velocity: FloatArray, sign_seen: bool) -> bool:
@@ -30,7 +30,7 @@ class QuietRule:
 
         Args:
             velocity: (k, 6) of the placed boxes, linear in m/s and angular in rad/s.
-            sign_seen: whether a box has crossed a threshold; then creep holds up nothing any more.
+            sign_seen: whether a box has crossed a threshold; then creep is not waited for.
         """
         rule = self._rule
         pace = motion_np.pace(velocity, rule)

@@ -1,12 +1,11 @@
-"""Running metrics of one world in NumPy: the oracle's half, sharing no arithmetic with the batched JAX half.
+"""Running metrics of one world in NumPy, for the oracle. It shares no arithmetic with the JAX side.
 
-Definitions are those of docs/metrics.md. Arrays have one row per box, in packing order.
+Definitions: docs/metrics.md. Arrays have one row per box, in packing order.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +15,6 @@ from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
 from petmjx.world.scene import Scene
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """What is looked at after one step: the k placed boxes' poses, accelerations and top forces.
-
-    All belong to the start of that step, where MuJoCo evaluates contacts and accelerations.
-    """
-
-    time_s: float
-    pos: FloatArray
-    quat: FloatArray
-    lin_acc: FloatArray
-    ang_acc: FloatArray
-    top_force_n: FloatArray
 
 
 class OracleMetrics:
@@ -53,7 +37,7 @@ class OracleMetrics:
         self._sway_origin: FloatArray | None = None
 
     def fork(self) -> OracleMetrics:
-        """An independent copy, for worlds that go on from a shared state."""
+        """An independent copy, for a world that starts from this state."""
         twin = copy.copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
@@ -64,27 +48,31 @@ class OracleMetrics:
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
 
-    def add_sample(self, sample: Sample) -> bool:
-        """Take in one sample.
+    def add_sample(
+        self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
+    ) -> bool:
+        """Take in one sample: the k placed boxes' poses, (k, 6) accelerations and forces on their tops.
+
+        All belong to the start of a step, where MuJoCo evaluates contacts and accelerations.
 
         Returns:
-            Whether some acceleration is above its threshold while no box has shown any sign of instability.
+            Whether an acceleration is above its threshold and no sign has been seen yet.
         """
-        k = len(sample.pos)
-        lin = np.linalg.norm(sample.lin_acc, axis=1)
-        ang = np.linalg.norm(sample.ang_acc, axis=1)
+        k = len(pos)
+        lin = np.linalg.norm(acc[:, :3], axis=1)
+        ang = np.linalg.norm(acc[:, 3:], axis=1)
         np.maximum(self.max_lin_acc[:k], lin, out=self.max_lin_acc[:k])
         np.maximum(self.max_ang_acc[:k], ang, out=self.max_ang_acc[:k])
-        np.maximum(self.max_top_force_n[:k], sample.top_force_n, out=self.max_top_force_n[:k])
+        np.maximum(self.max_top_force_n[:k], top_force_n, out=self.max_top_force_n[:k])
         if k:
-            tilt = self.add_pose(sample.time_s, sample.pos, sample.quat)
+            tilt = self.add_pose(time_s, pos, quat)
             np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
         limits = self._thresholds
         too_fast = bool(np.any(lin > limits.lin_acc_m_s2) or np.any(ang > limits.ang_acc_rad_s2))
         return too_fast and self.culprit < 0
 
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
-        """Look for drops and the first sign in one pose; the final state counts too. Returns the (k,) tilts."""
+        """Look for drops and for the first sign in these poses: a sample, or the final state. Returns (k,) tilts."""
         k = len(pos)
         tilt = tilt_deg(quat)
         dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
@@ -106,10 +94,10 @@ class OracleMetrics:
         self._rest_steps += 1
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """A profile starts, with the k boxes in these poses: sway is measured from here.
+        """A profile starts, with the k boxes in these poses. Sway is measured from here.
 
-        Where no box is over a threshold now, what passed during placement (a hard landing) is no sign any more:
-        the first sign is then the one that the profile brings.
+        If no box is over a threshold now, signs from the placement (a hard landing) are forgotten: the first sign is
+        then the first one during the profile.
         """
         k = len(pos)
         self._sway_origin = pos.copy()
@@ -119,16 +107,22 @@ class OracleMetrics:
             self.culprit = -1
             self.first_sign_s = float("nan")
 
-    def finish(self, pos: FloatArray, quat: FloatArray, came_to_end: bool) -> BoxMetrics:
-        """The per-box results, from the final (n, 3) centres and (n, 4) orientations."""
+    def finish(self, pos: FloatArray, quat: FloatArray, n_placed: int, came_to_end: bool) -> BoxMetrics:
+        """The metrics of all boxes, with the final (n, 3) centres and (n, 4) orientations.
+
+        The final pose of placed boxes counts for the largest tilt, and the mean force at rest for the largest force.
+        """
         n = self._scene.n_boxes
+        placed = slice(n_placed)
+        with np.errstate(invalid="ignore"):  # the poses of a world with bad numbers
+            np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
         rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics(
             shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m),
             max_tilt_deg=self.max_tilt_deg,
             max_lin_acc=self.max_lin_acc,
             max_ang_acc=self.max_ang_acc,
-            max_top_force_n=self.max_top_force_n,
+            max_top_force_n=np.fmax(self.max_top_force_n, rest),
             rest_top_force_n=rest,
             dropped=np.isfinite(self.drop_s),
             drop_s=self.drop_s,
@@ -138,7 +132,7 @@ class OracleMetrics:
         )
 
     def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
-        """The box furthest over its thresholds in this pose."""
+        """The box with the largest excess in these poses."""
         dropped = np.isfinite(self.drop_s[: len(pos)])
         over, _ = self._excess(pos, tilt_deg(quat), dropped)
         return int(np.argmax(over))
@@ -146,7 +140,7 @@ class OracleMetrics:
     def _excess(
         self, pos: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_]
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(k,) how far each box is over its thresholds, and (k,) whether it has crossed one."""
+        """(k,) excess of each box, and (k,) whether it is over a threshold or has dropped."""
         limits = self._thresholds
         shift_m = shift(pos, self._scene.target[: len(pos)], limits.shift_floor_m)
         over = excess(shift_m, tilt, dropped, limits)

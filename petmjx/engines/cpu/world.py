@@ -1,7 +1,8 @@
-"""One world from soft start to verdict on C MuJoCo, by the rules of docs/rules.md, in strides from event to event."""
+"""One world from soft start to verdict on C MuJoCo, from event to event. The rules: docs/rules.md."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
-from petmjx.engines.cpu.running import OracleMetrics, Sample
+from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -50,19 +51,27 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class SettledState:
-    """A world at the end of placement and settling, for others to start from."""
+    """A world at the end of its placement, when it has settled. Other worlds start from it."""
 
     step: int
     bodies: BodyState | None
     metrics: OracleMetrics
     ended: Outcome | None
-    """Set where the world ended before it settled: forks of it have the same outcome."""
+    """The outcome, if the world ended before it settled; its forks have the same outcome."""
 
 
 class WorldRun:
-    """Simulates one job. Everything happens in :meth:`run`; the object is used once."""
+    """Simulates one job: call :meth:`run` once."""
 
-    def __init__(self, index: int, job: Job, sim: Simulation, cancelled: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        index: int,
+        job: Job,
+        sim: Simulation,
+        cancelled: Callable[[], bool],
+        timeout_s: float | None = None,
+    ) -> None:
+        self._give_up_at = time.monotonic() + timeout_s if timeout_s is not None else None
         self._index = index
         self._job = job
         self._sim = sim
@@ -76,16 +85,13 @@ class WorldRun:
         self._adaptive = sim.schedule is not Schedule.FIXED
         self._pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
-        self._step = 0
-        self._first_step = 0
-        self._last_placement = 0
+        self._step = self._first_step = self._last_placement = 0
         self._quiet = QuietRule(sim)
         self._fast_since = _FAR
         self._placing = True
         self._deadline = _FAR
         self._end = _FAR
-        self._drive_start = 0
-        self._driving = False
+        self._driving, self._drive_start = False, 0
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
 
@@ -105,8 +111,7 @@ class WorldRun:
             self._resume(start)
         else:
             self._start()
-        came_to_end = self._loop()
-        return self._outcome(came_to_end)
+        return self._outcome(came_to_end=self._loop())
 
     def _start(self) -> None:
         static = self._sim.check is Check.STATIC
@@ -141,8 +146,8 @@ class WorldRun:
             if self._cancelled():
                 raise Cancelled
             target = self._next_event()
-            self._live.step(target - self._step)
-            self._step = target
+            if not self._advance(target):
+                return False
             self._set_drive_row()
             if not self._observe():
                 return False
@@ -156,11 +161,25 @@ class WorldRun:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
         return True
 
+    def _advance(self, target: int) -> bool:
+        """Take the steps to the next event. Returns False where the world's time is up before."""
+        if self._give_up_at is None:
+            self._live.step(target - self._step)
+            self._step = target
+            return True
+        while self._step < target:
+            if time.monotonic() > self._give_up_at:
+                self._flags |= Flag.TIMEOUT
+                return False
+            self._live.step(1)
+            self._step += 1
+        return True
+
     # ------------------------------------------------------------------ events
 
     @property
     def _goes_on(self) -> bool:
-        """Whether placement is followed by settling (for a drive, or to keep the settled state)."""
+        """Whether the world settles after the placement, for a drive or to keep the settled state."""
         return self._job.drive is not None or self._job.keep_state
 
     def _next_event(self) -> int:
@@ -177,7 +196,7 @@ class WorldRun:
         return min(target, step + 1 if step >= window else window)
 
     def _observe(self) -> bool:
-        """Sample and rest window after a step. Returns whether the world goes on."""
+        """Take a sample and the resting force after a step, if it is time. Returns whether the world continues."""
         step = self._step
         live = self._live
         sampled = step % self._sample_steps == 0
@@ -196,9 +215,7 @@ class WorldRun:
         if not sampled:
             return True
         pos, quat = live.sampled_pose()
-        acc = live.qacc[:k]
-        sample = Sample(self._clock.time_s(step), pos, quat, acc[:, :3], acc[:, 3:], force)
-        too_fast = self._metrics.add_sample(sample)
+        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos, quat, live.qacc[:k], force)
         if not self._driving and self._explodes(too_fast):
             self._flags |= Flag.EXPLOSION
             return False
@@ -208,11 +225,11 @@ class WorldRun:
         return True
 
     def _explodes(self, too_fast: bool) -> bool:
-        """Whether accelerations that no sign of instability explains have lasted.
+        """The explosion rule: large accelerations that last, without a sign that explains them.
 
-        Light boxes land, and tipping boxes hit, with up to 240 rad/s² for a few steps: a sample that happens to
-        catch such a blow is no explosion. So samples right after a placement do not count, and one alone is
-        not enough: the next ones, over at least as many steps as a box needs to land, must say the same.
+        When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is
+        not an explosion. So samples right after a placement do not count. And one violent sample is not enough: the
+        following ones, over at least as many steps as a box needs to land, must be violent too.
         """
         landing = self._sim.quiet.min_steps
         if self._step - self._last_placement < landing:
@@ -224,7 +241,7 @@ class WorldRun:
         return self._step - self._fast_since >= landing
 
     def _transition(self) -> None:
-        """After a step: place the next box, or see whether placement (and settling) is over."""
+        """After a step: place the next box, or begin what follows the placement, if it is time."""
         if not self._placing:
             return
         quiet = self._adaptive and self._poll_quiet()
@@ -245,10 +262,10 @@ class WorldRun:
                 self._end = self._step + self._rest_steps
 
     def _set_deadline(self) -> None:
-        """The step after which something happens at the latest: the next placement, or what follows the last.
+        """Set the latest step for the next event: the next placement, or what follows the last placement.
 
-        A fixed drive starts at the reference's time: from the nominal moment of the last placement, which
-        rounding to steps puts a little later.
+        With the fixed schedule a drive starts at the time of the reference implementation, counted from the nominal
+        time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
         """
         sim, step = self._sim, self._step
         static = sim.check is Check.STATIC
@@ -264,7 +281,7 @@ class WorldRun:
         self._deadline = max(self._deadline, step + 1)
 
     def _end_of_fixed(self) -> int:
-        """The last step of a fixed schedule without a drive."""
+        """The last step with the fixed schedule and without a drive."""
         sim = self._sim
         if sim.check is Check.STATIC:
             return seconds_to_steps(sim.duration_s, self._dt)
@@ -279,7 +296,7 @@ class WorldRun:
     # ------------------------------------------------------------------ drive
 
     def _begin_drive(self) -> None:
-        """Placement and settling are over: keep the state, start the drive, and fix the end of the world."""
+        """The placement has settled: keep the state, start the drive, and set the last step of the world."""
         self._placing = False
         self._drive_start = self._step
         if self._job.keep_state:
@@ -291,7 +308,7 @@ class WorldRun:
         cos, sin = np.cos(drive.yaw_rad), np.sin(drive.yaw_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         rows = (drive.scale * drive.excitation.samples @ turn.T) * drive.unit(self._scene.total_mass)
-        # One more row than the excitation: what acts after it.
+        # One row more than the excitation: nothing acts after it.
         self._rows: FloatArray = np.vstack((rows, np.zeros((1, 3))))
         changes = np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
         self._changes = self._step + changes
@@ -324,7 +341,7 @@ class WorldRun:
         k = live.n_placed
         pos, quat = scene.start_pos.copy(), scene.start_quat.copy()
         pos[:k], quat[:k] = live.pose[:k, :3], live.pose[:k, 3:]
-        boxes = metrics.finish(pos, quat, came_to_end)
+        boxes = metrics.finish(pos, quat, k, came_to_end)
         verdict, reason = judge(self._flags, boxes, k, self._sim.thresholds)
         culprit, first_sign_s = metrics.culprit, metrics.first_sign_s
         if verdict is Verdict.STABLE:

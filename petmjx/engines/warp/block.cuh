@@ -1,7 +1,7 @@
-// What a GPU and a CPU do differently: on a GPU the threads of a block share one world, on a CPU one thread has it
-// alone, and a barrier or a sum over threads has nothing to do.
+// Differences between GPU and CPU. On a GPU the threads of a block share one world. On a CPU one thread has a world, so
+// barriers and sums over threads do nothing.
 //
-// Warp's headers come first: CUDA_CALLABLE is theirs. The same source is compiled by NVRTC and by Warp's own Clang.
+// Warp's headers come first: they define CUDA_CALLABLE. NVRTC and Warp's own Clang compile the same source.
 
 #ifndef PETMJX_BLOCK_CUH
 #define PETMJX_BLOCK_CUH
@@ -14,7 +14,7 @@
 
 namespace petmjx {
 
-// Neighbouring threads that sum up one body's contacts together.
+// Neighbouring threads that together sum over one body's contacts.
 #if defined(__CUDA_ARCH__)
 const int SHARE = 8;
 #else
@@ -27,7 +27,7 @@ inline CUDA_CALLABLE void wait_for_all() {
 #endif
 }
 
-// Four neighbouring numbers, at an address that is a multiple of 16 bytes.
+// Four consecutive numbers, at an address that is a multiple of 16 bytes.
 inline CUDA_CALLABLE void load_four(float* to, const float* from) {
 #if defined(__CUDA_ARCH__)
     const float4 four = *(const float4*)(from);
@@ -45,7 +45,7 @@ inline CUDA_CALLABLE void store_four(float* to, const float* from) {
 #endif
 }
 
-// The counter's value before it goes up by one. Threads come in no fixed order.
+// Increases a counter by one and returns its value before. Threads come in no fixed order.
 inline CUDA_CALLABLE int take_number(int& counter) {
 #if defined(__CUDA_ARCH__)
     return atomicAdd(&counter, 1);

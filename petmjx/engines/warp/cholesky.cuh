@@ -1,7 +1,7 @@
-// H·x = g by Cholesky within H's envelope: H = UᵀU, a world to a block of threads.
+// H·x = g by Cholesky within H's envelope: H = UᵀU, one world per block of threads.
 //
-// H's upper triangle comes in whole tiles of 16 × 16: panel J's columns begin at row 16·top[J]. The factor fills in
-// nothing above that. A panel is half a warp wide, and the code below counts on it.
+// H's upper triangle is stored in whole tiles of 16 × 16: panel J's columns begin at row 16·top[J]. The factor is zero
+// above that. A panel is half a warp wide, and the code below depends on it.
 
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH
@@ -18,7 +18,7 @@ struct System {
     int ld;
     int panels;
     const int* top;  // (panels,) first panel that each panel's columns reach up to
-    float* rhs;      // (16·panels,) g, then x in its place; not a number where H is not positive definite
+    float* rhs;      // (16·panels,) g, then x in its place; NaN if H is not positive definite
 };
 
 // What the threads of a block share. MOST: panels of the largest system.
@@ -31,7 +31,7 @@ struct Factoring {
     int active_count[2];
 };
 
-// Lists the panels below panel K whose columns reach up to it; by the second warp, beside the first one's work.
+// Lists the panels below panel K whose columns reach up to it. The second warp does it while the first one works.
 template <int MOST>
 inline CUDA_CALLABLE void list_reaching(const System& system, Factoring<MOST>& shared, int K, int thread) {
     int* list = shared.active[K & 1];
@@ -53,8 +53,8 @@ inline CUDA_CALLABLE void list_reaching(const System& system, Factoring<MOST>& s
 #endif
 }
 
-// Factors panel K's diagonal tile and solves with it for the right-hand side. The tile keeps W, the inverse of its
-// factor transposed: what solving with it takes are then products. On a GPU the first warp alone does it.
+// Factors panel K's diagonal tile and solves with it for the right-hand side. W is the inverse of the tile's factor,
+// transposed: solving with the factor is then a product with W. On a GPU only the first warp does this.
 template <int MOST>
 inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>& shared, int K, int thread) {
     const int k = K * B, ld = system.ld;
@@ -64,9 +64,9 @@ inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>&
     float* rhs = system.rhs;
 #if defined(__CUDA_ARCH__)
     if (thread >= 32) return;
-    // A column of the tile to a lane, then the right-hand side, then the columns of the identity but the last; all are
-    // eliminated alike, two rows at a time, and scaled to the factor's beside that: no root and no second reciprocal
-    // of a row holds up the next.
+    // One column per thread: those of the tile, the right-hand side, the columns of the identity except the last. All
+    // are eliminated in the same way, two rows at a time, and scaled separately, so that no row has to wait for a root
+    // or for the second reciprocal of the row before.
     float v[16], inverse = 0.0f;
     #pragma unroll
     for (int p = 0; p < 16; ++p) {
@@ -128,7 +128,7 @@ inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>&
 #endif
 }
 
-// Panel K's row of the factor, a column to a thread, kept close by where it fits. Waits for the diagonal tile first.
+// Panel K's row of the factor, one column per thread, kept in shared memory if it fits. Waits for the diagonal tile.
 template <int MOST>
 inline CUDA_CALLABLE void factor_row(
     const System& system, Factoring<MOST>& shared, int K, int columns, bool fits, int thread, int threads
@@ -162,7 +162,7 @@ inline CUDA_CALLABLE void factor_row(
     }
 }
 
-// What panel K's row takes from all below: 4 × 4 entries to a thread, of each pair of panels that it reaches.
+// Subtracts the product of panel K's row from all rows below: 4 × 4 entries per thread, for each pair of panels.
 template <int MOST>
 inline CUDA_CALLABLE void update_below(
     const System& system, Factoring<MOST>& shared, int K, int columns, bool fits, int thread, int threads
@@ -199,7 +199,7 @@ inline CUDA_CALLABLE void update_below(
     }
 }
 
-// Backward: U·x = y, each panel's solution taken out of the rows above at once.
+// Backward: U·x = y. The solution of each panel is subtracted from the rows above at once.
 inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, int thread, int threads) {
     const float* A = system.A;
     const int ld = system.ld;
@@ -233,7 +233,7 @@ inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, in
     }
 }
 
-// Forward, right-looking by panels: H = UᵀU in place, and y = U⁻ᵀ·g along with it; then backward.
+// Forward, right-looking by panels: H = UᵀU in place and y = U⁻ᵀ·g at the same time. Then backward.
 template <int MOST>
 inline CUDA_CALLABLE void factor_and_solve(const System& system, Factoring<MOST>& shared, int thread, int threads) {
     list_reaching(system, shared, 0, thread);

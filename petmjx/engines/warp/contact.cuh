@@ -8,7 +8,7 @@
 
 namespace petmjx {
 
-// J·x of one contact, (3,): `block` holds the numbers of its two blocks, negative where a body does not move.
+// J·x of one contact, (3,). `block`: the numbers of its two blocks, negative if the body does not move.
 inline CUDA_CALLABLE void relative(const float* contact, const int* block, const double* x, double* out) {
     const int one = 6 * block[0], two = 6 * block[1];
     for (int r = 0; r < 3; ++r) {

@@ -1,4 +1,4 @@
-"""Engine ``mjx-warp``: batches of worlds on NVIDIA Warp's kernels. The fast one."""
+"""Engine ``mjx-warp``: batches of worlds on NVIDIA Warp's kernels. The fastest engine."""
 
 from __future__ import annotations
 
@@ -19,35 +19,34 @@ from petmjx.errors import EngineUnavailable
 from petmjx.machine import why_no_warp
 
 TOLERANCE = 1e-8
-"""MuJoCo's default. Forces and residuals are double, so that it is reached, and in as many iterations as C's."""
+"""MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
 
 ITERATIONS, LINE_SEARCH_ITERATIONS = 6, 20
-"""Limits of the Newton solver and its line search; MuJoCo's are 100 and 50. A step lasts as long as its slowest world:
-colliding ones take up to 16 iterations, in C as here, and stopped after 6 go on in the next step from where they are.
-Of 2,000 verdicts as many are C's as with 8 or 30; with 5 a search's level of toppling moves by 0.01 g, with 3 or 4 more
-plans stand that drop on C (benchmarks/README.md)."""
+"""Limits of the Newton solver and of its line search; MuJoCo's are 100 and 50. The slowest world decides how long a
+step takes. Worlds with impacts need up to 16 iterations, on C MuJoCo too; if stopped after 6, they continue in the next
+step. docs/performance.md ("How many iterations") has the speed and the verdicts with other limits."""
 
 CONTACTS_PER_BOX = 6
-"""Contacts reserved per box, averaged over lanes (one pool serves all): full real pallets have 4.5."""
+"""Contacts reserved per box, mean over lanes (all lanes share one pool). Full real pallets have 4.5."""
 
 LANE_CONTACTS_PER_BOX = 8
-"""Contacts reserved per box in each lane; the fullest of 2,000 sample plans, collapsing ones among them, took 6.4."""
+"""Contacts reserved per box in each lane. The most that any of 2,000 sample plans needed was 6.4, in a collapse."""
 
 PREFERRED_LANES = 2048
-"""Lanes at which an H100 is as good as full at every capacity (benchmarks/README.md)."""
+"""Lanes that nearly fill an H100 at every capacity: 4,096 are not faster (docs/performance.md)."""
 
 DEFAULT_MEMORY = 8 << 30
-"""Assumed where a device does not tell its memory, bytes."""
+"""Assumed if a device does not tell its memory, bytes."""
 
 
 class MjxWarpEngine(MjxEngine):
     """Batched worlds on Warp's kernels.
 
     Args:
-        allow_cpu: run Warp's kernels on the CPU where there is no CUDA device: slow, for tests.
+        allow_cpu: run Warp's kernels on the CPU if there is no CUDA device: slow, for tests.
 
     Raises:
-        EngineUnavailable: no CUDA device, or Warp is not installed; the text says which.
+        EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
     """
 
     name = "mjx-warp"
@@ -60,11 +59,11 @@ class MjxWarpEngine(MjxEngine):
         super().__init__(lanes, **options)
 
     def release(self) -> None:
-        """Drop the CUDA graphs that Warp captured of MJX's own step: each keeps its solver's workspace."""
+        """Drop the CUDA graphs that Warp captured of MJX's own step: each one keeps the workspace of its solver."""
         warp.clear_jax_callable_graph_cache()
 
     def default_lanes(self, capacity: int) -> int:
-        """The fastest number of lanes measured, or what two thirds of the device's free memory hold."""
+        """``PREFERRED_LANES``, or as many as fit into two thirds of the device's free memory."""
         stats: dict[str, int] = jax.devices()[0].memory_stats() or {}
         free = stats.get("bytes_limit", DEFAULT_MEMORY) - stats.get("bytes_in_use", 0)
         fit = int(free * 2 / 3 / lane_bytes(capacity + 1, LANE_CONTACTS_PER_BOX * (capacity + 2)))

@@ -1,14 +1,15 @@
 """From poses to the constraint rows of a pallet, and from accelerations to the next poses: Warp kernels.
 
-All bodies are free boxes (or a carrier that is held fast), so that a contact is fully described by its frame and by
-three moment arms a body, and a body's inertia is six numbers. Contacts come from mujoco_warp's collision pipeline,
-in a pool shared by all worlds and in no fixed order; here each world's are listed and sorted, so that every sum over
-them is taken in the same order in every run, on any number of lanes.
+All bodies are free boxes (or a carrier that is clamped). So a contact is described by its frame and three moment arms
+per body, and a body's inertia by six numbers. Contacts come from mujoco_warp's collision pipeline, in one pool for all
+worlds and in no fixed order. Here the contacts of each world are listed and sorted, so that every sum over them has the
+same order in every run, with any number of lanes.
 
-Blocks are bodies that move, six rows of the equations each: carrier and boxes, or the boxes alone where the carrier
-is held. A geom's block is its number less one, less one more where the carrier is held; negative ones don't move.
+A block is a body that moves; it has six rows in the equations. Blocks are the carrier and the boxes, or only the boxes
+if the carrier is clamped ("held"). The block of a geom is its number − 1, or − 2 if the carrier is held; negative
+blocks do not move.
 
-This module holds kernels alone, which Warp's compiler reads and type checkers only in part: ``float(…)`` and
+This module has only kernels. Warp's compiler reads them; type checkers understand them only in part: ``float(…)`` and
 ``int(…)`` declare variables that loops change, and arrays are indexed.
 """
 
@@ -22,11 +23,11 @@ from petmjx.metrics import force_jax as force_metrics
 from petmjx.verdict import Flag
 
 SEARCH = 8
-"""Contacts that a thread fetches at a time: loads that wait for one another are what a search costs. Room for
+"""Contacts that a thread loads at the same time: most of a search's time is waiting for loads. A lane's room for
 contacts is a multiple of it."""
 
 TOGETHER = 4
-"""Contacts of a box whose forces a thread fetches at a time."""
+"""Contacts of a box whose forces a thread loads at the same time."""
 
 vec8i = wp.types.vector(length=SEARCH, dtype=int)
 
@@ -57,13 +58,13 @@ def _rotation(w: float, x: float, y: float, z: float) -> wp.mat33:
 
 @wp.func
 def _three(values: wp.array2d[float], world: int, at: int) -> wp.vec3:
-    """Three neighbouring numbers of a world's."""
+    """Three consecutive numbers of one world."""
     return wp.vec3(values[world, at], values[world, at + 1], values[world, at + 2])
 
 
 @wp.func
 def _moment_arms(axes: wp.mat33, lever: wp.vec3, rotation: wp.mat33) -> wp.mat33:
-    """What a body's angular velocity, in its own frame, adds along each axis at the end of a lever."""
+    """Velocity along each axis at the end of a lever, per angular velocity in the body's own frame."""
     arms = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for r in range(3):
         arms[r] = wp.transpose(rotation) * wp.cross(lever, axes[r])
@@ -78,9 +79,9 @@ def _velocity_along(axes: wp.mat33, arms: wp.mat33, qvel: wp.array2d[float], wor
 
 @wp.kernel(enable_backward=False)
 def begin_step(model: Model, state: State, collisions: Collisions, work: Workspace, out: Out) -> None:
-    """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts. One thread a world and geom.
+    """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts. One thread per world and geom.
 
-    A free body's angular velocity is in its own frame, so that Euler's equation gives −ω × I·ω as torque.
+    A free body's angular velocity is in its own frame, so Euler's equation gives the torque −ω × I·ω.
     """
     world, geom = wp.tid()
     if geom == 0:
@@ -117,9 +118,9 @@ def begin_step(model: Model, state: State, collisions: Collisions, work: Workspa
 
 @wp.kernel(enable_backward=False)
 def list_contacts(model: Model, collisions: Collisions, work: Workspace, out: Out) -> None:
-    """Each world's contacts, in the order in which threads happen to come. One thread a contact of the pool.
+    """List each world's contacts, in no fixed order. One thread per contact of the pool.
 
-    A key is the pair of geoms, then the contact's number in the pool: no two are alike.
+    A key is made of the pair of geoms and the contact's number in the pool, so all keys differ.
     """
     contact = wp.tid()
     if contact >= collisions.nacon[0]:
@@ -134,7 +135,7 @@ def list_contacts(model: Model, collisions: Collisions, work: Workspace, out: Ou
 
 @wp.func
 def _reference(solref: wp.vec2, solimp: vec5, depth: float, timestep: float) -> wp.vec3:
-    """Stiffness, damping and impedance of a contact (MuJoCo, "Modeling: Solver parameters")."""
+    """Stiffness, damping and impedance of a contact (MuJoCo's documentation, "Modeling", "Solver parameters")."""
     low = wp.clamp(solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
     high = wp.clamp(solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
     x = wp.min(wp.abs(depth) / wp.max(solimp[2], MIN_VALUE), 1.0)
@@ -156,11 +157,11 @@ def _reference(solref: wp.vec2, solimp: vec5, depth: float, timestep: float) -> 
 
 @wp.kernel(enable_backward=False)
 def make_rows(model: Model, state: State, collisions: Collisions, work: Workspace, out: Out) -> None:
-    """A contact's place among its world's, and its rows there. One thread a world and contact.
+    """The place of each contact in its world's sorted list, and its rows. One thread per world and contact.
 
-    Rows give the acceleration of the second block's body against the first's along normal and tangents. The moment
-    arms are in the bodies' frames. With pyramidal cones the four edges' rows are normal ± friction × tangent, and
-    are never written down.
+    Rows give the acceleration of the second block relative to the first, along normal and tangents. Moment arms are in
+    the frames of the bodies. With pyramidal cones the rows of the four edges are normal ± friction × tangent; they are
+    not stored.
     """
     world, slot = wp.tid()
     count = wp.min(out.contacts[world], model.room)
@@ -177,7 +178,7 @@ def make_rows(model: Model, state: State, collisions: Collisions, work: Workspac
     second = collisions.geom[me][1]
     axes = collisions.frame[me]
     if first > second:
-        # Seen from the other body the whole frame turns around, and forces stay what they are.
+        # Seen from the other body, the frame is reversed and the forces stay the same.
         first = collisions.geom[me][1]
         second = collisions.geom[me][0]
         axes = -axes
@@ -216,7 +217,7 @@ def make_rows(model: Model, state: State, collisions: Collisions, work: Workspac
 
 @wp.func
 def _fetch_blocks(blocks: wp.array3d[int], world: int, begin: int, side: int) -> vec8i:
-    """Blocks on one side of the contacts from ``begin`` on."""
+    """Blocks on one side of ``SEARCH`` contacts, beginning at ``begin``."""
     found = vec8i()
     for i in range(SEARCH):
         found[i] = blocks[world, begin + i, side]
@@ -225,10 +226,10 @@ def _fetch_blocks(blocks: wp.array3d[int], world: int, begin: int, side: int) ->
 
 @wp.kernel(enable_backward=False)
 def link_blocks(model: Model, work: Workspace, out: Out) -> None:
-    """Each block's contacts: 2 × contact + side, those with lower blocks first. One thread a world and block.
+    """The contacts of each block, as links: 2 × contact + side. One thread per world and block.
 
-    ``links[world, link_begin[world, b]:link_begin[world, b + 1]]`` are block b's; ``lowest`` is the lowest block
-    that it touches, or itself.
+    ``links[world, link_begin[world, b]:link_begin[world, b + 1]]`` belong to block b, in the order of the contacts.
+    ``lowest`` is the lowest block that it touches, or the block itself.
     """
     world, block = wp.tid()
     if block > work.n_blocks[world]:
@@ -264,10 +265,11 @@ def _newton(world: int, thread: int, threads: int, model: Model, state: State, w
 
 
 def solve(threads: int, model: Model, state: State, work: Workspace, out: Out) -> None:
-    """Accelerations and contact forces of every world, from the warm start on; ``threads`` a world.
+    """Accelerations and contact forces of every world, beginning at the warm start; ``threads`` threads per world.
 
-    Reads rows and links of contacts; writes ``acceleration``, ``force`` and the iterations. The workspace's arrays
-    beside these are scratch. ``newton.solver`` makes a kernel of it, with the C++ that it calls.
+    Reads the model's limits, the warm start, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of
+    each contact, in its frame) in the workspace, and the number of iterations. It uses other arrays of the workspace as
+    scratch. ``newton.solver`` makes a kernel of this function and of the C++ that it calls.
     """
     world, thread = wp.tid()
     _newton(world, thread, threads, model, state, work, out)
@@ -275,7 +277,7 @@ def solve(threads: int, model: Model, state: State, work: Workspace, out: Out) -
 
 @wp.kernel(enable_backward=False)
 def end_step(model: Model, state: State, collisions: Collisions, work: Workspace, out: Out) -> None:
-    """Semi-implicit Euler, and the force on each box's top. One thread a world and block."""
+    """Semi-implicit Euler, and the force on each box's top. One thread per world and block."""
     world, block = wp.tid()
     dof = 6 * block
     at = 7 * block
@@ -312,7 +314,7 @@ def end_step(model: Model, state: State, collisions: Collisions, work: Workspace
         z = collisions.geom_xpos[world, block + 1 + model.held][2]
         end = work.link_begin[world, block + 1]
         for begin in range(work.link_begin[world, block], end, TOGETHER):
-            # Nothing in here depends on what is in another contact: their loads wait side by side.
+            # No contact depends on another one, so their loads run at the same time.
             for i in range(TOGETHER):
                 link = work.links[world, wp.min(begin + i, end - 1)]
                 k = link // 2
@@ -330,7 +332,7 @@ def end_step(model: Model, state: State, collisions: Collisions, work: Workspace
 
 @wp.kernel(enable_backward=False)
 def note_overflow(model: Model, collisions: Collisions, out: Out) -> None:
-    """Flags worlds that may have lost a contact: a full pool may have cost any world one. One thread a world."""
+    """Flag worlds that may have lost a contact: all worlds if the pool was full. One thread per world."""
     world = wp.tid()
     out.overflow[world] = 0
     full = collisions.nacon[0] > model.pool or collisions.ncollision[0] > model.pool

@@ -1,6 +1,6 @@
-// The constraint solver of mjx-warp for one world: MuJoCo's Newton method. newton.py says what it does and why so.
+// The constraint solver of mjx-warp for one world: MuJoCo's Newton method. newton.py explains it.
 //
-// Every sum has a fixed order. The list of pairs alone comes in no fixed order, and no sum runs over it.
+// Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it.
 
 #include "block.cuh"
 #include "cholesky.cuh"
@@ -8,7 +8,7 @@
 
 namespace petmjx {
 
-// Views of one world's arrays. Names and shapes are those of the records that the kernels share (records.py).
+// Views of one world's arrays, which records.py describes.
 struct World {
     int contacts, bodies, n;
     const float* row;      // (contact, ROW)
@@ -24,12 +24,12 @@ struct World {
     double* jv;            // (contact, 3) J·step
     double* f;             // (contact, 3)
     float* curve;          // (contact, 6)
-    int* pair;             // (pair,) contacts at which a pair of moving bodies begins
+    int* pair;             // (pair,) first contact of each pair of moving bodies
 };
 
 const int ROW = 32;  // numbers of a contact
 
-// Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads a body. Returns this thread's part of gᵀM⁻¹g.
+// Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
 inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
     double bound = 0.0;
     for (int base = 0; base < world.bodies * SHARE; base += threads) {
@@ -63,7 +63,7 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
     return bound;
 }
 
-// A body's own block of the Hessian: 21 entries, summed over its contacts by SHARE threads.
+// A body's diagonal block of the Hessian: 21 entries, summed over its contacts by SHARE threads.
 inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, int thread, int threads) {
     for (int base = 0; base < world.bodies * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
@@ -110,7 +110,7 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
     }
 }
 
-// The block of two bodies that touch: a row to a thread, summed over their contacts.
+// The block of two bodies that touch: one row per thread, summed over their contacts.
 inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, int pairs, int thread, int threads) {
     const int* block = world.block;
     for (int item = thread; item < 6 * pairs; item += threads) {
@@ -138,7 +138,7 @@ inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, 
     }
 }
 
-// H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles; beyond its end the identity.
+// H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles. Rows beyond its end: identity.
 inline CUDA_CALLABLE void hessian(const World& world, const System& system, int pairs, int thread, int threads) {
     for (int J = 0; J < system.panels; ++J) {
         float* corner = system.A + (size_t)system.top[J] * B * system.ld + J * B;
@@ -155,9 +155,8 @@ inline CUDA_CALLABLE void hessian(const World& world, const System& system, int 
     pair_blocks(world, system, pairs, thread, threads);
 }
 
-// Accelerations and contact forces of a world, from its warm start on. `thread` of `threads` runs it; all of a block
-// do, since they wait for one another. PANELS: most panels that a system may have; PANEL, ROW_WORDS: sizes as the
-// Python side knows them.
+// Accelerations and contact forces of a world, beginning at its warm start. All `threads` of a block must call it,
+// since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS: sizes on the Python side.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class State, class Workspace, class Out>
 inline CUDA_CALLABLE void newton(
     int w, int thread, int threads, const Model& model, const State& state, const Workspace& work, const Out& out
@@ -221,7 +220,7 @@ inline CUDA_CALLABLE void newton(
     }
     if (thread == 0) pairs = 0;
     sum_over_block(thread, threads, partial, trace, unused);
-    // Contacts at which a pair of moving bodies begins: theirs lie one after the other.
+    // The first contact of each pair of moving bodies: the contacts of a pair follow one another.
     for (int k = thread; k < contacts; k += threads) {
         const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
         if (begins && block[2 * k] >= 0) world.pair[take_number(pairs)] = k;
@@ -244,13 +243,13 @@ inline CUDA_CALLABLE void newton(
         if (last || iteration >= model.limit) break;
         double bound = gradient(world, rhs, thread, threads);
         sum_over_block(thread, threads, partial, bound, unused);
-        // Since H ≥ M, the cost can fall by no more than this.
+        // Since H ≥ M, the cost can decrease by at most this.
         if (!(0.5 * bound > enough)) break;
         if (thread == 0) out.iterations.data[w] = iteration + 1;
         hessian(world, system, pairs, thread, threads);
         factor_and_solve(system, factoring, thread, threads);
 
-        // A step along −x, its length by safeguarded Newton on the cost's derivative.
+        // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
         double start = 0.0, pull = 0.0, stiff = 0.0;
         for (int i = thread; i < n; i += threads) {
             const double s = -(double)rhs[i];
@@ -289,7 +288,7 @@ inline CUDA_CALLABLE void newton(
         for (int i = thread; i < n; i += threads) a[i] += length * step[i];
         for (int i = thread; i < 3 * contacts; i += threads) jar[i] += length * jv[i];
         wait_for_all();
-        // Between the two derivatives the cost fell by about their mean times the length.
+        // The decrease of the cost is about the length × the mean of the two derivatives.
         last = !(-0.5 * length * (start + first) > enough);
     }
 }

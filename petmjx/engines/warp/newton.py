@@ -1,23 +1,24 @@
-"""The constraint solver of mjx-warp: MuJoCo's Newton method on a pallet's contacts, a world to a thread block.
+"""The constraint solver of mjx-warp: MuJoCo's Newton method on a pallet's contacts. One thread block solves one world.
 
-MuJoCo finds the accelerations a that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ is what they would be
-without contacts, r is the acceleration that each contact asks for, and s the cost of its cone ("Computation:
-Constraint model"). Newton's direction solves H·x = gradient with H = M + Jᵀ·s″·J; a line search follows.
+MuJoCo finds the accelerations a that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ are the accelerations
+without contacts, r the reference accelerations of the contacts, and s the cost of their cones (MuJoCo's documentation,
+"Computation", section "Constraint model"). Newton's direction solves H·x = gradient with H = M + Jᵀ·s″·J; a line
+search follows.
 
-Three things make it fast here, beside keeping all iterations in one kernel:
+All iterations run in one kernel. Three more things make it fast:
 
-- A contact touches two bodies, so that J is kept as 27 numbers a contact, and products with it cost that much.
-- H is block-sparse, and boxes are numbered bottom up, so that it has a narrow envelope: in each column nothing but
-  zeros above the lowest-numbered body its box touches, and the factor fills in only below. Cholesky runs within it,
-  in panels of 16 rows, a column to a thread.
-- A world stops on its own, and stops early: since H ≥ M, the cost can fall by no more than ½ gᵀM⁻¹g, which tells
-  before any factorisation whether one is worth it. At rest it seldom is.
+- A contact touches two bodies. So J is kept as 27 numbers per contact, and a product with J costs that much.
+- H is block-sparse, and boxes are numbered from the bottom up, so H has a narrow envelope: a column is zero
+  above the rows of the lowest-numbered body that its box touches, and its factor fills in only below them. Cholesky
+  runs within the envelope, in panels of 16 rows; each thread has a column.
+- Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This says before each
+  factorisation whether it can help. At rest it seldom can.
 
-Accelerations, residuals, forces and gradients are double, H and its factor single precision: the factor's rounding
-slows convergence a little, while that of the gradient would end it. Every sum has a fixed order, so that a world's
-result depends neither on the lanes beside it nor on the run.
+Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
+the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
+world's result depends neither on other lanes nor on the run.
 
-The method itself is CUDA C++: ``newton.cu`` and the files that it includes, beside this one.
+The method itself is CUDA C++: petmjx/engines/warp/newton.cu and the files that it includes.
 """
 
 from __future__ import annotations
@@ -36,28 +37,28 @@ MAX_DOFS = MAX_PANELS * PANEL
 """Rows of the largest system."""
 
 MANY = (128, 4)
-"""Threads a world, and worlds that a multiprocessor works on at a time, where there are many worlds."""
+"""Threads per world, and worlds that a multiprocessor runs at the same time, if there are many worlds."""
 
 FEW = (256, 2)
-"""The same where there are so few that a step lasts as long as one world's."""
+"""The same for few worlds, when a step lasts as long as that of one world."""
 
 FEW_LANES = 4
-"""Lanes for a multiprocessor up to which there are few: in a run's last stage most stand idle."""
+"""Up to this many lanes per multiprocessor count as few: in the last stage of a run most lanes are idle."""
 
 ON_CPU = (1, 1)
-"""On a CPU Warp runs a block's threads one after the other, which a barrier does not survive."""
+"""On a CPU one thread per world: Warp runs the threads of a block one after the other, so a barrier cannot work."""
 
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
 def source(name: str, included: set[str] | None = None) -> str:
-    """A C++ file of this package with what it includes in place, as one text.
+    """A C++ file of this package as one text, with the files that it includes.
 
-    Warp compiles text, and recompiles when the text has changed; a path to an include it would not look behind.
-    ``#line`` directives make compiler errors name the file and the line.
+    Warp compiles a text, and compiles again when the text has changed. It would not notice a change in an included
+    file. ``#line`` directives let compiler errors name the right file and line.
 
     Args:
-        included: files that are in the text already, and stay out; those of this call are added.
+        included: files that are in the text already and are not included again; this call adds its own.
     """
     included = included if included is not None else set()
     included.add(name)
@@ -74,7 +75,7 @@ def source(name: str, included: set[str] | None = None) -> str:
 
 
 def block_size(lanes: int) -> tuple[int, int]:
-    """Threads a world, and worlds that a multiprocessor works on at a time, on Warp's current device."""
+    """Threads per world, and worlds that a multiprocessor runs at the same time, on Warp's current device."""
     device = wp.get_device()
     if not device.is_cuda:
         return ON_CPU
@@ -83,15 +84,11 @@ def block_size(lanes: int) -> tuple[int, int]:
 
 @functools.cache
 def solver(threads: int, worlds_per_processor: int) -> Any:
-    """The solver's kernel for so many threads a world: accelerations and contact forces from the warm start on.
-
-    The kernel takes ``threads`` and the records. It reads the model's limits, the warm start, contacts' rows and
-    links; it writes ``acceleration`` and ``force`` (each contact's in its frame) in the workspace and the iterations,
-    and uses the workspace's arrays beside these as scratch.
+    """The solver's kernel for a number of threads per world. What it reads and writes: ``kernels.solve``.
 
     Args:
-        threads: of a block, which is one world; on a CPU one.
-        worlds_per_processor: blocks that a multiprocessor is to hold at a time; bounds a thread's registers.
+        threads: threads of a block, which simulates one world; one thread on a CPU.
+        worlds_per_processor: blocks that a multiprocessor runs at the same time; it limits the registers of a thread.
     """
     text = source("newton.cu") + '#line 1 "generated by Warp"\n'
     return wp.kernel(

@@ -1,18 +1,18 @@
-"""What the step's kernels share, as records: model, state, workspace, what comes out, and collisions.
+"""The data that the step's kernels share, as records: model, state, workspace, output, and collisions.
 
-Each array is named here and nowhere else, with its element type and its axes. Kernels and C++ take whole records; the
-arrays that JAX hands over are those of ``State``, ``Model`` and ``Out``, in this order; the workspace is one buffer
-that is divided by these shapes.
+Each array is declared only here, with its element type and its axes. Kernels and C++ take whole records. JAX passes the
+arrays of ``State``, ``Model`` and ``Out``, in this order. The workspace is one buffer, divided by these shapes.
 
-Axes: ``world`` is a lane; ``block`` a body that moves, ``dof`` one of its six rows and ``pose`` one of its seven
-coordinates; ``slot`` one of the contacts that a lane has room for, ``contact`` one of the pool that all lanes share;
-``body``, ``geom`` and ``box`` count from MuJoCo's first. Units are SI.
+Axes. ``world``: a lane. ``block``: a body that moves; ``dof``: one of its six rows; ``pose``: one of its seven
+coordinates. ``slot``: a contact of one lane; ``contact``: a contact of the pool that all lanes share. ``body`` and
+``geom``: as in MuJoCo. ``box``: in packing order. Units are SI.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
 import warp as wp
@@ -24,15 +24,15 @@ PANEL = 16
 """Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
 
 MAX_PANELS = 104
-"""Panels of the largest system: its right-hand side is kept in shared memory."""
+"""Panels of the largest system, limited by shared memory, which holds the right-hand side."""
 
 ROW_WORDS = 32
-"""Numbers kept of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness
-of a row (1), friction (1)."""
+"""Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness of a row
+(1), friction (1)."""
 
 
 def record(cls: type) -> Any:
-    """A Warp struct whose arrays say their axes: ``Annotated[type, "axis axis"]``; an axis is a name or a number."""
+    """A Warp struct whose arrays name their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number."""
     shapes = {}
     for name, kind in inspect.get_annotations(cls, eval_str=True).items():
         if hasattr(kind, "__metadata__"):
@@ -45,17 +45,17 @@ def record(cls: type) -> Any:
 
 @record
 class Model:
-    """What no step changes: numbers of the template, then arrays in which worlds differ, named as MJX's fields."""
+    """Constants of a step: numbers of the template, then arrays that differ between worlds, named as MJX's fields."""
 
-    held: int  # 1 where the carrier is held fast: its body then is no block
+    held: int  # 1 if the carrier is clamped: its body is then no block
     pyramidal: int  # 1 with pyramidal friction cones
     timestep: float
     floor_z: float
     n_geoms: int
-    pool: int  # contacts of all worlds together, at most
-    room: int  # contacts of a world, at most
-    limit: int  # iterations of the solver, at most
-    trials: int  # of its line search
+    pool: int  # most contacts of all worlds together
+    room: int  # most contacts of one world
+    limit: int  # most iterations of the solver
+    trials: int  # most iterations of its line search
     tolerance: wp.float64  # of the solver, as MuJoCo's
 
     body_mass: Annotated[wp.array2d[float], "world body"]
@@ -69,19 +69,19 @@ class Model:
 
 @record
 class State:
-    """What a step starts from."""
+    """The state before a step."""
 
     qpos: Annotated[wp.array2d[float], "world pose"]
     qvel: Annotated[wp.array2d[float], "world dof"]
-    warmstart: Annotated[wp.array2d[float], "world dof"]  # accelerations that the solver starts from
+    warmstart: Annotated[wp.array2d[float], "world dof"]  # accelerations with which the solver starts
     carrier_force: Annotated[wp.array2d[float], "world 3"]
     gravity: Annotated[wp.array2d[float], "world 3"]
-    carrier_pose: Annotated[wp.array2d[float], "world 7"]  # read where the carrier is held
+    carrier_pose: Annotated[wp.array2d[float], "world 7"]  # used if the carrier is held
 
 
 @record
 class Workspace:
-    """What lives for one step. Elements of eight bytes come first, so that every array is aligned."""
+    """Arrays that are used within one step. Elements of eight bytes come first, so that every array is aligned."""
 
     acceleration: Annotated[wp.array2d[wp.float64], "world dof"]
     direction: Annotated[wp.array2d[wp.float64], "world dof"]
@@ -95,35 +95,35 @@ class Workspace:
     curvature: Annotated[wp.array3d[float], "world slot 6"]
     inertia: Annotated[wp.array2d[float], "world dof"]  # diagonal of the inertia matrix
     smooth: Annotated[wp.array2d[float], "world dof"]  # accelerations without contacts
-    blocks: Annotated[wp.array3d[int], "world slot 2"]  # of a contact, lower first; negative where it does not move
+    blocks: Annotated[wp.array3d[int], "world slot 2"]  # of a contact, lower first; negative: does not move
     links: Annotated[wp.array2d[int], "world link"]  # 2 × slot + side, block after block
     link_begin: Annotated[wp.array2d[int], "world block_end"]
-    lowest: Annotated[wp.array2d[int], "world block"]  # the lowest block that each one touches, or itself
-    pair_begin: Annotated[wp.array2d[int], "world slot"]  # contacts at which a pair of blocks begins, in no order
-    n_blocks: Annotated[wp.array[int], "world"]  # up to the highest that touches anything
+    lowest: Annotated[wp.array2d[int], "world block"]  # the lowest block that a block touches, or itself
+    pair_begin: Annotated[wp.array2d[int], "world slot"]  # first contact of each pair of blocks, in no order
+    n_blocks: Annotated[wp.array[int], "world"]  # up to the highest block with a contact
 
 
 @record
 class Out:
-    """What a step gives."""
+    """The results of a step."""
 
     next_qpos: Annotated[wp.array2d[float], "world pose"]
     next_qvel: Annotated[wp.array2d[float], "world dof"]
     qacc: Annotated[wp.array2d[float], "world dof"]
     top_force: Annotated[wp.array2d[float], "world box"]
     overflow: Annotated[wp.array[int], "world"]  # flag bits
-    contacts: Annotated[wp.array[int], "world"]  # found; there may be more than fit
+    contacts: Annotated[wp.array[int], "world"]  # number found, which may be more than fit
     iterations: Annotated[wp.array[int], "world"]  # of the solver
 
 
 @record
 class Collisions:
-    """mujoco_warp's arrays: poses of geoms, which go into its collision pipeline, and the pool that comes out."""
+    """Arrays of mujoco_warp's collision pipeline: poses of geoms (input) and the pool of contacts (output)."""
 
     geom_xpos: Annotated[wp.array2d[wp.vec3], "world geom"]
     geom_xmat: Annotated[wp.array2d[wp.mat33], "world geom"]
-    nacon: Annotated[wp.array[int], "1"]  # contacts found
-    ncollision: Annotated[wp.array[int], "1"]  # pairs of geoms that were looked at
+    nacon: Annotated[wp.array[int], "1"]  # number of contacts
+    ncollision: Annotated[wp.array[int], "1"]  # number of pairs of geoms that were checked
     worldid: Annotated[wp.array[int], "contact"]
     geom: Annotated[wp.array[wp.vec2i], "contact"]
     dist: Annotated[wp.array[float], "contact"]
@@ -135,11 +135,11 @@ class Collisions:
 
 
 def axes(lanes: int, n_blocks: int, room: int, n_boxes: int) -> dict[str, int]:
-    """Sizes of the axes that belong to the step alone.
+    """Sizes of the step's axes.
 
     Args:
         n_blocks: bodies of a lane that move.
-        room: contacts of a lane, at most.
+        room: most contacts of a lane.
     """
     return {
         "world": lanes,
@@ -156,7 +156,7 @@ def axes(lanes: int, n_blocks: int, room: int, n_boxes: int) -> dict[str, int]:
 
 
 def array_types(kind: Any) -> dict[str, Any]:
-    """Name → type of a record's arrays, in their order."""
+    """Name → type of a record's arrays, in order."""
     return {name: kind.vars[name].type for name in kind.shapes}
 
 
@@ -169,43 +169,40 @@ def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ..
 
 
 def filled(kind: Any, values: Mapping[str, Any]) -> Any:
-    """A record whose fields are taken from ``values``; there may be more in these."""
+    """A record with its fields from ``values``, which may have more entries."""
     instance = kind()
     for name in kind.vars:
         setattr(instance, name, values[name])
     return instance
 
 
-class Layout:
-    """Where the arrays of ``Workspace`` lie in one buffer of 32-bit words, lane after lane within each array.
+def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...], int]]:
+    """Name, element type, shape and 32-bit words of the workspace's arrays, in the order of its buffer."""
+    types = array_types(Workspace)
+    for name, shape in array_shapes(Workspace, sizes).items():
+        words = wp.types.type_size_in_bytes(types[name].dtype) // 4 * math.prod(shape)
+        yield name, types[name].dtype, shape, words + words % 2
+
+
+def buffer_shape(sizes: Mapping[str, int]) -> tuple[int, int]:
+    """(world, word) of the buffer that holds the workspace; in it lane lies after lane within each array.
 
     Args:
-        sizes: of the axes, by name.
+        sizes: axis → size.
     """
+    return sizes["world"], -(-sum(words for *_, words in _parts(sizes)) // sizes["world"])
 
-    def __init__(self, sizes: Mapping[str, int]) -> None:
-        self._shapes = array_shapes(Workspace, sizes)
-        self._types = {name: kind.dtype for name, kind in array_types(Workspace).items()}
-        self.shape = sizes["world"], -(-sum(map(self._words, self._shapes)) // sizes["world"])
-        """(world, word) of the buffer."""
 
-    def _words(self, name: str) -> int:
-        words: int = wp.types.type_size_in_bytes(self._types[name]) // 4
-        for extent in self._shapes[name]:
-            words *= extent
-        return words + words % 2
-
-    def arrays(self, buffer: Any) -> dict[str, Any]:
-        """The arrays, as views of a buffer of this ``shape``."""
-        views: dict[str, Any] = {}
-        offset = 0
-        for name, shape in self._shapes.items():
-            pointer = buffer.ptr + 4 * offset
-            views[name] = wp.array(ptr=pointer, dtype=self._types[name], shape=shape, device=buffer.device)
-            offset += self._words(name)
-        return views
+def in_buffer(buffer: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
+    """The workspace's arrays, as views of its buffer."""
+    views: dict[str, Any] = {}
+    pointer = buffer.ptr
+    for name, dtype, shape, words in _parts(sizes):
+        views[name] = wp.array(ptr=pointer, dtype=dtype, shape=shape, device=buffer.device)
+        pointer += 4 * words
+    return views
 
 
 def lane_bytes(n_blocks: int, room: int) -> int:
-    """Device memory that a lane takes, bytes: nearly all of it is the workspace."""
-    return 4 * Layout(axes(1, n_blocks, room, 0)).shape[1]
+    """Device memory of a lane, bytes. Nearly all of it is the workspace."""
+    return 4 * buffer_shape(axes(1, n_blocks, room, 0))[1]

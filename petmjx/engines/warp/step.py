@@ -1,8 +1,8 @@
 """One physics step of all lanes on Warp's kernels, as a JAX call with few arguments.
 
-``mjx.step`` hands every field of model and data through JAX, some 400 buffers that Python looks at in each call.
-Here the model, the contact pool and the workspace belong to the step, and JAX sees what changes: about 20 arrays.
-Collisions are mujoco_warp's as MJX carries it; contacts' rows, the solver and the integrator are petmjx's own.
+``mjx.step`` passes every field of model and data through JAX: about 400 buffers, which Python handles in each call.
+Here the model, the contact pool and the workspace belong to the step, and JAX sees only what changes: about 20 arrays.
+Collisions come from mujoco_warp, in the copy inside MJX. Contacts' rows, the solver and the integrator are petmjx's.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import dataclasses
 import inspect
 import itertools
 import weakref
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax
@@ -25,22 +26,11 @@ from mujoco.mjx.third_party.mujoco_warp._src.collision_core import create_collis
 from petmjx.config import Cone
 from petmjx.engines.batch.capacities import round_up
 from petmjx.engines.batch.template import CARRIER_BODY, ROWS_PER_CONTACT
-from petmjx.engines.warp import kernels, newton
-from petmjx.engines.warp.records import (
-    Collisions,
-    Layout,
-    Model,
-    Out,
-    State,
-    Workspace,
-    array_shapes,
-    array_types,
-    axes,
-    filled,
-)
+from petmjx.engines.warp import kernels, newton, records
+from petmjx.engines.warp.records import Collisions, Model, Out, State, Workspace, array_types, filled
 
 COLLIDERS = [(mjw.GeomType.PLANE, mjw.GeomType.BOX), (mjw.GeomType.BOX, mjw.GeomType.BOX)]
-"""Pairs of shapes that meet on a pallet."""
+"""Pairs of shapes that can collide on a pallet."""
 
 
 class StepResult(NamedTuple):
@@ -59,17 +49,8 @@ class StepResult(NamedTuple):
         return self.qacc
 
 
-class GeomDefaults(NamedTuple):
-    """Geom fields of the template, which stand for geoms that no world changes."""
-
-    geom_size: jax.Array
-    geom_rbound: jax.Array
-    geom_aabb: jax.Array
-
-
-@dataclasses.dataclass
-class Records:
-    """The records of one step."""
+class Records(NamedTuple):
+    """The records of one step, in the order in which kernels take them."""
 
     model: Any
     state: Any
@@ -83,7 +64,7 @@ class PalletStepper:
 
     Args:
         pool: contacts of all lanes together.
-        room: contacts of one lane, at most; rounded up to what the kernels search at a time.
+        room: most contacts of one lane; rounded up to a multiple of ``kernels.SEARCH``.
     """
 
     def __init__(self, template: mujoco.MjModel, lanes: int, pool: int, room: int) -> None:
@@ -94,29 +75,18 @@ class PalletStepper:
         if 6 * self.n_blocks > newton.MAX_DOFS:
             raise ValueError(f"{self.n_blocks} bodies are more than the solver has room for")
         self.pyramidal = int(template.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL)
-        self.n_geoms = template.ngeom
-        self.numbers = {
-            "held": self.held,
-            "pyramidal": self.pyramidal,
-            "timestep": float(template.opt.timestep),
-            "floor_z": float(template.geom_pos[0, 2]),
-            "n_geoms": self.n_geoms,
-            "pool": pool,
-            "room": room,
-            "limit": int(template.opt.iterations),
-            "trials": int(template.opt.ls_iterations),
-            "tolerance": float(template.opt.tolerance),
-        }
-        # What per-world fields are made from (template.override_fields), in MJX-Warp's shapes.
-        self.model = GeomDefaults(
-            jnp.asarray(template.geom_size, jnp.float32),
-            jnp.asarray(template.geom_rbound, jnp.float32),
-            jnp.asarray(template.geom_aabb.reshape(-1, 2, 3), jnp.float32),
+        self.n_geoms, self.floor_z = template.ngeom, float(template.geom_pos[0, 2])
+        self.timestep, self.tolerance = float(template.opt.timestep), float(template.opt.tolerance)
+        self.limit, self.trials = int(template.opt.iterations), int(template.opt.ls_iterations)
+        # template.override_fields makes per-world fields from these; the shapes are those of MJX-Warp.
+        self.model = SimpleNamespace(
+            geom_size=jnp.asarray(template.geom_size, jnp.float32),
+            geom_rbound=jnp.asarray(template.geom_rbound, jnp.float32),
+            geom_aabb=jnp.asarray(template.geom_aabb.reshape(-1, 2, 3), jnp.float32),
         )
-        sizes = axes(lanes, self.n_blocks, room, n_boxes=self.n_geoms - 2)
-        self.layout = Layout(sizes)
-        self.out_shapes = array_shapes(Out, sizes)
-        # One world's data but for the pool: collision reads geoms' poses alone, and those are replaced.
+        self.sizes = records.axes(lanes, self.n_blocks, room, n_boxes=self.n_geoms - 2)
+        self.out_shapes = records.array_shapes(Out, self.sizes)
+        # Data of one world, except the pool: collision reads only the poses of geoms, and those are replaced.
         self.warp_model = mjw.put_model(template)
         data = mjw.make_data(template, nworld=1, naconmax=pool, njmax=1)
         self.data = dataclasses.replace(
@@ -146,11 +116,11 @@ class PalletStepper:
             "gravity": overrides["opt.gravity"],
             "carrier_pose": carrier,
         }
-        *result, _ = _step_callable()(
-            self.id,
-            *(given[name] for name in _INPUTS),
-            output_dims=self.out_shapes | {"workspace": self.layout.shape},
-        )
+        # XLA captures the kernels into its command buffer and replays it without Python, for any addresses of arrays.
+        # Graphs captured by Warp failed here ("unknown capture stream", Warp 1.18, JAX 0.11).
+        call = wp.jax_callable(_step, num_outputs=len(_OUTPUTS), graph_mode=wp.JaxCallableGraphMode.JAX)
+        shapes = self.out_shapes | {"workspace": records.buffer_shape(self.sizes)}
+        *result, _ = call(self.id, *(given[name] for name in _INPUTS), output_dims=shapes)
         return StepResult(*result)
 
     def top_force(self, overrides: dict[str, jax.Array], scratch: StepResult) -> Float[Array, "lane box"]:
@@ -169,30 +139,28 @@ class PalletStepper:
     # ------------------------------------------------------------------ kernels, phase by phase
 
     def launch(self, arrays: dict[str, Any]) -> None:
-        """Launch the step's kernels on Warp arrays, by the names of ``_INPUTS`` and ``_OUTPUTS``."""
-        data, contact = self.data, self.data.contact
-        records = Records(
-            model=filled(Model, self.numbers | arrays),
+        """Launch the step's kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_OUTPUTS``."""
+        r = Records(
+            model=filled(Model, vars(self) | arrays),  # its numbers are attributes of this object
             state=filled(State, arrays),
-            collisions=filled(Collisions, vars(data) | vars(contact)),
-            work=filled(Workspace, self.layout.arrays(arrays["workspace"])),
+            collisions=filled(Collisions, vars(self.data) | vars(self.data.contact)),
+            work=filled(Workspace, records.in_buffer(arrays["workspace"], self.sizes)),
             out=filled(Out, arrays),
         )
-        self._begin(records)
+        self._begin(r)
         self._collide(arrays)
-        self._make_rows(records)
-        self._solve(records)
-        self._end(records)
+        self._make_rows(r)
+        self._solve(r)
+        self._end(r)
 
     def _begin(self, r: Records) -> None:
-        """Poses of geoms, inertia, and what accelerations would be without contacts."""
-        inputs = [r.model, r.state, r.collisions, r.work, r.out]
-        wp.launch(kernels.begin_step, dim=(self.lanes, self.n_geoms), inputs=inputs)
+        """Poses of geoms, inertia, and accelerations without contacts."""
+        wp.launch(kernels.begin_step, dim=(self.lanes, self.n_geoms), inputs=[*r])
 
     def _collide(self, arrays: dict[str, Any]) -> None:
-        """mujoco_warp's ``collision`` for planes and boxes, without its allocations.
+        """mujoco_warp's ``collision`` for planes and boxes, without its memory allocations.
 
-        XLA may replay graphs only without any.
+        A graph with allocations could not be replayed by XLA.
         """
         own = {name: arrays[name] for name in array_types(Model) if name.startswith("geom_")}
         model = dataclasses.replace(self.warp_model, **own)
@@ -202,52 +170,40 @@ class PalletStepper:
         mjw.primitive_narrowphase(model, self.data, self.context, COLLIDERS)
 
     def _make_rows(self, r: Records) -> None:
-        """Each lane's contacts in a fixed order, their rows, and which of them each block has."""
+        """Each lane's contacts in a fixed order, their rows, and the contacts of each block."""
         wp.launch(kernels.list_contacts, dim=self.pool, inputs=[r.model, r.collisions, r.work, r.out])
-        inputs = [r.model, r.state, r.collisions, r.work, r.out]
-        wp.launch(kernels.make_rows, dim=(self.lanes, self.room), inputs=inputs)
+        wp.launch(kernels.make_rows, dim=(self.lanes, self.room), inputs=[*r])
         wp.launch(kernels.link_blocks, dim=(self.lanes, self.n_blocks + 1), inputs=[r.model, r.work, r.out])
 
     def _solve(self, r: Records) -> None:
         """Accelerations and contact forces."""
         threads, together = newton.block_size(self.lanes)
-        wp.launch(
-            newton.solver(threads, together),
-            dim=(self.lanes, threads),
-            inputs=[threads, r.model, r.state, r.work, r.out],
-            block_dim=threads,
-        )
+        inputs = [threads, r.model, r.state, r.work, r.out]
+        wp.launch(newton.solver(threads, together), dim=(self.lanes, threads), inputs=inputs, block_dim=threads)
 
     def _end(self, r: Records) -> None:
-        """The next poses and velocities, forces on boxes' tops, and whether contacts were lost."""
-        inputs = [r.model, r.state, r.collisions, r.work, r.out]
-        wp.launch(kernels.end_step, dim=(self.lanes, self.n_blocks), inputs=inputs)
+        """Next poses and velocities, forces on boxes' tops, and overflow flags."""
+        wp.launch(kernels.end_step, dim=(self.lanes, self.n_blocks), inputs=[*r])
         wp.launch(kernels.note_overflow, dim=self.lanes, inputs=[r.model, r.collisions, r.out])
 
 
 _INPUTS = array_types(State) | array_types(Model)
 _OUTPUTS = array_types(Out) | {"workspace": wp.array2d[float]}
-"""The arrays that JAX sees, by name."""
+"""Name → type of the arrays that JAX sees."""
 
 _IDS = itertools.count()
 _STEPS: weakref.WeakValueDictionary[int, PalletStepper] = weakref.WeakValueDictionary()
-"""Steps by number: JAX keeps what it calls for ever, and is not to keep their memory."""
+"""Steps by number. JAX never frees a function that it calls, so the function must not hold a step's memory."""
 
 
 def _step(step: int, *arrays: Any) -> None:
-    """Launch a step's kernels: what JAX calls, with the arrays of ``_INPUTS`` and ``_OUTPUTS``."""
+    """Launch a step's kernels. JAX calls this with the arrays of ``_INPUTS`` and ``_OUTPUTS``."""
     _STEPS[step].launch(dict(zip(_INPUTS | _OUTPUTS, arrays, strict=True)))
 
 
-# Warp reads the types of the buffers from the signature, and loads the module's kernels before it calls.
+# Warp reads the types of the buffers from the signature, and loads the kernels of this module before the call.
 _step.__module__ = kernels.__name__
 _step.__annotations__ = {"step": int} | _INPUTS | _OUTPUTS
 _step.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
     [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in _step.__annotations__]
 )
-
-
-def _step_callable() -> Any:
-    # XLA captures the kernels into its own command buffer and replays that without Python, whatever the addresses.
-    # Graphs captured by Warp failed here ("unknown capture stream", Warp 1.18, JAX 0.11).
-    return wp.jax_callable(_step, num_outputs=len(_OUTPUTS), graph_mode=wp.JaxCallableGraphMode.JAX)

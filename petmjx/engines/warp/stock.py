@@ -1,4 +1,4 @@
-"""MJX's own Warp step, with the solver that MJX has: for conjugate gradients, and as a twin of ``PalletStepper``."""
+"""MJX's own Warp step and solver: for conjugate gradients, and in tests as a twin of petmjx/engines/warp/step.py."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from petmjx.engines.batch.template import FIRST_BOX_GEOM, ROWS_PER_CONTACT
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 from petmjx.verdict import Flag
 
-# Bits of mujoco_warp's overflow mask (its OverflowType). Reaching an iteration limit is no truncation: the
-# accelerations are then less exact, not wrong, as in C MuJoCo.
+# Bits of mujoco_warp's overflow mask (its OverflowType). An iteration limit is no overflow: the accelerations are
+# then less exact, but nothing is lost, as in C MuJoCo.
 _ROWS = 0b1 | 0b10 | 1 << 7
 _CONTACTS = 1 << 2 | 1 << 3
 _LIMITS = 1 << 9 | 1 << 10
@@ -31,12 +31,9 @@ class StockStepper:
     """
 
     def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics, contacts: int, rows: int) -> None:
-        self.template = template
-        self.lanes = lanes
-        self.physics = physics
-        self.contacts = contacts
-        self.rows = rows
-        # Overflow is read from its mask; Warp's kernels would print a line per world and step.
+        self.template, self.lanes, self.physics = template, lanes, physics
+        self.contacts, self.rows = contacts, rows
+        # Overflow is read from the mask; otherwise Warp's kernels print a line per world and step.
         self.model: Any = mjx.put_model(template, impl="warp").tree_replace({"opt._impl.warn_overflow": 0})
 
     def scratch(self) -> Any:

@@ -1,8 +1,8 @@
 """Sample plans in BED-BPP's format: generated ones, hand-made ones with a known answer, and packed orders.
 
 ``generate`` and ``write_samples`` draw orders with BED-BPP's statistics and pack them. A share of the plans
-(``loose_share``) is packed with a support rule too loose to be safe, so that a set holds plans that stand and
-plans that collapse. Plan i depends on (seed, i, loose_share) alone: ``n = 10`` is a prefix of ``n = 1000``.
+(``loose_share``) is packed with a support rule that is not safe, so that a set has plans that stand and plans that
+collapse. Plan i depends only on seed, i and loose_share: the plans of ``n = 10`` are the first of ``n = 1000``.
 """
 
 from __future__ import annotations
@@ -17,23 +17,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
+from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, draw_order, stream
 from petmjx.plans.samples.packer import PackRules, Placed, pack_best
 from petmjx.text import counted, printable, shown
-
-__all__ = [
-    "DEFAULT_LOOSE_SHARE",
-    "LOOSE_SUPPORT",
-    "LeftOut",
-    "bundled_path",
-    "generate",
-    "generate_one",
-    "pack_orders",
-    "write_plans",
-    "write_samples",
-]
 
 Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
@@ -68,9 +57,19 @@ class LeftOut:
         return f"order {shown(self.order_id)}: {few} of {many} {verb} left out: {items} {numbers}"
 
 
-def generate(n: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> dict[str, list[Placement]]:
-    """The first ``n`` plans of ``seed`` as a BED-BPP object: plan id → placements in packing order."""
-    return dict(_generate(n, seed, loose_share))
+def generate(n: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> Iterator[tuple[str, list[Placement]]]:
+    """The first ``n`` plans of ``seed``: (plan id, placements in packing order), each made when it is asked for.
+
+    Raises:
+        InputError: ``n`` below 1, a negative seed, or a share outside 0…1.
+    """
+    if n < 1:
+        raise InputError(f"number of samples must be at least 1, got {n}")
+    if seed < 0:
+        raise InputError(f"seed must not be negative, got {seed}")
+    if not 0 <= loose_share <= 1:
+        raise InputError(f"loose share must be between 0 and 1, got {loose_share}")
+    return (generate_one(index, seed, loose_share=loose_share) for index in range(n))
 
 
 def generate_one(index: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> tuple[str, list[Placement]]:
@@ -97,14 +96,13 @@ def write_samples(
 ) -> None:
     """Write the first ``n`` plans of ``seed`` to a JSON file, gzipped if it is named ``*.gz``.
 
-    Plans are written as they are made, so memory does not grow with ``n``. ``progress`` is called with
-    the number of plans written so far.
+    Each plan is written as soon as it is made, so memory does not grow with ``n``. ``progress`` is called with the
+    number of plans written so far.
 
     Raises:
         InputError: ``n`` below 1, a negative seed, a share outside 0…1, or a path that cannot be written.
     """
-    plans = _generate(n, seed, loose_share)
-    write_plans(path, plans, progress=progress)
+    write_plans(path, generate(n, seed, loose_share=loose_share), progress=progress)
 
 
 def write_plans(
@@ -113,9 +111,9 @@ def write_plans(
     *,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Write (plan id, placements) pairs as one BED-BPP object, a line per placement.
+    """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The bytes depend on the plans alone (no time stamp in the gzip header).
+    The bytes depend only on the plans (no time stamp in the gzip header).
     """
     path = Path(path)
     try:
@@ -130,7 +128,7 @@ def write_plans(
                     progress(count)
             out.write("\n}\n")
     except OSError as error:
-        raise InputError(f"{printable(str(path))}: cannot be written: {error.strerror or error}") from error
+        raise InputError(f"{printable(str(path))}: cannot be written: {reason(error)}") from error
 
 
 def pack_orders(
@@ -143,9 +141,9 @@ def pack_orders(
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
-    ``rules`` are the strict ones where not given. Boxes that find no place below 2 m are left out; of each order with
-    such boxes ``on_left_out`` is told, just before its plan is yielded. An order of which no box finds a place makes no
-    plan. ``sequence`` is renumbered to the packing order, since the packer sorts.
+    Without ``rules`` the strict ones are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is
+    called with them just before the plan is yielded. An order of which no box finds a place makes no plan.
+    The packer sorts, so ``sequence`` is numbered anew in packing order.
 
     Raises:
         InputError: the file is no orders file; or an order is bad and ``on_bad_order`` is not given
@@ -184,18 +182,8 @@ def as_placements(placed: Iterable[Placed]) -> list[Placement]:
 
 
 def bundled_path() -> Path:
-    """The bundled sample plans; :mod:`petmjx.plans.samples.bundled` says which they are and makes the file."""
+    """The file of the bundled plans. :mod:`petmjx.plans.samples.bundled` says which they are, and makes the file."""
     return Path(str(files(__package__) / "bundled.json"))
-
-
-def _generate(n: int, seed: int, loose_share: float) -> Iterator[tuple[str, list[Placement]]]:
-    if n < 1:
-        raise InputError(f"number of samples must be at least 1, got {n}")
-    if seed < 0:
-        raise InputError(f"seed must not be negative, got {seed}")
-    if not 0 <= loose_share <= 1:
-        raise InputError(f"loose share must be between 0 and 1, got {loose_share}")
-    return (generate_one(index, seed, loose_share=loose_share) for index in range(n))
 
 
 def _open_text(path: Path, stack: ExitStack) -> IO[str]:
@@ -207,6 +195,6 @@ def _open_text(path: Path, stack: ExitStack) -> IO[str]:
 
 
 def _plain(value_mm: float) -> int | float:
-    """Whole millimetres as int, as BED-BPP writes them; others to the nanometre, free of float64 noise."""
+    """Whole millimetres as int, as BED-BPP writes them; others rounded to the nanometre, without float64 noise."""
     rounded = round(value_mm, 6)
     return int(rounded) if rounded == int(rounded) else rounded

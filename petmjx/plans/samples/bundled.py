@@ -1,4 +1,4 @@
-"""The bundled sample set: the hand-made plans, then plans of the generator picked by their number.
+"""The bundled plans: the hand-made ones, then plans of the generator, chosen by their number.
 
 Make the file again with ``python -m petmjx.plans.samples.bundled``.
 """
@@ -14,7 +14,7 @@ from petmjx.plans.samples.handmade import HANDMADE
 BUNDLED_SEED = 0
 
 BUNDLED_INDICES = (3, 7, 13, 16, 38, 46, 92, 152, 189, 430, 443, 1349, 1784, 2112)
-"""Seven stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three hold 41 to 45 boxes, three about 30
+"""Seven stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three have 41 to 45 boxes, three about 30
 and eight 14 to 20, so that a demo is quick."""
 
 

@@ -1,13 +1,17 @@
-"""Small plans whose answer is known in closed form, with the reason. Checked one by one, carrier ``footprint``.
+"""Small plans whose answer is known in closed form, with the reason. Check ``one-by-one``, carrier ``footprint``.
 
-The carrier then reaches from the origin to the plan's farthest corner. The simulation takes 0.1 mm off each
-dimension and keeps the corner: margins here are centimetres, so that does not change an answer.
+The carrier is the plan's bounding box. The simulation makes each dimension 0.1 mm smaller and keeps the corner. Margins
+here are centimetres, so that changes no answer.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, Literal
+
+from petmjx.plans.samples import as_placements
+from petmjx.plans.samples.orders import Item
+from petmjx.plans.samples.packer import Placed
 
 Size = tuple[int, int, int]
 Corner = tuple[int, int, int]
@@ -18,46 +22,34 @@ CARTON_KG = 6.0
 
 @dataclass(frozen=True)
 class HandmadePlan:
-    """A plan and what physics says of it.
+    """A plan and its answer.
 
     Attributes:
         plan_id: starts with "hand-".
-        expected: the verdict.
         why: one sentence.
         placements: as in a BED-BPP file.
         culprit: index of the box that goes first (packing order, from 0); −1 where the plan is stable.
-        rest_top_force_n: box index → force in N that the box bears from above at rest, where known.
+        rest_top_force_n: box index → force on top of the box at rest, N, where known.
     """
 
     plan_id: str
-    expected: Literal["stable", "unstable"]
     why: str
     placements: tuple[dict[str, Any], ...]
     culprit: int = -1
     rest_top_force_n: tuple[tuple[int, float], ...] = ()
 
-
-def _placement(rank: int, size: Size, corner: Corner, weight_kg: float) -> dict[str, Any]:
-    length, width, height = size
-    name = f"{length}x{width}x{height}"
-    return {
-        "item": {
-            "article": f"carton-{name}",
-            "id": name,
-            "product_group": "handmade",
-            "length/mm": length,
-            "width/mm": width,
-            "height/mm": height,
-            "weight/kg": weight_kg,
-            "sequence": rank,
-        },
-        "orientation": 0,
-        "flb_coordinates": list(corner),
-    }
+    @property
+    def expected(self) -> Literal["stable", "unstable"]:
+        """The verdict."""
+        return "unstable" if self.culprit >= 0 else "stable"
 
 
 def _plan(*boxes: tuple[Size, Corner, float]) -> tuple[dict[str, Any], ...]:
-    return tuple(_placement(rank, *box) for rank, box in enumerate(boxes, start=1))
+    placed = []
+    for size, corner, weight_kg in boxes:
+        name = "x".join(map(str, size))
+        placed.append(Placed(Item(f"carton-{name}", name, "handmade", *size, weight_kg), 0, corner))
+    return tuple(as_placements(placed))
 
 
 def _cartons(*corners: Corner) -> tuple[dict[str, Any], ...]:
@@ -69,35 +61,30 @@ GRAVITY = 9.81
 HANDMADE: tuple[HandmadePlan, ...] = (
     HandmadePlan(
         "hand-one-box",
-        "stable",
         "one box flat on the carrier; nothing rests on it",
         _cartons((0, 0, 0)),
         rest_top_force_n=((0, 0.0),),
     ),
     HandmadePlan(
         "hand-stack-of-5",
-        "stable",
         "five equal boxes flush on each other: each bears the weight of those above it",
         _cartons(*((0, 0, 200 * k) for k in range(5))),
         rest_top_force_n=tuple((k, (4 - k) * CARTON_KG * GRAVITY) for k in range(5)),
     ),
     HandmadePlan(
         "hand-overhang-45",
-        "stable",
         "the upper box hangs over by 45 % of its length: its centre is 20 mm inside the lower box's edge",
         _cartons((0, 0, 0), (180, 0, 200)),
         rest_top_force_n=((0, CARTON_KG * GRAVITY),),
     ),
     HandmadePlan(
         "hand-overhang-55",
-        "unstable",
         "the upper box hangs over by 55 % of its length: its centre is 20 mm outside the lower box's edge, it tips",
         _cartons((0, 0, 0), (220, 0, 200)),
         culprit=1,
     ),
     HandmadePlan(
         "hand-bridge",
-        "stable",
         "a beam rests with both ends on two equal supports, each bearing half its weight, and nothing in the middle",
         _plan(
             ((200, 300, 200), (0, 0, 0), 4.0), ((200, 300, 200), (400, 0, 0), 4.0), ((600, 300, 150), (0, 0, 200), 9)
@@ -106,21 +93,18 @@ HANDMADE: tuple[HandmadePlan, ...] = (
     ),
     HandmadePlan(
         "hand-tower",
-        "stable",
         "eight cartons, 1.84 m high on a base of 0.3 m: slender, but each centre is right above the base",
         _plan(*(((300, 300, 230), (0, 0, 230 * k), 5.0) for k in range(8))),
         rest_top_force_n=((0, 7 * 5.0 * GRAVITY),),
     ),
     HandmadePlan(
         "hand-harmonic-stack",
-        "stable",
         "overhangs of 0.45/3, 0.45/2 and 0.45/1 of the length: above each box the common centre of the boxes on it "
         "is 45 % of the length from that box's centre, so still inside its edge (the book-stacking problem)",
         _cartons((0, 0, 0), (60, 0, 200), (150, 0, 400), (330, 0, 600)),
     ),
     HandmadePlan(
         "hand-staircase",
-        "unstable",
         "each box hangs over by only 40 %, but two of them have their common centre at 60 %: the stair turns over "
         "the lowest box's edge though every single step passes a support rule of 0.6",
         _cartons((0, 0, 0), (160, 0, 200), (320, 0, 400)),
@@ -128,29 +112,28 @@ HANDMADE: tuple[HandmadePlan, ...] = (
     ),
     HandmadePlan(
         "hand-drop-of-5-mm",
-        "stable",
         "a box floats 5 mm above the other: it falls flat and ends 5 mm below its place, less than 20 mm",
         _cartons((0, 0, 0), (0, 0, 205)),
         rest_top_force_n=((0, CARTON_KG * GRAVITY),),
     ),
     HandmadePlan(
         "hand-floating",
-        "unstable",
         "a box floats 400 mm high, its centre beyond the lower box's edge: it falls, strikes the edge and turns",
         _cartons((0, 0, 0), (250, 0, 600)),
         culprit=1,
     ),
     HandmadePlan(
-        "hand-beside-carrier",
-        "unstable",
-        "the second box reaches 300 of its 400 mm over the carrier's edge at x = 0: its centre is outside, it tips",
-        _cartons((400, 0, 0), (-300, 0, 0)),
+        "hand-falls-off",
+        "a box reaches 300 of its 400 mm over the lower box's edge: its centre is outside, it tips; 500 mm tall, it "
+        "falls off the carrier, too",
+        _plan((CARTON, (0, 0, 0), CARTON_KG), ((400, 300, 500), (300, 0, 200), CARTON_KG)),
         culprit=1,
     ),
     HandmadePlan(
-        "hand-over-carrier-edge",
-        "stable",
-        "the second box reaches 100 of its 400 mm over the carrier's edge at x = 0: its centre is 100 mm inside",
-        _cartons((400, 0, 0), (-100, 0, 0)),
+        "hand-over-corner",
+        "the upper box hangs over a corner by 40 % of its length and of its width: its centre is 40 and 30 mm inside "
+        "the lower box's edges, though no more than 36 % of its base is supported",
+        _cartons((0, 0, 0), (160, 120, 200)),
+        rest_top_force_n=((0, CARTON_KG * GRAVITY),),
     ),
 )

@@ -1,10 +1,10 @@
 """Synthetic orders with BED-BPP's statistics: how many boxes, how many distinct articles, which cartons.
 
 BED-BPP (Kagerer et al. 2023, "BED-BPP: Benchmarking dataset for robotic bin packing problems", Int. J. of Robotics
-Research 42(11)) holds 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles stands for
-the warehouse; an order draws articles from it. Names and ids are made up.
+Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles stands for the
+warehouse, and an order draws articles from it. Names and ids are invented.
 
-Order i depends on (seed, i) alone, so fewer orders are a prefix of more.
+Order i depends only on (seed, i): the orders of a smaller set are the first ones of a larger set.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ MEAN_BOXES = 43.5
 STD_BOXES = 15.0
 MIN_BOXES = 10
 MAX_BOXES = 80
-"""A normal distribution between limits. The limits take 1 off the spread and the packer leaves about 1 % of the
-boxes out, so that packed plans have BED-BPP's 43±14."""
+"""A normal distribution between limits. The limits reduce the spread by 1, and the packer leaves out about 1 % of the
+boxes, so that packed plans have BED-BPP's 43±14."""
 
 EURO_PALLET_SHARE = 0.6
 DISTINCT_SHARE = (0.35, 0.7)
 """Range of distinct articles per box of an order."""
 
 FILL_BUDGET = 0.55
-"""Most of a target's volume (2 m high) that an order's boxes may have: a warehouse releases orders that fit."""
+"""Largest share of a target's volume (2 m high) that an order's boxes may have: orders of a warehouse fit."""
 
 CATALOGUE_SIZE = 800
 FIRST_ARTICLE_ID = 100_001
@@ -37,7 +37,7 @@ FIRST_ARTICLE_ID = 100_001
 _MEDIAN_KG = 6.0
 _MEDIAN_M3 = 0.02
 _VOLUME_EXPONENT = 0.65
-"""Large cartons hold light goods: density falls with volume (BED-BPP: up to 750 kg/m³ at 8 l, about 100 at 50 l)."""
+"""Large cartons have light goods: density falls with volume (BED-BPP: up to 750 kg/m³ at 8 l, about 100 at 50 l)."""
 _DENSITY_SIGMA = 0.35
 WEIGHT_RANGE_KG = (0.2, 20.0)
 DENSITY_RANGE_KG_M3 = (60.0, 900.0)
@@ -45,7 +45,7 @@ _LIGHT_SHARE = 0.08
 _LIGHT_FACTOR = 0.3
 """Some articles are mostly air at any size: crisps, paper cups."""
 
-# Streams below one seed: the second part of the spawn key tells orders (and the packer's choices for them) apart.
+# Random streams of one seed. The second part of the key is the number of the order or article.
 _CATALOGUE_STREAM = 0
 _ORDER_STREAM = 1
 PACKER_STREAM = 2
@@ -53,7 +53,7 @@ PACKER_STREAM = 2
 
 @dataclass(frozen=True)
 class _Family:
-    """Cartons of one kind: how common, and the ranges of length, width and height in mm."""
+    """Cartons of one kind: how frequent they are, and the ranges of length, width and height in mm."""
 
     share: float
     length_mm: tuple[int, int]
@@ -103,7 +103,7 @@ class Order:
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """The random stream that belongs to ``key`` below ``seed``, independent of all other keys."""
+    """The random stream of ``key`` under ``seed``, independent of all other keys."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 
@@ -122,7 +122,7 @@ def draw_order(seed: int, index: int) -> Order:
     low, high = DISTINCT_SHARE
     n_articles = max(1, round(n_boxes * (low + (high - low) * rng.random())))
     chosen = [int(j) for j in rng.permutation(len(articles))[:n_articles]]
-    # Each article once, the rest spread so that some come in numbers and most do not.
+    # Each article once; the rest is distributed so that a few articles come many times and most do not.
     appetite = -np.log1p(-rng.random(n_articles))
     edges = np.cumsum(appetite) / appetite.sum()
     extra = np.searchsorted(edges[:-1], rng.random(n_boxes - n_articles), side="right")
@@ -132,7 +132,7 @@ def draw_order(seed: int, index: int) -> Order:
     budget_m3 = FILL_BUDGET * extent[0] * extent[1] * 2000 * 1e-9
     volumes = np.array([articles[j].volume_m3 for j in chosen])
     while float(volumes @ quantity) > budget_m3:
-        # Too much for one target: the bulkiest position of the order becomes another, smaller article.
+        # Too much for one target: the article with the largest volume in the order is replaced by a smaller one.
         bulkiest = int(np.argmax(volumes * quantity))
         smaller = [j for j, a in enumerate(articles) if a.volume_m3 < volumes[bulkiest] and j not in chosen]
         chosen[bulkiest] = smaller[int(rng.integers(len(smaller)))]
@@ -141,7 +141,7 @@ def draw_order(seed: int, index: int) -> Order:
 
 
 def _draw_count(rng: np.random.Generator) -> int:
-    """Number of boxes: normal, drawn again outside the limits so that no count piles up at them."""
+    """Number of boxes: normal, drawn again if it is outside the limits, so that no count is frequent at the limits."""
     while True:
         n = round(MEAN_BOXES + STD_BOXES * float(rng.standard_normal()))
         if MIN_BOXES <= n <= MAX_BOXES:

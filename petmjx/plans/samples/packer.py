@@ -1,8 +1,8 @@
 """A baseline packer: extreme points in three dimensions, lowest place first, with a support rule.
 
 Candidate corners are the extreme points of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for
-three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384. A box is let down at a candidate's x and
-y until it rests on the carrier or on the tops below it, so every placement can be reached from above, in order.
+three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384. A box is lowered at a candidate's x and y
+until it rests on the carrier or on the boxes below, so every box can be placed from above, in packing order.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from petmjx.units import FloatArray
 MAX_HEIGHT_MM = 2000.0
 
 _TOUCH_MM = 1e-6
-"""Tops closer than this are one level, overlaps smaller are none: sums of decimal sizes in float64."""
+"""Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
 
 
 @dataclass(frozen=True)
 class PackRules:
-    """What a placement must keep to, and the choices that differ from plan to plan.
+    """The rules for a placement, and the choices that differ from plan to plan.
 
     Attributes:
         min_support: least share of a box's base that rests on the carrier or on tops (0 to 1).
-        centre_supported: the middle of the base must lie in the convex hull of what it rests on; without
-            this a box may be placed so that it tips at once.
+        centre_supported: the centre of the base must be inside the convex hull of what it rests on; without this a box
+            may be placed so that it tips at once.
         y_first: break ties of height by the smallest y, then x (else x, then y).
         sort_noise: spread (natural log) of the sorting key, drawn once per article.
         weight_exponent: how much weight counts beside base area in the sorting key.
@@ -54,7 +54,7 @@ class Placed:
 def pack_best(
     items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
 ) -> list[Placed]:
-    """The packing that places most boxes of up to ``attempts``, which differ in the noise of the sorting key."""
+    """The best of up to ``attempts`` packings: the one that places most boxes. They differ in the sorting noise."""
     best: list[Placed] = []
     for _ in range(attempts):
         placed = pack(items, extent_mm, rules, rng)
@@ -68,7 +68,7 @@ def pack_best(
 def pack(
     items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator
 ) -> list[Placed]:
-    """Place the items on a target of ``extent_mm``, in packing order; those that find no place are left out."""
+    """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out."""
     pile = _Pile(len(items), extent_mm, rules)
     placed = []
     for item in _sorted(items, rules, rng):
@@ -96,7 +96,7 @@ def _base(item: Item, orientation: int) -> tuple[float, float]:
 
 
 class _Pile:
-    """The boxes placed so far, as arrays, with the extreme points they leave (x and y in mm)."""
+    """The boxes placed so far, as arrays, and their extreme points (x and y in mm)."""
 
     def __init__(self, capacity: int, extent_mm: tuple[float, float], rules: PackRules) -> None:
         self.extent_mm = extent_mm
@@ -129,8 +129,8 @@ class _Pile:
         """Put a box down and record the extreme points it makes."""
         x, y, z = corner_mm
         x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
-        # The three corners next to the origin's, each also slid towards the carrier's edges along the
-        # axes it is free to move in. Sliding down is not needed: boxes are let down anyway.
+        # Three corners of the box, each also moved towards the carrier's edges along the axes in which it can
+        # move. They need not move down: boxes are lowered anyway.
         new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
         new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
         for point in new:
@@ -148,7 +148,7 @@ class _Pile:
         return float(ends.max()) if len(ends) else 0.0
 
     def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where boxes let down at (c, 2) corners with (c, 2) bases come to rest: z (c,), supported share (c,)."""
+        """Boxes lowered at (c, 2) corners with (c, 2) bases: height z at which they rest (c,), supported share (c,)."""
         area, tops = self._overlap(corners, bases), self._high[: self.n, 2]
         z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
         carried = np.where(np.abs(tops - z[:, None]) <= _TOUCH_MM, area, 0.0).sum(axis=1)
@@ -165,7 +165,7 @@ class _Pile:
         return area
 
     def _centre_supported(self, corner: FloatArray, base: FloatArray, z: float) -> bool:
-        """Whether the middle of a base lies in the convex hull of the tops it rests on."""
+        """Whether the centre of a base is inside the convex hull of the tops it rests on."""
         if z <= 0:
             return True
         under = (self._overlap(corner[None], base[None])[0] > 0) & (np.abs(self._high[: self.n, 2] - z) <= _TOUCH_MM)
@@ -177,8 +177,8 @@ class _Pile:
 def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
     """Whether a (2,) point lies in the convex hull of rectangles, (n, 2) low and (n, 2) high corners.
 
-    It does not exactly if some half-plane through the point holds no corner, that is if the corners,
-    seen from the point, leave a gap wider than half a turn.
+    It is outside if all corners are on one side of some line through it, that is if the directions to the corners
+    leave a gap of more than 180°.
     """
     corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
     if not len(corners):

@@ -1,5 +1,6 @@
 """Profiles: what shakes a pallet after it has been packed.
 
-``windows``, ``acceleration`` and ``vibration`` hold the kinds of profiles and petmjx's own ones, ``registry`` has
-these by name, ``tables`` makes users' own from sweep files and ``files`` reads what those name.
+``base`` says what a profile is. ``windows``, ``acceleration`` and ``vibration`` have the kinds of profiles and the
+built-in ones; ``registry`` has these by name. ``tables`` makes the profiles that sweep files define. ``files`` reads
+the files that those name.
 """

@@ -1,4 +1,4 @@
-"""Prescribed accelerations of the carrier, simulated as gravity − a with the carrier held fast.
+"""Accelerations of the carrier, simulated as gravity − a with the carrier clamped.
 
 Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
 """
@@ -19,7 +19,7 @@ from petmjx.world.random import WorldKey
 EUMOS_RAMP_S = 0.05
 """EUMOS 40509: the acceleration level is reached within 50 ms."""
 EUMOS_HOLD_S = 0.3
-"""EUMOS 40509: and kept for at least 0.3 s."""
+"""EUMOS 40509: the level is then held for at least 0.3 s."""
 EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"
 
 EN_12195_FORWARD_G = 0.8
@@ -29,7 +29,7 @@ EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward
 
 
 def _horizontal_unit(yaw_deg: float) -> FloatArray:
-    """(3,) unit vector; exact zeros and ones along the axes."""
+    """(3,) unit vector, with exact zeros and ones along the axes."""
     yaw = math.radians(yaw_deg)
     return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
 
@@ -71,10 +71,10 @@ class Trapezoid:
 
 
 def eumos_40509() -> Trapezoid:
-    """One acceleration test of EUMOS 40509:2020 at 1 g: scale it to the level wanted (0.5 g is usual).
+    """One acceleration test of EUMOS 40509:2020 at 1 g; the factor of a drive is then the level in g (0.5 is usual).
 
-    The standard asks for a level that is reached within 50 ms and held for at least 0.3 s, and for an end
-    that is not abrupt; here both ramps take 50 ms and the hold 0.3 s.
+    The standard asks for a level that is reached within 50 ms and held for at least 0.3 s, and for an end that is not
+    abrupt. Here both ramps take 50 ms, and the level is held for 0.3 s.
     """
     return Trapezoid("eumos-40509", EUMOS_SOURCE, 1.0, EUMOS_RAMP_S, EUMOS_HOLD_S)
 
@@ -82,10 +82,10 @@ def eumos_40509() -> Trapezoid:
 def en_12195_1() -> tuple[Trapezoid, ...]:
     """The four load cases of EN 12195-1:2010 for road transport, vehicle's front along +x.
 
-    The standard gives quasi-static coefficients and no course in time; petmjx takes 0.5 s to reach them,
-    holds them for 1 s, and takes 0.5 s to release. The load is thrown forward when the vehicle brakes, so
-    the carrier accelerates the other way. The vertical coefficient is 1.0 throughout. The 0.6 g the
-    standard asks for sideways where unstable goods may tip is a scale of 1.2.
+    The standard gives quasi-static coefficients, but no curve over time. petmjx takes 0.5 s to reach them, holds them
+    for 1 s, and takes 0.5 s back. When the vehicle brakes, the load is thrown forward, so the carrier accelerates
+    backward. The vertical coefficient is always 1.0. For goods that may tip the standard asks for 0.6 g sideways: a
+    scale of 1.2.
     """
     cases = (
         ("en-12195-1-forward", EN_12195_FORWARD_G, 180.0),
@@ -101,15 +101,14 @@ def en_12195_1() -> tuple[Trapezoid, ...]:
 
 @dataclass(frozen=True)
 class Tilt:
-    """The carrier is tilted slowly about a horizontal axis: seen from it, gravity turns.
+    """The carrier is tilted slowly about a horizontal axis: seen from the carrier, gravity turns.
 
-    Direction 0 pulls the load towards −x, as an acceleration along +x would. The angle grows at
-    ``rate_deg_s`` to ``max_deg``, stays there for ``hold_s`` and returns within ``return_s``, so that a
-    pallet that survived is not thrown over on the way back. The turning itself (centrifugal and Euler
-    forces) is left out: at 5°/s they are below 0.1 % of gravity.
+    Direction 0 pulls the load towards −x, as an acceleration along +x does. The angle grows by ``rate_deg_s`` to
+    ``max_deg``, stays there for ``hold_s`` and returns within ``return_s``, slowly enough that a pallet that survived
+    does not fall on the way back. Centrifugal and Euler forces are left out: at 5°/s they are below 0.1 % of gravity.
 
-    Source: definition, quasi-static tilt test (the reference needs none: start of sliding is atan μ, of
-    toppling atan b/h).
+    Source: definition, quasi-static tilt test. It can be checked in closed form: a rigid box begins to slide at atan μ
+    and to topple at atan(width / height).
     """
 
     name: str = "tilt"
@@ -135,7 +134,7 @@ class Tilt:
         return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """a = g − g_tilted, vertical part included: gravity − a then has length 9.81 at every angle."""
+        """a = g − g_tilted with its vertical part, so that gravity − a has the length 9.81 at every angle."""
         ends_s: FloatArray = np.arange(1, self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
         angle = np.radians(self._angles_deg(ends_s))
         samples = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0], axis=1)
@@ -150,7 +149,7 @@ class HalfSine:
 
     Attributes:
         duration_ms: length of the pulse, ms.
-        axis: (3,) direction of the carrier's acceleration, normalised here.
+        axis: (3,) direction of the carrier's acceleration; any length.
     """
 
     name: str = "half-sine"
@@ -165,7 +164,7 @@ class HalfSine:
         return steps_to_cover(self.duration_ms / 1000, timestep_s)
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """Step means of the pulse: its change of velocity, 2/π × peak × duration, is exact at any timestep."""
+        """Means of the pulse over steps: its change of velocity, 2/π × peak × duration, is exact for any timestep."""
         duration_s = self.duration_ms / 1000
         edges_s = np.minimum(np.arange(self.n_steps(timestep_s) + 1) * timestep_s, duration_s)
         covered = duration_s / math.pi * (1.0 - np.cos(math.pi * edges_s / duration_s))
@@ -186,4 +185,4 @@ def _unit(axis: tuple[float, float, float]) -> FloatArray:
 
 
 BUILT_IN_ACCELERATIONS: tuple[Profile, ...] = (eumos_40509(), *en_12195_1(), Tilt(), HalfSine())
-"""A new acceleration of petmjx's own is defined above, listed here, and described in docs/profiles.md."""
+"""To add a built-in acceleration: define it above, list it here, and describe it in docs/profiles.md."""

@@ -12,18 +12,18 @@ from petmjx.world.job import Excitation
 from petmjx.world.random import WorldKey
 
 MAX_PROFILE_S = 3600.0
-"""No profile is longer: its samples are held in memory, 24 bytes a step."""
+"""Longest profile: its samples are held in memory, 24 bytes per step."""
 
 
 class Strength(StrEnum):
-    """How strong a profile is, and by which axis of a sweep that is varied."""
+    """What makes a profile weaker or stronger: the axis of a sweep that varies it."""
 
     SCALE = "scale"
-    """A factor on the profile as it stands; forces: in units of total mass × 9.81 m/s²."""
+    """A factor on the profile as it is. Forces: in units of total mass × 9.81 m/s²."""
     LEVEL = "level"
     """The profile has a peak of 1 g; the factor is the level in g."""
     ANGLE = "angle"
-    """Given by the profile itself; nothing may be scaled (``tilt``)."""
+    """None: the profile passes through all its angles and cannot be scaled (``tilt``)."""
 
 
 class Profile(Protocol):
@@ -34,7 +34,7 @@ class Profile(Protocol):
         kind: "force" or "acceleration".
         strength: the axis by which it is made weaker or stronger.
         source: where its numbers come from.
-        random: whether each replicate is another realisation.
+        random: whether each replicate has other samples.
     """
 
     @property
@@ -57,9 +57,9 @@ class Profile(Protocol):
 
         Args:
             timestep_s: timestep of the simulation, s.
-            start_s: absolute time at which the profile begins, s. Force windows are rounded to steps in
-                absolute time, as the reference does; other profiles begin on a step and ignore it.
-            world: whose random numbers to use; needed by random profiles only.
+            start_s: absolute time at which the profile begins, s. Force windows are rounded to steps in absolute time,
+                as in the reference implementation; other profiles begin on a step and do not use it.
+            world: the world whose random numbers are used; only random profiles need it.
         """
         ...
 
@@ -67,12 +67,12 @@ class Profile(Protocol):
 def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> FloatArray:
     """(n,) mean over each step of a function whose antiderivative is given at the n + 1 step edges.
 
-    A step applies one constant value, so the mean is the value that leaves the integral (the change of
-    velocity) exact, whatever the timestep.
+    A step applies one constant value. With the mean as this value, the integral (the change of velocity) is exact for
+    any timestep.
     """
     return np.diff(antiderivative_at_edges) / timestep_s
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Steps needed to cover a duration, at least one; a billionth of a step of rounding does not add one."""
+    """Steps that cover a duration, at least one. A rounding error of a billionth of a step adds none."""
     return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)

@@ -22,7 +22,7 @@ from petmjx.world.profiles.windows import Window
 
 MAX_WINDOWS = 100_000
 MAX_FORCE = 10_000.0
-"""Largest component of a force, in units of total mass × 9.81 m/s²: more is a slip of the pen."""
+"""Largest component of a force, in units of total mass × 9.81 m/s². A larger one is a typing error."""
 MIN_DENSITY = 1e-30
 """Smallest PSD, g²/Hz: ratios of densities must not overflow."""
 MAX_RMS_G = 1000.0
@@ -98,7 +98,7 @@ def read_windows(path: Path) -> tuple[WindowRow, ...]:
 
 
 def _parquet_rows(path: Path) -> list[dict[str, Any]]:
-    # Imported here: only people who keep windows in Parquet wait for pyarrow.
+    # Imported here, because the import is slow and only windows in Parquet need it.
     import pyarrow
     import pyarrow.parquet
 
@@ -164,7 +164,7 @@ def read_psd(path: Path) -> PsdTable:
     """A PSD from a CSV file: two columns, Hz and g²/Hz, with or without a header line; # begins a comment.
 
     Raises:
-        InputError: one line with file and row, which counts from 0 without header and comments:
+        InputError: one line with file and row (from 0, without header and comments):
             "truck.csv: row[3][1] must be > 0, got -1.0".
     """
     try:

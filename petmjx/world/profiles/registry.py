@@ -14,17 +14,17 @@ BUILT_IN: dict[str, Profile] = {profile.name: profile for profile in (*BUILT_IN_
 """Profiles that need no parameters, by name."""
 
 FAMILIES: dict[str, tuple[str, ...]] = {"en-12195-1": tuple(profile.name for profile in en_12195_1())}
-"""Names that stand for several profiles."""
+"""Names that stand for several profiles each."""
 
 
 def resolve(name: str, defined: Mapping[str, Profile] | None = None) -> tuple[Profile, ...]:
-    """The profiles a name stands for: one, or all of a family such as ``en-12195-1``.
+    """The profiles of a name: one, or all of a family such as ``en-12195-1``.
 
     Args:
-        defined: profiles of a sweep file's own, besides the built-in ones.
+        defined: profiles that a sweep file defines, in addition to the built-in ones.
 
     Raises:
-        InputError: nothing has that name; the line says what was probably meant, or what there is.
+        InputError: unknown name; the line suggests a similar one, or lists the known ones.
     """
     known = {**BUILT_IN, **(defined or {})}
     if name in known:

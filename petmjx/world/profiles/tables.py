@@ -1,4 +1,4 @@
-"""The ``[profiles.NAME]`` tables of sweep files: what may stand in each kind, and the profile it makes."""
+"""The ``[profiles.NAME]`` tables of sweep files: the fields of each kind, and the profile that it makes."""
 
 from __future__ import annotations
 
@@ -49,17 +49,17 @@ class _Table(Checked):
         """The profile.
 
         Args:
-            folder: where relative file names begin.
+            folder: of the sweep file; file names are relative to it.
             known: profiles defined above this one, which a chain may use.
 
         Raises:
-            ValidationError: a complaint about a field, whose path begins with ``name``.
+            ValidationError: about a field; its path begins with ``name``.
             InputError: a file that cannot be used.
         """
 
 
 class WindowsTable(_Table):
-    """Force windows, here or in a file."""
+    """Force windows, in the table or in a file."""
 
     kind: Literal["windows"]
     windows: Rows | None = Field(None, description="rows of [start_s, duration_s, x, y, z]")
@@ -86,7 +86,7 @@ class Link(Checked):
 
 
 class ChainTable(_Table):
-    """Force profiles after one another."""
+    """Several force profiles, each with an offset in time."""
 
     kind: Literal["chain"]
     of: Annotated[tuple[Link, ...], Field(min_length=1, max_length=MAX_WINDOWS)] = Field(
@@ -105,7 +105,7 @@ class ChainTable(_Table):
                 text = f": only force profiles can be chained, {link.profile!r} is none"
                 raise complaint(text, name, "of", number, "profile")
             links.append((member, link.offset_s, link.scale))
-        # chains of chains grow fast, so windows are counted before they are made
+        # chains of chains grow fast: count the windows before making them
         if sum(len(member.windows) for member, _, _ in links) > MAX_WINDOWS:
             raise complaint(f"has more than {MAX_WINDOWS:,} windows", name, "of")
         made = chain(name, links, _USERS, replaces=self.overlap == "replace")
@@ -142,7 +142,7 @@ class HalfSineTable(_Table):
 
 
 class TiltTable(_Table):
-    """Gravity that turns; its strength is its angle."""
+    """Gravity that turns slowly up to an angle."""
 
     kind: Literal["tilt"]
     max_deg: Annotated[StrictFloat, within(0, 90)] = Field(_TILT.max_deg, gt=0, description="largest angle, degrees")
@@ -180,7 +180,7 @@ def _some_axes(axes: str) -> str:
 
 
 class RandomTable(_Table):
-    """Random vibration; its strength is a factor."""
+    """Random vibration; its strength is a scale."""
 
     kind: Literal["random"]
     psd: Annotated[Annotated[PsdRows, Tag(LIST)] | Annotated[FileName, Tag(VALUE)], Discriminator(shape)] = Field(
@@ -209,21 +209,21 @@ ProfileTable = Annotated[
     | Annotated[TrapezoidTable, Tag("<trapezoid>")],
     by_entry("kind"),
 ]
-"""Any of the kinds, told apart by ``kind``."""
+"""A table of any kind; its entry ``kind`` says which."""
 
 _TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
 
 def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
-    """The profiles that a sweep file defines, by name; for a validator.
+    """The profiles that a sweep file defines, by name. Called by a validator.
 
     Args:
-        tables: what the file has under ``profiles``.
-        folder: where relative file names begin.
+        tables: the file's table ``profiles``.
+        folder: of the sweep file; file names are relative to it.
 
     Raises:
-        ValidationError: names a table's field and what it should be.
-        InputError: the same of a file that a table names.
+        ValidationError: says which field of which table is wrong, and what it should be.
+        InputError: the same about a file that a table names.
     """
     made: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():

@@ -1,4 +1,4 @@
-"""Random vibration whose power spectral density (PSD) the user gives, in g²/Hz over Hz."""
+"""Random vibration with a power spectral density (PSD) from the user, in g²/Hz over Hz."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petmjx.world.profiles.base import Strength, steps_to_cover
 from petmjx.world.random import WorldKey
 
 PsdTable = tuple[tuple[float, float], ...]
-"""Rows of (Hz, g²/Hz), frequencies rising."""
+"""Rows of (Hz, g²/Hz), with rising frequencies."""
 
 
 def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
@@ -28,7 +28,7 @@ def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
     for (f1, g1), (f2, g2) in itertools.pairwise(table):
         slope = math.log(g2 / g1) / math.log(f2 / f1)
         ratio = np.clip(up_to_hz, f1, f2) / f1
-        # Near slope −1 the power formula is 0/0; its limit is the logarithm.
+        # At a slope of −1 the power formula is 0/0; its limit is the logarithm.
         power = np.log(ratio) if abs(slope + 1) < 1e-9 else (ratio ** (slope + 1) - 1) / (slope + 1)
         total = total + g1 * f1 * power
     return total
@@ -41,16 +41,16 @@ def psd_rms_g(table: PsdTable) -> float:
 
 @dataclass(frozen=True)
 class RandomVibration:
-    """Gaussian-like vibration: a sum of sinusoids with the PSD's power and random phases.
+    """Nearly Gaussian vibration: a sum of sine waves with the PSD's power and random phases.
 
-    Each line of the spectrum, 1/duration apart, carries exactly the power of the PSD in its band, so the
-    RMS over the duration equals the square root of the PSD's integral in every realisation; only phases are
-    random. Source: the user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
+    The sine waves have a spacing of 1 / duration, and each has exactly the power of the PSD in its band. So the RMS
+    over the duration equals the square root of the PSD's integral for any phases; only these are random. Source: the
+    user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
 
     Attributes:
         psd: rows of (Hz, g²/Hz).
         duration_s: length, s; also the period of the signal.
-        axes: which of "x", "y", "z" vibrate, each with phases of its own.
+        axes: which of "x", "y", "z" vibrate, each with other phases.
     """
 
     name: str
@@ -68,7 +68,7 @@ class RandomVibration:
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
         """
         Raises:
-            InputError: the PSD reaches beyond what the timestep can show, or below what the duration can.
+            InputError: the PSD has frequencies too high for the timestep, or too low for the duration.
         """
         n_steps = self.n_steps(timestep_s)
         top_hz = self.psd[-1][0]
@@ -79,7 +79,7 @@ class RandomVibration:
                              f"shows less than {nyquist_hz:g} Hz")  # fmt: skip
         band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
         power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
-        # Power below the first line belongs to no sinusoid that fits the duration, so the signal would be short of it.
+        # No sine wave that fits the duration has power below the first line, so this power would be missing.
         if power_g2[0] > 0:
             raise InputError(f"profile {self.name}: PSD begins at {self.psd[0][0]:g} Hz, which needs a duration "
                              f"of at least {0.5 / self.psd[0][0]:g} s, got {self.duration_s:g} s")  # fmt: skip

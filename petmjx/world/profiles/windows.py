@@ -1,7 +1,7 @@
 """Force profiles as lists of windows: a vector that acts from one time to another on the carrier.
 
-Vectors are in units of a reference magnitude, scale × total mass × 9.81 m/s², so that 1 is the force
-that would accelerate carrier and boxes together at 1 g.
+Vectors are in units of scale × total mass × 9.81 m/s² (``petmjx.world.job.Drive.unit``): a vector of length 1 is the
+force that accelerates carrier and boxes together by 1 g.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ PET_PHYSICS = "PET-Physics, the reference implementation"
 class Window:
     """One push: ``vector`` acts from ``start_s`` for ``duration_s``.
 
-    ``offset_s`` is where in a chain the window's profile begins. It is kept apart from ``start_s`` because
-    the reference adds (profile start + offset) first and the window's own start last, and rounding to
-    steps by truncation can tell the difference.
+    ``offset_s`` is where in a chain the window's profile begins. It is kept apart from ``start_s`` because the
+    reference implementation adds profile start + offset first, and the window's start last. Another order can change
+    the last digit, and so the step to which a time is truncated.
     """
 
     start_s: float
@@ -38,7 +38,7 @@ class Window:
     offset_s: float = 0.0
 
     def absolute_s(self, profile_start_s: float) -> tuple[float, float]:
-        """Begin and end in absolute time, s."""
+        """Beginning and end in absolute time, s."""
         begin_s = (profile_start_s + self.offset_s) + self.start_s
         return begin_s, begin_s + self.duration_s
 
@@ -47,10 +47,9 @@ class Window:
 class WindowProfile:
     """A force profile.
 
-    ``replaces``: False: windows that overlap add up. True: as in the reference's force applicator, a window
-    that begins ends the one before it, and the first end of any window ends whatever acts. Of windows that
-    begin on the same step only the last acts. Its demo's chain has such coincidences, and repeating its
-    figures needs them.
+    ``replaces``: False: windows that overlap add up. True: as in the reference implementation, a window that begins
+    ends the one before it, and the first end of any window ends the force that acts. Of windows that begin on the same
+    step only the last one acts. The chain of the reference's demo needs this.
     """
 
     name: str
@@ -63,7 +62,7 @@ class WindowProfile:
 
     @property
     def end_s(self) -> float:
-        """When its last window ends, s."""
+        """End of the last window, s."""
         return max(window.absolute_s(0.0)[1] for window in self.windows)
 
     def n_steps(self, timestep_s: float) -> int:
@@ -90,10 +89,10 @@ class WindowProfile:
 
 
 def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
-    """What the reference makes of windows that overlap: spans that do not.
+    """How the reference implementation treats overlapping windows: as spans that do not overlap.
 
-    It looks once for every begin and every end, in order of time: each time it first takes away the force
-    that acts, then sets the next window's if that has begun.
+    It acts once at every beginning and every end, in order of time. Each time it first removes the force that acts, and
+    then sets the force of the next window, if that has begun.
     """
     waiting = deque(sorted(spans, key=lambda span: span[0]))
     looks = sorted(step for begin, end, _ in spans for step in (begin, end))
@@ -111,7 +110,7 @@ def chain(
 
     Args:
         links: (profile, offset in s, scale) of each.
-        replaces: what happens where windows overlap, see `WindowProfile`.
+        replaces: as of `WindowProfile`.
     """
     windows = [
         replace(
@@ -125,44 +124,45 @@ def chain(
     return WindowProfile(name, tuple(windows), source, replaces)
 
 
+def _pushes(duration_s: float, *pushes: tuple[float, Vector]) -> tuple[Window, ...]:
+    """Windows of one length. A push: its beginning (s) and its vector."""
+    return tuple(Window(start_s, duration_s, vector) for start_s, vector in pushes)
+
+
 _SQRT2 = math.sqrt(2)
 
 RADIAL = WindowProfile(
     "radial",
-    tuple(
-        Window(start_s, 0.03, vector)
-        for start_s, vector in (
-            (0.0, (_SQRT2, 0.0, 0.1)),
-            (0.3, (1.0, 1.0, 0.1)),
-            (0.6, (0.0, _SQRT2, 0.1)),
-            (0.9, (-1.0, 1.0, 0.1)),
-            (1.2, (-_SQRT2, 0.0, 0.1)),
-            (1.5, (-1.0, -1.0, 0.1)),
-            (1.8, (0.0, -_SQRT2, 0.1)),
-            (2.1, (1.0, -1.0, 0.1)),
-            (3.1, (1.0, 0.0, 1.0)),
-            (3.4, (0.0, 1.0, 1.0)),
-        )
+    _pushes(
+        0.03,
+        (0.0, (_SQRT2, 0.0, 0.1)),
+        (0.3, (1.0, 1.0, 0.1)),
+        (0.6, (0.0, _SQRT2, 0.1)),
+        (0.9, (-1.0, 1.0, 0.1)),
+        (1.2, (-_SQRT2, 0.0, 0.1)),
+        (1.5, (-1.0, -1.0, 0.1)),
+        (1.8, (0.0, -_SQRT2, 0.1)),
+        (2.1, (1.0, -1.0, 0.1)),
+        (3.1, (1.0, 0.0, 1.0)),
+        (3.4, (0.0, 1.0, 1.0)),
     ),
     f"{PET_PHYSICS}, profile 'radial'",
 )
-"""Eight horizontal pushes all around, then two that also lift. Source: PET-Physics."""
+"""Eight horizontal pushes in all directions, then two that also lift. Source: PET-Physics."""
 
 JOLTS = WindowProfile(
     "jolts",
-    tuple(
-        Window(start_s, 0.15, vector)
-        for start_s, vector in (
-            (1.0, (0.9, 0.1, 0.0)),
-            (1.1, (-0.4, -0.1, 0.0)),
-            (2.0, (-0.95, -0.1, 0.1)),
-            (3.0, (0.55, 0.2, 0.1)),
-            (4.0, (-0.75, -0.3, 0.15)),
-            (5.0, (-1.0, -0.25, 0.1)),
-            (6.0, (1.1, 0.2, 0.1)),
-            (7.0, (1.2, 0.2, 0.1)),
-            (8.0, (1.2, 0.2, 10.0)),
-        )
+    _pushes(
+        0.15,
+        (1.0, (0.9, 0.1, 0.0)),
+        (1.1, (-0.4, -0.1, 0.0)),
+        (2.0, (-0.95, -0.1, 0.1)),
+        (3.0, (0.55, 0.2, 0.1)),
+        (4.0, (-0.75, -0.3, 0.15)),
+        (5.0, (-1.0, -0.25, 0.1)),
+        (6.0, (1.1, 0.2, 0.1)),
+        (7.0, (1.2, 0.2, 0.1)),
+        (8.0, (1.2, 0.2, 10.0)),
     ),
     f"{PET_PHYSICS}, profile 'dummy'",
 )
@@ -179,17 +179,15 @@ RADIAL_CHAIN = chain(
     "radial-chain",
     [
         (RADIAL, offset_s, scale)
-        for offset_s, scale in zip(
-            (2.0, 4.0, 7.0, 9.5, 12.0, 14.5, 17.0), (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 2.0), strict=True
-        )
+        for offset_s, scale in ((2.0, 1.0), (4.0, 1.1), (7.0, 1.2), (9.5, 1.3), (12.0, 1.4), (14.5, 1.5), (17.0, 2.0))
     ],
     f"{PET_PHYSICS}, dynamic stability demo",
     replaces=True,
 )
-"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo, where it begins 2 s
-(``settle_s``) after the nominal end of placement, n × interval, so its first push comes another 2 s later.
-From the third profile on, the last two pushes of each coincide with two of the next (at 10.1 and 10.4 s first);
-the reference then applies one push only, and so does this profile."""
+"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo. There it begins 2 s
+(``settle_s``) after the nominal end of placement, n × interval, and its first push comes 2 s later. From the third
+profile on, the last two pushes of each profile act at the same time as two of the next (first at 10.1 and 10.4 s). The
+reference implementation then applies only one push, and so does this profile."""
 
 BUILT_IN_FORCES: tuple[Profile, ...] = (RADIAL, JOLTS, SINE, RADIAL_CHAIN)
-"""A new force profile of petmjx's own is defined above, listed here, and described in docs/profiles.md."""
+"""To add a built-in force profile: define it above, list it here, and describe it in docs/profiles.md."""

@@ -1,0 +1,114 @@
+"""Which profiles of a sweep no unsecured load can survive: those that slide it off its place, whatever the plan."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+
+import numpy as np
+
+from petmjx.config import Simulation
+from petmjx.sweeps.file import Sweep
+from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.job import ACCELERATION
+from petmjx.world.profiles.acceleration import Tilt
+
+RANGE_POINTS = 9
+"""Values looked at on an axis whose values are drawn from a range."""
+
+
+def slide_m(
+    acceleration: FloatArray, friction: float, gravity_m_s2: float, timestep_s: float, enough_m: float = math.inf
+) -> float:
+    """How far a block slides on a carrier that moves: its largest distance from where it stood, m.
+
+    Coulomb's friction: the block stays while the carrier's horizontal acceleration is at most friction × (gravity +
+    vertical acceleration); beyond that friction has just this value, against the sliding. Exact for an acceleration
+    along one line that is constant within each step, but for the step in which the block stops.
+
+    A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
+    horizontal force is at most friction × the vertical one, as on the block. So its centre of mass, and with it at
+    least one box, moves as far.
+
+    Args:
+        acceleration: (n_steps, 3) of the carrier, m/s².
+        enough_m: ends as soon as it has slid farther than that.
+    """
+    grip = friction * np.maximum(gravity_m_s2 + acceleration[:, 2], 0.0)
+    slips = np.flatnonzero(np.hypot(acceleration[:, 0], acceleration[:, 1]) > grip)
+    vx = vy = x = y = farthest = 0.0
+    step = 0
+    while farthest <= enough_m:
+        if vx == vy == 0.0:  # on to the next step that makes it slip
+            next_slip = int(np.searchsorted(slips, step))
+            if next_slip == len(slips):
+                break
+            step = int(slips[next_slip])
+        if step == len(acceleration):  # what is left of its speed is braked on a carrier at rest
+            speed, brake = math.hypot(vx, vy), friction * gravity_m_s2
+            if brake == 0:
+                return math.inf
+            stop_s = speed / (2 * brake)
+            return max(farthest, math.hypot(x + vx * stop_s, y + vy * stop_s))
+        pushed_x, pushed_y = (v - float(a) * timestep_s for v, a in zip((vx, vy), acceleration[step, :2], strict=True))
+        speed = math.hypot(pushed_x, pushed_y)
+        kept = max(1.0 - float(grip[step]) * timestep_s / speed, 0.0) if speed > 0 else 0.0
+        x += (vx + pushed_x * kept) / 2 * timestep_s
+        y += (vy + pushed_y * kept) / 2 * timestep_s
+        vx, vy = pushed_x * kept, pushed_y * kept
+        farthest = max(farthest, math.hypot(x, y))
+        step += 1
+    return farthest
+
+
+def hopeless_profiles(sweep: Sweep) -> list[str]:
+    """A line for each profile that slides every unsecured load farther than the shift threshold, from some strength on.
+
+    It is about accelerations only, which are the same for every plan. Searches find such a strength themselves. Runs
+    that end at a multiple of their placement time may end before it, and are left out.
+    """
+    sim, axes = sweep.simulation, sweep.axes
+    if sweep.search is not None or sim.total_time_factor is not None:
+        return []
+
+    def values(name: str) -> list[float]:
+        """On an axis that multiplies something, rising."""
+        if name not in axes:
+            return [1.0]
+        given = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
+        return sorted(value for value in given if isinstance(value, float))
+
+    both = values("friction_factor")
+    box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
+    # MuJoCo takes the larger coefficient of two partners
+    friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], sim.physics.carrier_friction[0] * carrier[-1])
+    up_to = "up to " if any(len(factors) > 1 for factors in (both, box, carrier)) else ""
+    lines = []
+    for name, profile in sweep.profiles.items():
+        if profile.kind != ACCELERATION or profile.random:
+            continue
+        unit = profile.excitation(sim.physics.timestep_s).samples
+        strengths = values(profile.strength)
+        first = _first_hopeless(unit, strengths, friction, sim)
+        if first == len(strengths):
+            continue
+        peak_g = strengths[first] * float(np.hypot(unit[:, 0], unit[:, 1]).max()) / STANDARD_GRAVITY
+        peak = f"{profile.max_deg:g}°" if isinstance(profile, Tilt) else f"{peak_g:.3g} g"
+        since = f" from {profile.strength} {strengths[first]:g} on" if len(strengths) > 1 else ""
+        why = f"with friction {up_to}{friction:.3g} no unsecured load stays in place"
+        lines.append(f"{name} reaches {peak}{since}: {why}")
+    return lines
+
+
+def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
+    """Index of the first strength, of rising ones, that slides a block too far; their number where none does.
+
+    What slides a block does so too when it is stronger.
+    """
+    physics, limit_m = sim.physics, sim.thresholds.shift_m
+
+    def slides(strength: float) -> bool:
+        return slide_m(strength * unit, friction, physics.gravity_m_s2, physics.timestep_s, limit_m) > limit_m
+
+    return bisect_left(strengths, True, key=slides)

@@ -1,0 +1,140 @@
+"""Light boxes under heavy ones: soft contacts give way, cartons do not, and no verdict comes from it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from support.plans import Box, make_plan, make_scene, make_world, stack
+
+from petmjx.config import PHYSICS, Simulation
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.retry import WorldResult, score_worlds
+from petmjx.engines.sinking import note_sinking, sinking_m, stiffened
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+
+MM = 1e-3
+EXACT = Simulation(thresholds={"shift_floor_m": 0.0}, early_stop=False)
+"""Every component of a shift is kept."""
+
+
+def one_on_another(light_kg: float, heavy_kg: float) -> tuple[Box, ...]:
+    return stack(2, size_mm=(400, 300, 200), kg=(light_kg, heavy_kg))
+
+
+def column(light_kg: float, heavy_kg: float, n: int) -> tuple[Box, ...]:
+    return stack(n + 1, size_mm=(400, 300, 200), kg=[light_kg] + [heavy_kg] * n)
+
+
+def simulate(boxes: Sequence[Box], sim: Simulation) -> Outcome:
+    (outcome,) = MujocoEngine(1).run([Job(make_scene(boxes, sim))], sim)
+    return outcome
+
+
+def score(boxes: Sequence[Box], sim: Simulation) -> WorldResult:
+    (result,) = score_worlds([make_world(make_plan(boxes=boxes), sim)], sim, MujocoEngine(1))
+    return result
+
+
+@pytest.mark.parametrize("boxes", [one_on_another(0.3, 300.0), column(0.1, 20.0, 8), column(0.05, 60.0, 3)])
+def test_a_light_box_bears_a_heavy_load(boxes: Sequence[Box]) -> None:
+    assert simulate(boxes, Simulation()).verdict is Verdict.UNSTABLE  # as the contacts have it
+    result = score(boxes, Simulation())
+    assert [(a.attempt, a.verdict, a.reason) for a in result.attempts] == [
+        (1, "invalid", "sinking"),
+        (6, "stable", ""),
+    ]
+    assert result.attempts[0].flags & Flag.SINKING
+    assert not result.outcome.flags & Flag.SINKING
+    below_mm = -result.outcome.boxes.shift_m[:, 2] / MM
+    assert below_mm.max() < 1.0
+    load_n = 9.81 * (sum(kg for *_, kg in boxes) - boxes[0][2])
+    assert result.outcome.boxes.rest_top_force_n[0] == pytest.approx(load_n, rel=0.01)
+
+
+def test_a_support_that_gives_way_does_not_tilt_what_it_bears() -> None:
+    """One support is light and one is heavy: the beam would slope by 2.7°, and slide."""
+    boxes: tuple[Box, ...] = (
+        ((200, 300, 200), (0, 0, 0), 0.1),
+        ((200, 300, 200), (400, 0, 0), 10.0),
+        ((600, 300, 400), (0, 0, 200), 200.0),
+    )
+    assert simulate(boxes, Simulation()).boxes.max_tilt_deg[2] > 2.5
+    result = score(boxes, Simulation())
+    assert result.outcome.verdict is Verdict.STABLE
+    assert result.outcome.boxes.max_tilt_deg.max() < 0.1
+
+
+def test_a_box_that_tips_is_unstable_in_stiff_contacts_too() -> None:
+    boxes = (*one_on_another(0.3, 300.0), ((400, 300, 200), (220, 0, 400), 5.0))
+    result = score(boxes, Simulation())
+    assert [a.attempt for a in result.attempts] == [1, 6]
+    assert (result.outcome.verdict, result.outcome.culprit) == (Verdict.UNSTABLE, 2)
+
+
+def test_contacts_that_still_give_way_leave_no_verdict() -> None:
+    """A tenth of a gram bears half a ton: a ratio of five million."""
+    result = score(one_on_another(0.0001, 500.0), Simulation())
+    assert [a.attempt for a in result.attempts] == [1, 6]
+    assert (result.outcome.verdict, result.outcome.reason) == (Verdict.INVALID, Reason.SINKING)
+
+
+@pytest.mark.parametrize("boxes", [stack(8), column(4.0, 20.0, 5), one_on_another(1.0, 100.0)])
+def test_usual_plans_run_once(boxes: Sequence[Box]) -> None:
+    assert [a.attempt for a in score(boxes, Simulation()).attempts] == [1]
+
+
+def test_the_reference_keeps_its_verdict_and_says_so() -> None:
+    sim = Simulation(physics="reference")
+    result = score(one_on_another(1.0, 100.0), sim)
+    assert [a.attempt for a in result.attempts] == [1]
+    assert (result.outcome.verdict, result.outcome.reason) == (Verdict.UNSTABLE, Reason.SHIFT)
+    assert result.outcome.flags & Flag.SINKING
+    assert not score(stack(3), sim).outcome.flags & Flag.SINKING
+
+
+@pytest.mark.parametrize("stiff", [False, True])
+@pytest.mark.parametrize("boxes", [one_on_another(1.0, 100.0), one_on_another(0.5, 250.0), column(0.2, 20.0, 6)])
+def test_the_estimate_is_what_boxes_sink_by(boxes: Sequence[Box], stiff: bool) -> None:
+    """Above all on one box there is one way down: the estimate is exact but for rounding and the 0.1 mm gaps."""
+    physics = stiffened(EXACT.physics) if stiff else EXACT.physics
+    sim = EXACT.changed(physics=physics, size_reduction_mm=0.0)
+    scene, outcome = make_scene(boxes, sim), simulate(boxes, sim)
+    estimate = sinking_m(scene, physics, outcome.boxes.rest_top_force_n)
+    np.testing.assert_allclose(-outcome.boxes.shift_m[:, 2], estimate, rtol=0.05, atol=0.05 * MM)
+
+
+def test_the_estimate_of_the_reference() -> None:
+    """Friction 3 makes a pyramidal contact 45 times as soft as an elliptic one."""
+    sim = EXACT.changed(physics=PHYSICS["reference"], size_reduction_mm=0.0)
+    boxes = one_on_another(1.0, 100.0)
+    outcome = simulate(boxes, sim)
+    estimate = sinking_m(make_scene(boxes, sim), sim.physics, outcome.boxes.rest_top_force_n)
+    assert -outcome.boxes.shift_m[1, 2] == pytest.approx(47.7 * MM, rel=0.02)
+    assert estimate[1] == pytest.approx(47.7 * MM, rel=0.05)
+
+
+def test_a_shift_that_is_sinking_alone_is_no_verdict() -> None:
+    """Three millimetres of sinking make 18.5 mm that a box fell 21.5 mm."""
+    boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 1.0), ((400, 300, 200), (0, 0, 218.5), 140.0))
+    soft = simulate(boxes, Simulation())
+    assert (soft.verdict, soft.reason) == (Verdict.UNSTABLE, Reason.SHIFT)
+    assert score(boxes, Simulation()).outcome.verdict is Verdict.STABLE
+    fallen: tuple[Box, ...] = (boxes[0], ((400, 300, 200), (0, 0, 225), 140.0))
+    result = score(fallen, Simulation())
+    assert (result.outcome.verdict, result.outcome.reason) == (Verdict.UNSTABLE, Reason.SHIFT)
+
+
+def test_looking_for_it_costs_next_to_nothing() -> None:
+    """Plans of 60 boxes that do not sink: a simulation takes 100 ms or more."""
+    boxes = [((200, 200, 200), (200 * (k % 4), 200 * (k // 4 % 4), 200 * (k // 16)), 5.0) for k in range(60)]
+    scene = build_scene(make_plan(boxes=boxes), Simulation())
+    outcome = simulate(boxes, Simulation())
+    begin = time.perf_counter()
+    for _ in range(100):
+        note_sinking(outcome, scene, Simulation())
+    assert (time.perf_counter() - begin) / 100 < 0.002
