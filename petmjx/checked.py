@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, ValidationError, mode
 from pydantic._internal._model_construction import ModelMetaclass  # has no public name
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from petmjx.bounded import read_regular
 from petmjx.errors import InputError
 from petmjx.text import counted, printable, shortened, shown
 
@@ -34,6 +35,12 @@ _TEXTS: Final = {
 """pydantic's kind of error → what comes after the field's path, before the value that was found."""
 
 _COMPLAINT: Final = "complaint"
+
+MOST_TOML_BYTES: Final = 16 << 20
+"""A list of 100,000 force windows takes half of it."""
+_MOST_PARTS: Final = 64
+_MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
+"""A key in so many tables within tables that tomllib, which looks at all of them for each, would take minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
@@ -215,11 +222,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: "x.toml: not valid TOML: …", or that it cannot be read.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path, MOST_TOML_BYTES)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
+        raise InputError(f"{printable(str(path))}: no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise InputError(f"{printable(str(path))}: cannot be read: {reason(error)}") from None
+    if _MANY_PARTS.search(data):
+        raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
     try:
         return tomllib.loads(data.decode())
     except UnicodeDecodeError:

@@ -17,6 +17,15 @@ from pydantic import AfterValidator, Field, computed_field, field_validator, mod
 from petmjx.checked import Checked, complaint, got, hint
 from petmjx.errors import InputError
 
+# Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
+# an infinity, in an endless run, or in tables for steps that no run has.
+LONGEST_INTERVAL_S: Final = 60.0
+LONGEST_S: Final = 600.0
+"""Of any other time. With the shortest timestep and 256 boxes the steps of a run still fit 32 bits."""
+SHORTEST_TIMESTEP_S: Final = 0.0001
+MOST_STEPS: Final = 100_000
+HIGHEST_FRICTION: Final = 100.0
+
 SOFT_START_STEPS: Final = 100
 """Before time counts: so many steps without gravity, then as many with gravity × k / ``SOFT_START_STEPS``."""
 
@@ -86,15 +95,37 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
 Triple = tuple[float, float, float]
 
 
+def within(low: float, high: float) -> AfterValidator:
+    """A check of a physical range, whose error names the range."""
+
+    def check(value: Any) -> Any:
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"must be from {low:g} to {high:g}, {got(value)}")
+        return value
+
+    return AfterValidator(check)
+
+
 def _no_negatives(values: Triple) -> Triple:
     if min(values) < 0:
         raise ValueError(f"must be ≥ 0, got {values}")
+    if max(values) > HIGHEST_FRICTION:
+        raise ValueError(f"must be from 0 to {HIGHEST_FRICTION:g}, got {values}")
     return values
 
 
 def _impedances(values: Triple) -> Triple:
     if not (0 < values[0] < 1 and 0 < values[1] < 1 and values[2] > 0):
         raise ValueError(f"must be two impedances between 0 and 1 and a width > 0 m, got {values}")
+    if values[2] > 1:
+        raise ValueError(f"must have a width of at most 1 m, got {values}")
+    return values
+
+
+def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
+    # negative ones are a stiffness and a damping, and stand for themselves in MuJoCo
+    if max(map(abs, values)) > 1e6:
+        raise ValueError(f"must be from -1e+06 to 1e+06, got {values}")
     return values
 
 
@@ -118,12 +149,18 @@ class Physics(Checked):
     carrier_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of the carrier")
     box_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of boxes")
     floor_friction: Friction = Field((1.0, 0.005, 0.0001), description="friction of the floor")
-    floor_z_m: float = Field(-0.144, lt=0, description="height of the floor: a pallet's height below z = 0")
-    carrier_half_height_m: float = Field(0.072, gt=0, description="half the carrier's height")
-    carrier_mass_kg: float = Field(25.0, gt=0, description="the carrier's mass")
-    timestep_s: float = Field(0.002, gt=0, le=0.02, description="length of a step")
-    gravity_m_s2: float = Field(9.81, gt=0, le=100, description="gravity, downwards")
-    solref: tuple[float, float] = Field((0.02, 1.0), description="MuJoCo's time constant and damping ratio of contacts")
+    floor_z_m: Annotated[float, within(-20, 0)] = Field(
+        -0.144, lt=0, description="height of the floor: a pallet's height below z = 0"
+    )
+    carrier_half_height_m: Annotated[float, within(0.001, 10)] = Field(
+        0.072, gt=0, description="half the carrier's height"
+    )
+    carrier_mass_kg: Annotated[float, within(0.001, 100_000)] = Field(25.0, gt=0, description="the carrier's mass")
+    timestep_s: Annotated[float, within(SHORTEST_TIMESTEP_S, 0.02)] = Field(0.002, gt=0, description="length of a step")
+    gravity_m_s2: Annotated[float, within(0.001, 100)] = Field(9.81, gt=0, description="gravity, downwards")
+    solref: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
+        (0.02, 1.0), description="MuJoCo's time constant and damping ratio of contacts"
+    )
     solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
         (0.99, 0.99, 0.01), description="MuJoCo's impedances of contacts and their width, m"
     )
@@ -160,16 +197,24 @@ cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 class Thresholds(Checked):
     """Limits beyond which a plan is unstable, and a simulation invalid (PET-Physics paper, section IV-C)."""
 
-    shift_m: Annotated[float, Flag("--shift-limit-m", "M")] = Field(
+    shift_m: Annotated[float, within(0, 100), Flag("--shift-limit-m", "M")] = Field(
         0.02, gt=0, description="unstable from a larger final displacement of a box in x, y or z, m"
     )
-    shift_floor_m: float = Field(0.001, ge=0, description="components of a displacement below this count as 0, m")
-    tilt_deg: Annotated[float, Flag("--tilt-limit-deg", "DEG")] = Field(
+    shift_floor_m: Annotated[float, within(0, 100)] = Field(
+        0.001, ge=0, description="components of a displacement below this count as 0, m"
+    )
+    tilt_deg: Annotated[float, within(0, 360), Flag("--tilt-limit-deg", "DEG")] = Field(
         20.0, gt=0, description="unstable from a larger angle between a box's z axis and the world's, degrees"
     )
-    drop_hull_z_m: float = Field(-0.1, description="a box whose hull reaches below this has dropped, m")
-    lin_acc_m_s2: float = Field(110.0, gt=0, description="explosion: linear acceleration before any sign, m/s²")
-    ang_acc_rad_s2: float = Field(110.0, gt=0, description="explosion: angular acceleration before any sign, rad/s²")
+    drop_hull_z_m: Annotated[float, within(-100, 100)] = Field(
+        -0.1, description="a box whose hull reaches below this has dropped, m"
+    )
+    lin_acc_m_s2: Annotated[float, within(0, 1e9)] = Field(
+        110.0, gt=0, description="explosion: linear acceleration before any sign, m/s²"
+    )
+    ang_acc_rad_s2: Annotated[float, within(0, 1e9)] = Field(
+        110.0, gt=0, description="explosion: angular acceleration before any sign, rad/s²"
+    )
 
 
 class Quiet(Checked):
@@ -184,13 +229,23 @@ class Quiet(Checked):
     is known, so it is not waited for.
     """
 
-    lin_vel_m_s: float = Field(0.01, gt=0, description="linear speed below which a box is quiet, m/s")
-    ang_vel_rad_s: float = Field(0.05, gt=0, description="angular speed below which a box is quiet, rad/s")
-    rest_share: float = Field(0.1, ge=0, description="pace below which a box is at rest")
-    slowing: float = Field(0.5, ge=0, description="a faster box creeps unless it slows to this share of its pace")
-    steps: int = Field(25, ge=1, description="steps for which all boxes must have been quiet")
-    min_steps: int = Field(50, ge=1, description="steps after a placement before which no pallet is quiet")
-    poll_steps: int = Field(5, ge=1, description="steps between two looks")
+    lin_vel_m_s: Annotated[float, within(0, 100)] = Field(
+        0.01, gt=0, description="linear speed below which a box is quiet, m/s"
+    )
+    ang_vel_rad_s: Annotated[float, within(0, 100)] = Field(
+        0.05, gt=0, description="angular speed below which a box is quiet, rad/s"
+    )
+    rest_share: Annotated[float, within(0, 1000)] = Field(0.1, ge=0, description="pace below which a box is at rest")
+    slowing: Annotated[float, within(0, 1000)] = Field(
+        0.5, ge=0, description="a faster box creeps unless it slows to this share of its pace"
+    )
+    steps: Annotated[int, within(1, MOST_STEPS)] = Field(
+        25, ge=1, description="steps for which all boxes must have been quiet"
+    )
+    min_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
+        50, ge=1, description="steps after a placement before which no pallet is quiet"
+    )
+    poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(5, ge=1, description="steps between two looks")
 
 
 class Simulation(Checked):
@@ -214,30 +269,32 @@ class Simulation(Checked):
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y)",
     )
-    size_reduction_mm: Annotated[float, Flag("--size-reduction-mm", "MM")] = Field(
+    size_reduction_mm: Annotated[float, within(0, 1000), Flag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="each box dimension is reduced by this, so that neighbours do not start in contact, mm"
     )
-    interval_s: Annotated[float, Flag("--interval", "S")] = Field(
+    interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), Flag("--interval", "S")] = Field(
         0.7, gt=0, description="time between two placements, s; at most, unless the schedule is fixed"
     )
-    duration_s: Annotated[float, Flag("--duration", "S")] = Field(
+    duration_s: Annotated[float, within(0, LONGEST_S), Flag("--duration", "S")] = Field(
         10.0, gt=0, description="length of the static check, s"
     )
-    settle_s: Annotated[float, Flag("--settle", "S")] = Field(
+    settle_s: Annotated[float, within(0, LONGEST_S), Flag("--settle", "S")] = Field(
         2.0, ge=0, description="rest between the last placement and a profile, s; at most, unless fixed"
     )
-    rest_s: Annotated[float, Flag("--rest", "S")] = Field(
+    rest_s: Annotated[float, within(0, LONGEST_S), Flag("--rest", "S")] = Field(
         1.0, ge=0, description="time to come to rest after a profile's last sample, s"
     )
-    total_time_factor: float | None = Field(
+    total_time_factor: Annotated[float | None, within(1, 10)] = Field(
         None,
         gt=1,
         description="fixed, one by one: the whole run as a multiple of the placement time, instead of rest_s",
     )
-    sample_interval_s: Annotated[float, Flag("--sample-interval", "S")] = Field(
+    sample_interval_s: Annotated[float, within(0, LONGEST_S), Flag("--sample-interval", "S")] = Field(
         0.2, gt=0, description="time between two samples of the metrics, s"
     )
-    rest_window_s: float = Field(0.2, gt=0, description="rest_top_force_n is averaged over this at the end, s")
+    rest_window_s: Annotated[float, within(0, LONGEST_S)] = Field(
+        0.2, gt=0, description="rest_top_force_n is averaged over this at the end, s"
+    )
     early_stop: Annotated[bool, Flag("--early-stop/--no-early-stop")] = Field(
         True, description="stop a world once a box has dropped, instead of going on to the end of the schedule"
     )
@@ -246,10 +303,10 @@ class Simulation(Checked):
     solver: Annotated[Solver, Flag("--solver")] = Field(
         Solver.NEWTON, description="constraint solver of the first attempt"
     )
-    solver_iterations: int | None = Field(
+    solver_iterations: Annotated[int | None, within(1, MOST_STEPS)] = Field(
         None, gt=0, description="solver iterations per step, at most; none: the engine's own choice"
     )
-    solver_tolerance: float | None = Field(
+    solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"
     )
 
@@ -292,18 +349,20 @@ class RunOptions(Checked):
         description="what steps worlds: mujoco: C MuJoCo on CPU threads; mjx-jax, mjx-warp: MJX in batches; auto: "
         "mjx-warp where it runs and is expected to finish first, else mujoco; in Python also an engine of your own",
     )
-    threads: Annotated[int | None, Flag("--threads", "N")] = Field(
+    threads: Annotated[int | None, within(1, 4096), Flag("--threads", "N")] = Field(
         None, ge=1, description="CPU threads of the engine mujoco; by default all that this process may use"
     )
-    lanes: Annotated[int | None, Flag("--lanes", "N")] = Field(
+    lanes: Annotated[int | None, within(1, 1 << 20), Flag("--lanes", "N")] = Field(
         None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
     )
-    world_timeout_s: Annotated[float | None, Flag("--world-timeout", "S")] = Field(
+    world_timeout_s: Annotated[float | None, within(0, 1e9), Flag("--world-timeout", "S")] = Field(
         None,
         gt=0,
         description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
     )
-    limit: Annotated[int | None, Flag("--limit", "N")] = Field(None, ge=1, description="take only this many plans")
+    limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
+        None, ge=1, description="take only this many plans"
+    )
     strict: Annotated[bool, Flag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"
     )

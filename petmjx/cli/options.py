@@ -175,7 +175,7 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):  # not TOML, a number of thousands of digits, lists in lists without end
         return names, value.strip()
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from petmjx.errors import InputError
-from petmjx.plans.samples import DEFAULT_LOOSE_SHARE
+from petmjx.plans.samples import DEFAULT_LOOSE_SHARE, LeftOut
 from petmjx.text import counted, printable
 
 
@@ -31,12 +31,14 @@ def samples(
 ) -> None:
     """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a baseline packer.
 
-    With --orders it packs the orders of a file instead; -n and --loose-share then do not apply.
+    With --orders it packs the orders of a file instead; -n and --loose-share then do not apply. Boxes that find no
+    place below 2 m are left out: a line for each such order says which.
     """
     from petmjx.plans.samples import pack_orders, write_plans, write_samples
     from petmjx.show.progress import progress
 
     bad: list[InputError] = []
+    left_out: list[LeftOut] = []
     written = 0
 
     def count(done: int) -> None:
@@ -48,7 +50,17 @@ def samples(
         if orders is None:
             write_samples(out, n, seed, loose_share=loose_share, progress=count)
         else:
-            write_plans(out, pack_orders(orders, seed=seed, on_bad_order=bad.append), progress=count)
+            packed = pack_orders(orders, seed=seed, on_bad_order=bad.append, on_left_out=left_out.append)
+            write_plans(out, packed, progress=count)
     for error in bad:
         typer.echo(f"skipped: {printable(str(error))}", err=True)
-    print(f"{counted(written, 'plan')} in {printable(str(out))}")
+    for order in left_out:
+        print(order)
+    print(f"{counted(written, 'plan')} in {printable(str(out))}{_totals(left_out)}")
+
+
+def _totals(left_out: list[LeftOut]) -> str:
+    if not left_out:
+        return ""
+    boxes = counted(sum(len(order.numbers) for order in left_out), "box", "boxes")
+    return f"; {boxes} of {counted(len(left_out), 'order')} left out"

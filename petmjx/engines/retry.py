@@ -59,9 +59,10 @@ class AttemptRecipe:
             update |= {"solver_iterations": CAREFUL_ITERATIONS, "solver_tolerance": CAREFUL_TOLERANCE}
         if self.timestep_divisor != 1:
             factor = self.timestep_divisor
-            update["physics"] = sim.physics.changed(timestep_s=sim.physics.timestep_s / factor)
+            # not checked again: a fraction of the smallest timestep may be below what users may give
+            update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in ("steps", "min_steps", "poll_steps")}
-            update["quiet"] = sim.quiet.changed(**quiet)
+            update["quiet"] = sim.quiet.model_copy(update=quiet)
         if self.stiff:
             update["physics"] = stiffened(sim.physics)
         return sim.changed(**update)

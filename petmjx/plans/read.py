@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -13,18 +12,17 @@ from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.plan import PlanSet, Skipped
 from petmjx.plans.scan import Damage, describe, scan_plans
-from petmjx.plans.validate import PlanError, parse_plan
+from petmjx.plans.unpack import read_json_bytes
+from petmjx.plans.validate import LONGEST_NAME, PlanError, parse_plan
 from petmjx.plans.warnings import check_layout
-from petmjx.text import printable, shown
+from petmjx.text import counted, printable, shown
 
 DEFAULT_MAX_BOXES: Final = 256
 """Boxes of the largest plan that is taken by default: six times BED-BPP's mean of 43. A world of 256 boxes has 1,542
 degrees of freedom, and its dense Hessian takes 10 MB in float32. Beyond that, batches make no sense."""
 
-_GZIP_MAGIC: Final = b"\x1f\x8b\x08"
-_GZIP_CHUNK: Final = 1 << 16
-_WBITS_GZIP: Final = 31
-_UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")
+MOST_LINES: Final = 100_000
+"""Of a file, this many unusable entries are listed one by one; what else is unusable is counted."""
 _SUFFIXES: Final = (".json", ".json.gz")
 
 
@@ -40,7 +38,8 @@ def load_plans(
 
     Args:
         paths: a file, a folder, or several of them. Files are JSON, plain or gzipped (the content decides, not the
-            name). Of a folder all ``*.json`` and ``*.json.gz`` directly in it are read, sorted by name.
+            name), of at most 4 GiB; devices and FIFOs are not read. Of a folder all ``*.json`` and ``*.json.gz``
+            directly in it are read, sorted by name.
         limit: stop after this many good plans.
         strict: raise at the first thing that would be skipped.
         max_boxes: plans with more boxes are skipped.
@@ -103,6 +102,8 @@ class _Loading:
     found: PlanSet = field(default_factory=PlanSet)
     source_of: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
+    unlisted: int = 0
+    most_skipped: int = MOST_LINES
 
     @property
     def full(self) -> bool:
@@ -110,31 +111,36 @@ class _Loading:
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
+        self.unlisted, self.most_skipped = 0, len(self.found.skipped) + MOST_LINES
         try:
-            text, fault = _read_text(path)
-        except OSError as error:
+            data, fault = read_json_bytes(path)
+        except (OSError, ValueError) as error:
             self._skip(source, None, f"{source}: cannot be read ({reason(error)})")
             return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
-            if not text:
+            if not data:
                 return
-        n_entries = 0
-        order_ids: list[str] = []
-        for entry in scan_plans(text):
+        n_entries = n_orders = 0
+        first_order = ""
+        for entry in scan_plans(data):
             n_entries += 1
             if isinstance(entry, Damage):
                 self._skip(source, entry.plan_id, describe(source, entry))
             elif isinstance(entry.value, dict) and "item_sequence" in entry.value:
-                order_ids.append(entry.plan_id)
+                first_order = first_order or shown(entry.plan_id)
+                n_orders += 1
             else:
                 self._take(source, entry.plan_id, entry.value)
             if self.full:
                 break
         if n_entries == 0:
             self._skip(source, None, f"{source}: holds no plan")
-        if order_ids:
-            self._skip(source, None, _orders_message(source, order_ids))
+        if n_orders:
+            self._skip(source, None, _orders_message(source, first_order, n_orders))
+        if self.unlisted:
+            more = counted(self.unlisted, "more entry is", "more entries are")
+            self.found.skipped.append(Skipped(source, None, f"{source}: {more} unusable"))
 
     def _take(self, source: str, plan_id: str, value: object) -> None:
         try:
@@ -156,61 +162,17 @@ class _Loading:
     def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
         if self.strict:
             raise InputError(message) from cause
-        plan_id = None if plan_id is None else printable(plan_id)
+        if len(self.found.skipped) >= self.most_skipped:
+            self.unlisted += 1
+            return
+        if plan_id is not None:
+            plan_id = printable(plan_id) if len(plan_id) <= LONGEST_NAME else shown(plan_id)
         self.found.skipped.append(Skipped(source, plan_id, message))
 
 
-def _orders_message(source: str, order_ids: list[str]) -> str:
-    first = shown(order_ids[0])
-    what = f"{first} is an order" if len(order_ids) == 1 else f"{len(order_ids)} entries ({first}, …) are orders"
+def _orders_message(source: str, first: str, n_orders: int) -> str:
+    what = f"{first} is an order" if n_orders == 1 else f"{n_orders} entries ({first}, …) are orders"
     return (
         f"{source}: {what} (item_sequence), not packing plans: an order does not say where boxes go; "
         f"pack it first: petmjx samples --orders {source} -o plans.json"
     )
-
-
-def _read_text(path: Path) -> tuple[str, str | None]:
-    """A file's text, and what is wrong with the whole file (None: nothing).
-
-    Bytes that are not UTF-8 become lone surrogates. The JSON around them is still read, and a plan with such a name
-    is refused with its name.
-    """
-    data = path.read_bytes()
-    fault = None
-    if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":  # no reserved flag is set (RFC 1952)
-        data, fault = _gunzip(data)
-    if data.startswith(_UTF16_MARKS) and b"\0" in data[2:4]:
-        return "", "is UTF-16 text; plans must be UTF-8"
-    return data.decode("utf-8-sig", "surrogateescape"), fault
-
-
-def _gunzip(data: bytes) -> tuple[bytes, str | None]:
-    """Unpack a gzip stream (one or more members) as far as it is undamaged; also say what is wrong, or None."""
-    view = memoryview(data)
-    parts: list[bytes] = []
-    position = 0
-    while position < len(view):
-        inflate = zlib.decompressobj(wbits=_WBITS_GZIP)
-        while not inflate.eof:
-            chunk = view[position : position + _GZIP_CHUNK]
-            if not chunk:
-                return b"".join(parts), "the gzip data is cut off; plans up to there are read"
-            before = inflate.copy()
-            try:
-                parts.append(inflate.decompress(chunk))
-            except zlib.error as error:
-                parts.extend(_inflate_bytewise(before, chunk))
-                return b"".join(parts), f"the gzip data is damaged ({error}); plans up to there are read"
-            position += len(chunk) - len(inflate.unused_data)
-        if not any(view[position:]):
-            break  # gzip members may be followed by padding
-    return b"".join(parts), None
-
-
-def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview) -> Iterator[bytes]:
-    """The undamaged beginning of a chunk, byte by byte: a call that fails on the whole chunk returns nothing."""
-    for position in range(len(chunk)):
-        try:
-            yield inflate.decompress(chunk[position : position + 1])
-        except zlib.error:
-            return

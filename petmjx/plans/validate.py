@@ -14,10 +14,16 @@ from petmjx.plans.plan import Plan
 from petmjx.text import is_text, shortened, shown
 
 SMALLEST_MM: Final = 1.0
-LARGEST_MM: Final = 100_000.0
-SMALLEST_KG: Final = 1e-6
-LARGEST_KG: Final = 100_000.0
-"""A number beyond these has the wrong unit or a damaged digit, and contact physics in float32 would fail."""
+LARGEST_MM: Final = 4_000.0
+"""Sizes of items. Boxes that wait for their turn hang 8 m apart or more: the bounding spheres of two cubes of 4 m,
+whose diagonal is 6.9 m, do not meet. Beyond these limits a number has the wrong unit or a damaged digit."""
+FARTHEST_MM: Final = 20_000.0
+"""Coordinates. Boxes that wait hang 50 m high or more, far above what a plan places."""
+SMALLEST_KG: Final = 0.001
+LARGEST_KG: Final = 10_000.0
+"""Masses. A pallet carries at most a few tonnes."""
+LONGEST_NAME: Final = 1000
+"""Characters of a plan id, an item id or an article."""
 
 _RANGES: Final = {
     **dict.fromkeys(("length/mm", "width/mm", "height/mm"), (SMALLEST_MM, LARGEST_MM, "millimetres")),
@@ -45,6 +51,8 @@ def parse_plan(plan_id: str, source: str, value: object, max_boxes: int, names: 
     where = f"{source}: plan {shown(plan_id)}"
     if not plan_id or not is_text(plan_id):
         raise PlanError(f"{where}: the plan id must be text and not empty")
+    if len(plan_id) > LONGEST_NAME:
+        raise PlanError(f"{where}: the plan id must have at most {LONGEST_NAME:,} characters, got {len(plan_id):,}")
     if not isinstance(value, list):
         raise PlanError(f"{where}: must be a list of placements, got {_kind(value)}")
     if not value:
@@ -86,6 +94,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         and set(map(type, chain(orientations, sequences))) == {int}
         and set(orientations) <= {0, 1}
         and set(map(type, chain(ids, articles))) == {str}
+        and max(map(len, chain(ids, articles))) <= LONGEST_NAME
         and is_text("".join(ids))
         and is_text("".join(articles))
     )
@@ -103,7 +112,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
-        and (np.abs(corner) <= LARGEST_MM).all()
+        and (np.abs(corner) <= FARTHEST_MM).all()
     )
     if not in_range:
         return None
@@ -146,6 +155,8 @@ def find_fault(placement: object) -> str | None:
 def _text_fault(field: str, value: object) -> str | None:
     if not isinstance(value, str):
         return f"{field} must be a string, got {_kind(value)}"
+    if len(value) > LONGEST_NAME:
+        return f"{field} must have at most {LONGEST_NAME:,} characters, got {len(value):,}"
     return None if is_text(value) else f"{field} is not UTF-8 text"
 
 
@@ -195,8 +206,8 @@ def _corner_fault(placement: dict[str, Any]) -> str | None:
     for axis, value in enumerate(corner):
         field = f"flb_coordinates[{axis}]"
         fault = _number_fault(field, value)
-        if fault is None and abs(value) > LARGEST_MM:
-            fault = f"{field} must be from {-LARGEST_MM:g} to {LARGEST_MM:g} (millimetres), got {_kind(value)}"
+        if fault is None and abs(value) > FARTHEST_MM:
+            fault = f"{field} must be from {-FARTHEST_MM:g} to {FARTHEST_MM:g} (millimetres), got {_kind(value)}"
         if fault is not None:
             return fault
     return None
@@ -210,4 +221,6 @@ def _kind(value: object) -> str:
         return "a list"
     if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 200:
         return "an integer of more than 60 digits"
+    if isinstance(value, str):
+        value = value[:LONGEST_NAME]
     return shortened(json.dumps(value))

@@ -18,19 +18,24 @@ from pydantic import (
     model_validator,
 )
 
-from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, shape
+from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, got, shape
+from petmjx.config import within
 from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, Shape
 
 MAX_AXIS_VALUES: Final = 100_000
 """Most values of one axis: a range with a typing error in its step must not fill the memory."""
 
-MAX_STRENGTH: Final = 10_000.0
-"""Largest level (g), scale or factor. A larger one is a typing error, and would become infinite in the engines."""
+MAX_STRENGTH: Final = 1000.0
+"""Largest level (g), scale or factor. More is a slip of the pen: shocks of packed goods stay below 100 g."""
+MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
 """Smallest factor on masses: MuJoCo refuses bodies without mass."""
 MAX_ERROR: Final = 10_000.0
-"""Largest error of a size or a place, mm or degrees."""
+"""Largest error of a place, mm."""
+MAX_SIZE_ERROR_MM: Final = 1000.0
+MAX_SIZE_ERROR: Final = 1.0
+MAX_YAW_ERROR_DEG: Final = 360.0
 
 DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
 
@@ -71,19 +76,19 @@ OneOrMore = Annotated[
     _value_or(LIST),
 ]
 """A value or a list of values."""
-Names = OneOrMore[str]
+Names = OneOrMore[Annotated[str, Field(max_length=100)]]
 
 
 def _degrees(value: object) -> object:
     if isinstance(value, str):
         if value not in DIRECTIONS_DEG:
-            raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, got {value!r}")
+            raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, {got(value)}")
         return DIRECTIONS_DEG[value]
     return value
 
 
-Positive = Annotated[StrictFloat, Field(gt=0, le=MAX_STRENGTH)]
-Direction = Annotated[StrictFloat, Field(ge=-3600, le=3600), BeforeValidator(_degrees)]
+Positive = Annotated[StrictFloat, Field(gt=0), within(0, MAX_STRENGTH)]
+Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(_degrees)]
 
 
 Number = TypeVar("Number", bound=float)
@@ -146,10 +151,20 @@ def _leave_a_mass(given: Any) -> Any:
 
 Masses = Annotated[Positives, AfterValidator(_leave_a_mass)]
 
+
+def _are_frictions(given: Any) -> Any:
+    highest = given.high if isinstance(given, Range) else max(given) if isinstance(given, tuple) else given
+    if highest > MAX_FRICTION_FACTOR:
+        raise ValueError(f"must be from 0 to {MAX_FRICTION_FACTOR:g}, got {highest:g}")
+    return given
+
+
+Frictions = Annotated[Positives, AfterValidator(_are_frictions)]
+
 # Errors, each a distribution.
 
-Error = Annotated[StrictFloat, Field(ge=-MAX_ERROR, le=MAX_ERROR)]
-Spread = Annotated[StrictFloat, Field(ge=0, le=MAX_ERROR)]
+Error = Annotated[StrictFloat, within(-MAX_ERROR, MAX_ERROR)]
+Spread = Annotated[StrictFloat, Field(ge=0), within(0, MAX_ERROR)]
 
 
 class _Normal(Checked):
@@ -198,6 +213,23 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 """Distributions; a plain number is that height itself."""
 
 
+def _up_to(largest: float) -> AfterValidator:
+    """A check of errors against a smaller range than that of places."""
+
+    def check(given: Any) -> Any:
+        for error in given if isinstance(given, tuple) else (given,):
+            if max(abs(error.centre), error.spread) > largest:
+                raise ValueError(f"must be from {-largest:g} to {largest:g}, got {error.label()}")
+        return given
+
+    return AfterValidator(check)
+
+
+SizeErrors = Annotated[Errors, _up_to(MAX_SIZE_ERROR_MM)]
+RelativeErrors = Annotated[Errors, _up_to(MAX_SIZE_ERROR)]
+YawErrors = Annotated[Errors, _up_to(MAX_YAW_ERROR_DEG)]
+
+
 @dataclass(frozen=True)
 class AxisKind:
     """The values of an axis, what they change, and its column in the results.
@@ -239,16 +271,16 @@ AXIS_KINDS: Final = {
         AxisKind("direction", "deg", Directions, "turn of the profile from +x to +y", suffix="_deg"),
         AxisKind("scale", "1", Positives, "factor on the profile"),
         AxisKind("level", "g", Positives, "level of the profile", suffix="_g"),
-        AxisKind("friction_factor", "1", Positives, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),
-        AxisKind(_BOX, "1", Positives, "factor on the friction of boxes alone", (_BOX,)),
-        AxisKind(_CARRIER, "1", Positives, "factor on the friction of the carrier alone", (_CARRIER,)),
+        AxisKind("friction_factor", "1", Frictions, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),
+        AxisKind(_BOX, "1", Frictions, "factor on the friction of boxes alone", (_BOX,)),
+        AxisKind(_CARRIER, "1", Frictions, "factor on the friction of the carrier alone", (_CARRIER,)),
         AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
-        AxisKind("size_tolerance_mm", "mm", Errors, "error of each dimension of each box", ("size_mm",)),
-        AxisKind("size_tolerance_rel", "1", Errors, "the same as a share of the dimension", ("size_rel",)),
+        AxisKind("size_tolerance_mm", "mm", SizeErrors, "error of each dimension of each box", ("size_mm",)),
+        AxisKind("size_tolerance_rel", "1", RelativeErrors, "the same as a share of the dimension", ("size_rel",)),
         AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),
         AxisKind("placement_error_x_mm", "mm", Errors, "the same in x alone", ("x_mm",)),
         AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone", ("y_mm",)),
-        AxisKind("yaw_error_deg", "deg", Errors, "turn of each box about the vertical", ("yaw_deg",)),
+        AxisKind("yaw_error_deg", "deg", YawErrors, "turn of each box about the vertical", ("yaw_deg",)),
         AxisKind(
             "drop_height_mm", "mm", Heights, "height of release above the place", ("drop_height_mm",), plain=Shape.FIXED
         ),

@@ -27,10 +27,11 @@ from petmjx.checked import LIST, VALUE, Checked, complaint, read_toml, shape
 from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.sweeps.axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
+from petmjx.text import printable
 from petmjx.units import FloatArray
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.profiles.registry import resolve
-from petmjx.world.profiles.tables import define_profiles
+from petmjx.world.profiles.tables import MAX_NAME, FileName, define_profiles
 
 SAMPLES: Final = "samples"
 """Value of ``plans`` for the bundled samples."""
@@ -39,6 +40,10 @@ DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
 """How exactly a search finds the largest level (g) or scale survived."""
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
+MAX_PROFILE_STEPS: Final = 4_000_000
+"""Steps of one profile: its samples take 24 bytes a step."""
+MAX_TEXT: Final = 100_000
+"""Characters of the name and of the description."""
 MIN_TOLERANCE: Final = 1e-5
 """Smallest tolerance of a search. Levels are rounded to 1e-12: much closer ones would become equal."""
 MAX_REPEATS: Final = 2**31 - 1
@@ -48,7 +53,7 @@ MAX_REPEATS: Final = 2**31 - 1
 class Search(Checked):
     """``[search]``: instead of an axis ``level`` or ``scale``, find the largest one survived."""
 
-    lower: StrictFloat = Field(0.0, ge=0, description="lowest level (g) or scale")
+    lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
     upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
     tolerance: StrictFloat | None = Field(
         None,
@@ -101,11 +106,11 @@ def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
 class Sweep(Checked):
     """A checked sweep file."""
 
-    name: str = Field("", description="name of the sweep; by default the file's")
-    description: str = Field("", description="what it asks")
+    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default the file's")
+    description: str = Field("", max_length=MAX_TEXT, description="what it asks")
     plans: (
         Annotated[
-            Annotated[tuple[Path, ...], Tag(LIST)] | Annotated[str, AfterValidator(_plan_paths), Tag(VALUE)],
+            Annotated[tuple[Path, ...], Tag(LIST)] | Annotated[FileName, AfterValidator(_plan_paths), Tag(VALUE)],
             Discriminator(shape),
         ]
         | None
@@ -236,6 +241,16 @@ class Sweep(Checked):
         return self
 
     @model_validator(mode="after")
+    def _profiles_fit_the_timestep(self) -> Self:
+        timestep_s = self.simulation.physics.timestep_s
+        for name, profile in self.profiles.items():
+            n_steps = profile.n_steps(timestep_s)
+            if n_steps > MAX_PROFILE_STEPS:
+                text = f"{n_steps:,} steps of {timestep_s:g} s, more than {MAX_PROFILE_STEPS:,}"
+                raise complaint(f": profile {name!r} takes {text}", "axes", "profile")
+        return self
+
+    @model_validator(mode="after")
     def _axes_do_not_overlap(self) -> Self:
         given = [kind for kind in AXIS_KINDS.values() if kind.name in self.axes]
         for one, other in itertools.combinations(given, 2):
@@ -293,10 +308,10 @@ def _existing(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple
     for path in paths:
         try:
             there = path.exists()
-        except OSError:  # a name that is too long, for instance
+        except (OSError, ValueError):  # a name that is too long, for instance, or holds a zero
             there = False
         if not there:
-            raise InputError(f"plans: no such file or folder: {path}")
+            raise InputError(f"plans: no such file or folder: {printable(str(path))}")
     return paths
 
 

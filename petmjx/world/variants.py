@@ -23,6 +23,9 @@ from petmjx.world.scene import Scene
 MIN_SIZE_FRACTION = 0.1
 """Smallest size that can be drawn, as a fraction of the planned size: a box must keep a positive extent."""
 
+LARGEST_SIZE_M = 7.0
+"""Nor does any exceed this: boxes that wait for their turn hang 8 m apart."""
+
 STEP_TOLERANCE_M = 0.01
 """Of two boxes that overlap horizontally, one carries the other if its planned top is at most this far above the
 other's planned bottom: the other one is then set down on it. A box that is higher counts as a wall beside it."""
@@ -206,7 +209,7 @@ def _changed_half_size(scene: Scene, change: PlacementChange, key: WorldKey) -> 
     changed = size * factor + mm_to_m(change.size_mm.draw(key.rng("size"), shape))
     if change.size_mm.zero and change.size_rel.zero:
         return scene.half_size
-    half: FloatArray = np.maximum(changed, MIN_SIZE_FRACTION * size) / 2.0
+    half: FloatArray = np.clip(changed, MIN_SIZE_FRACTION * size, LARGEST_SIZE_M) / 2.0
     return half
 
 

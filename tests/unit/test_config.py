@@ -19,7 +19,7 @@ from petmjx.errors import InputError
     [
         (Physics, {"gravity_m_s2": -9.81}, "gravity_m_s2 must be > 0, got -9.81"),
         (Physics, {"timestep_s": 0}, "timestep_s must be > 0, got 0"),
-        (Physics, {"timestep_s": 0.1}, "timestep_s must be ≤ 0.02, got 0.1"),
+        (Physics, {"timestep_s": 0.1}, "timestep_s must be from 0.0001 to 0.02, got 0.1"),
         (Physics, {"box_friction": (-1, 0, 0)}, "box_friction must be ≥ 0, got (-1.0, 0.0, 0.0)"),
         (Physics, {"box_friction": -1}, "box_friction must be a list, got -1"),
         (

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "machine", "checked", "config"}),
+    frozenset({"errors", "text", "units", "machine", "bounded", "checked", "config"}),
     frozenset({"plans"}),
     frozenset({"world"}),
     frozenset({"metrics"}),

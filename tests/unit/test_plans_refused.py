@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import gzip
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +44,9 @@ FIELD_FAULTS = [
     ([*ITEM, "weight/kg"], "6.2", 'weight/kg must be a number, got "6.2"'),
     ([*ITEM, "weight/kg"], None, "weight/kg must be a number, got null"),
     ([*ITEM, "weight/kg"], float("nan"), "weight/kg must be finite, got NaN"),
-    ([*ITEM, "weight/kg"], 1e-9, "weight/kg must be from 1e-06 to 100000 (kilograms), got 1e-09"),
+    ([*ITEM, "weight/kg"], 1e-9, "weight/kg must be from 0.001 to 10000 (kilograms), got 1e-09"),
     ([*ITEM, "length/mm"], float("inf"), "length/mm must be finite, got Infinity"),
-    ([*ITEM, "length/mm"], 0.6, "length/mm must be from 1 to 100000 (millimetres), got 0.6"),
+    ([*ITEM, "length/mm"], 0.6, "length/mm must be from 1 to 4000 (millimetres), got 0.6"),
     ([*ITEM, "width/mm"], 10**400, "width/mm must be finite, got an integer of more than 60 digits"),
     ([*ITEM, "width/mm"], [400], "width/mm must be a number, got a list"),
     ([*ITEM, "height/mm"], MISSING, "height/mm is missing"),
@@ -68,8 +69,10 @@ FIELD_FAULTS = [
     (CORNER, {"a": 1, "b": 1, "c": 1}, "flb_coordinates must be a list of 3 numbers, got an object"),
     (CORNER, "000", 'flb_coordinates must be a list of 3 numbers, got "000"'),
     ([*CORNER, 1], float("-inf"), "flb_coordinates[1] must be finite, got -Infinity"),
+    ([*ITEM, "height/mm"], 4000.5, "height/mm must be from 1 to 4000 (millimetres), got 4000.5"),
+    ([*ITEM, "weight/kg"], 1e5, "weight/kg must be from 0.001 to 10000 (kilograms), got 100000.0"),
     ([*CORNER, 2], False, "flb_coordinates[2] must be a number, got false"),
-    ([*CORNER, 0], -1e300, "flb_coordinates[0] must be from -100000 to 100000 (millimetres), got -1e+300"),
+    ([*CORNER, 0], -1e300, "flb_coordinates[0] must be from -20000 to 20000 (millimetres), got -1e+300"),
 ]
 
 
@@ -192,14 +195,14 @@ def test_a_wrong_path_always_raises(paths: Any, message: str) -> None:
 def test_an_unreadable_file_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     write(Path("a.json"), {"A": tower(1)})
     write(Path("b.json"), {"B": tower(1)})
-    read_bytes = Path.read_bytes
+    whole_open = os.open
 
-    def refuse(path: Path) -> bytes:
+    def refuse(path: Path, flags: int) -> int:
         if path.name == "a.json":
             raise PermissionError(13, "Permission denied")
-        return read_bytes(path)
+        return whole_open(path, flags)
 
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     found = load_plans(["a.json", "b.json"])
     assert [plan.plan_id for plan in found] == ["B"]
     assert str(found.skipped[0]) == "a.json: cannot be read (Permission denied)"

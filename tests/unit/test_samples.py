@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from petmjx.errors import InputError
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import (
     LOOSE_SUPPORT,
+    LeftOut,
     bundled_path,
     generate,
     generate_one,
@@ -276,7 +278,8 @@ def test_a_bad_order_is_one_line(tmp_path: Path, record: object, text: str) -> N
         ("binary.json", b"\xff\xfe\x00"),
         ("list.json", b"[]"),
         ("cut.json.gz", gzip.compress(b"{}")[:-6]),
-        ("plain.json.gz", b"{}"),
+        ("none.json", b"{}"),
+        ("no-gzip.json.gz", b"{"),
         ("digits.json", b"[" + b"9" * 5000 + b"]"),
         ("block.json.gz", gzip.compress(b"{}")[:10] + b"\xff" * 20),
         ("damaged.json.gz", gzip.compress(b"{}" * 50)[:12] + b"\xff" * 20),
@@ -289,6 +292,40 @@ def test_a_file_that_holds_no_orders_is_one_line(tmp_path: Path, name: str, data
     assert "\n" not in str(caught.value)
 
 
+def test_items_beyond_a_physical_range_are_refused_with_the_range(tmp_path: Path) -> None:
+    for changes, text in (
+        ({"length/mm": 1e300}, "item 2: length/mm must be from 1 to 4000, got 1e+300"),
+        ({"weight/kg": 1e-9}, "item 2: weight/kg must be from 0.001 to 10000, got 1e-09"),
+        ({"product_group": 3}, "item 2: product_group must be a text, got int"),
+    ):
+        with pytest.raises(InputError, match=re.escape(text)):
+            list(pack_orders(write(tmp_path / "orders.json", {"o1": order(**changes)})))
+    with pytest.raises(InputError, match="order o1: must have at most 512 items, got 513"):
+        list(pack_orders(write(tmp_path / "orders.json", {"o1": order(513)})))
+
+
+def test_repeated_order_ids_are_told(tmp_path: Path) -> None:
+    text = json.dumps(order())
+    skipped: list[InputError] = []
+    path = write(tmp_path / "orders.json", f'{{"a": {text}, "a": {text}, "b": {text}}}')
+    assert [plan_id for plan_id, _ in pack_orders(path, on_bad_order=skipped.append)] == ["a", "b"]
+    assert [str(error) for error in skipped] == [f"{path}: order a: repeated order id"]
+
+
+def test_boxes_that_find_no_place_are_named(tmp_path: Path) -> None:
+    """Items are told by their numbers in the order, and an order of which nothing fits makes no plan."""
+    orders = {"fits": order(), "some": order(4, **{"height/mm": 2500}), "none": order(2, **{"length/mm": 1300})}
+    orders["none"]["item_sequence"]["1"]["length/mm"] = 1300
+    left_out: list[LeftOut] = []
+    packed = dict(pack_orders(write(tmp_path / "orders.json", orders), on_left_out=left_out.append))
+    assert {plan_id: len(plan) for plan_id, plan in packed.items()} == {"fits": 3, "some": 3}
+    assert left_out == [LeftOut("some", 4, (2,)), LeftOut("none", 2, (1, 2))]
+    assert [str(each) for each in left_out] == [
+        "order some: 1 of 4 boxes is left out: item 2",
+        "order none: 2 of 2 boxes are left out: items 1, 2",
+    ]
+
+
 def test_a_missing_orders_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         list(pack_orders(tmp_path / "none.json"))
@@ -297,8 +334,12 @@ def test_a_missing_orders_file_is_one_line(tmp_path: Path) -> None:
 def test_real_orders_are_packed(real_data: Path) -> None:
     path = real_data / "5_bed-bpp.json"
     ordered = {order_id: len(record["item_sequence"]) for order_id, record in json.loads(path.read_text()).items()}
-    packed = dict(pack_orders(path))
+    left_out: list[LeftOut] = []
+    packed = dict(pack_orders(path, on_left_out=left_out.append))
     assert list(packed) == list(ordered)
+    missing = {each.order_id: len(each.numbers) for each in left_out}
+    assert {plan_id: ordered[plan_id] - len(plan) for plan_id, plan in packed.items() if plan_id in missing} == missing
+    assert sum(missing.values()) == sum(ordered.values()) - sum(map(len, packed.values())) > 0
     for plan_id, plan in packed.items():
         assert len(plan) >= 0.6 * ordered[plan_id]  # the three roll containers hold more than fits below 2 m
         assert n_overlapping_pairs(plan) == 0

@@ -123,7 +123,7 @@ FILES = {
     "the same in hexadecimals": ("seed = 0x" + "f" * 5000, "seed must be < 9.22337e+18, got int too large to be shown"),
     "a number of 400 digits": ("[axes]\nscale = " + "9" * 400, "axes.scale must be a finite number, got 999"),
     "lists in lists": ("a = " + "[" * 5000 + "]" * 5000, "lists or tables in too many levels"),
-    "tables in tables": ("[axes]\nscale." + ".".join("a" * 3000) + " = 1", "axes.scale.a: unknown field"),
+    "tables in tables": ("[axes]\nscale." + ".".join("a" * 3000) + " = 1", "a key of more than 64 parts"),
     "infinite bound": (
         "[axes]\nprofile = 'radial'\n[search]\nupper = inf",
         "search.upper must be a finite number, got inf",
@@ -137,7 +137,7 @@ FILES = {
     ),
     "endless profile": (
         "[profiles.t]\nkind = 'windows'\nwindows = [[1e300, 1, 1, 0, 0]]\n[axes]\nprofile = 't'",
-        "profiles.t.windows[0].start_s must be ≤ 3600, got 1e+300",
+        "profiles.t.windows[0].start_s must be from 0 to 3600, got 1e+300",
     ),
     "chains that double": (
         "[profiles.p0]\nkind = 'windows'\nwindows = [[0, 1, 1, 0, 0]]\n"

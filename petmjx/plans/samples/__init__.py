@@ -12,17 +12,17 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.samples.order_files import read_orders
-from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, Order, draw_order, stream
+from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, draw_order, stream
 from petmjx.plans.samples.packer import PackRules, Placed, pack_best
+from petmjx.text import counted, printable, shown
 
 Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
@@ -33,6 +33,28 @@ DEFAULT_LOOSE_SHARE = 0.5
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """A loose plan's ``min_support`` is drawn from this range (strict: the default of ``PackRules``)."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Items of one order for which the packer found no place.
+
+    Attributes:
+        order_id: the order's, and the plan's.
+        n_items: how many the order has.
+        numbers: the keys of those left out in the order's ``item_sequence``, rising.
+    """
+
+    order_id: str
+    n_items: int
+    numbers: tuple[int, ...]
+
+    def __str__(self) -> str:
+        """ "order 00100408: 12 of 40 boxes are left out, items 3, 7, 8, …" """
+        many, few = counted(self.n_items, "box", "boxes"), len(self.numbers)
+        numbers = ", ".join(map(str, self.numbers))
+        verb, items = ("is", "item") if few == 1 else ("are", "items")
+        return f"order {shown(self.order_id)}: {few} of {many} {verb} left out: {items} {numbers}"
 
 
 def generate(n: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> Iterator[tuple[str, list[Placement]]]:
@@ -60,7 +82,8 @@ def generate_one(index: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SH
         support = low + (high - low) * float(support)
         rules = PackRules(min_support=support, centre_supported=False, y_first=rules.y_first)
     order = draw_order(seed, index)
-    return f"s{seed}-{index:06d}", _packed(order, rules, rng)
+    placed = pack_best(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
+    return f"s{seed}-{index:06d}", as_placements(placed)
 
 
 def write_samples(
@@ -105,7 +128,7 @@ def write_plans(
                     progress(count)
             out.write("\n}\n")
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {reason(error)}") from error
+        raise InputError(f"{printable(str(path))}: cannot be written: {reason(error)}") from error
 
 
 def pack_orders(
@@ -114,18 +137,27 @@ def pack_orders(
     seed: int = 0,
     rules: PackRules | None = None,
     on_bad_order: Callable[[InputError], None] | None = None,
+    on_left_out: Callable[[LeftOut], None] | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
-    Without ``rules`` the strict ones are used. Boxes that find no place below 2 m are left out. The packer sorts, so
-    ``sequence`` is numbered anew in packing order.
+    Without ``rules`` the strict ones are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is
+    called with them just before the plan is yielded. An order of which no box finds a place makes no plan.
+    The packer sorts, so ``sequence`` is numbered anew in packing order.
 
     Raises:
         InputError: the file is no orders file; or an order is bad and ``on_bad_order`` is not given
             (else that is called with the error and the order skipped).
     """
     for index, (plan_id, order) in enumerate(read_orders(Path(path), on_bad_order)):
-        yield plan_id, _packed(order, rules or PackRules(), stream(seed, PACKER_STREAM, index))
+        rng = stream(seed, PACKER_STREAM, index)
+        placed = pack_best(order.items, TARGET_EXTENT_MM[order.target], rules or PackRules(), rng)
+        if len(placed) < len(order.items) and on_left_out is not None:
+            there = {id(box.item) for box in placed}
+            missing = [number for number, item in zip(order.numbers, order.items, strict=True) if id(item) not in there]
+            on_left_out(LeftOut(plan_id, len(order.items), tuple(missing)))
+        if placed:
+            yield plan_id, as_placements(placed)
 
 
 def as_placements(placed: Iterable[Placed]) -> list[Placement]:
@@ -152,10 +184,6 @@ def as_placements(placed: Iterable[Placed]) -> list[Placement]:
 def bundled_path() -> Path:
     """The file of the bundled plans. :mod:`petmjx.plans.samples.bundled` says which they are, and makes the file."""
     return Path(str(files(__package__) / "bundled.json"))
-
-
-def _packed(order: Order, rules: PackRules, rng: np.random.Generator) -> list[Placement]:
-    return as_placements(pack_best(order.items, TARGET_EXTENT_MM[order.target], rules, rng))
 
 
 def _open_text(path: Path, stack: ExitStack) -> IO[str]:

@@ -2,103 +2,139 @@
 
 from __future__ import annotations
 
-import gzip
-import json
 import math
-import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from petmjx.checked import reason
+from petmjx.checked import got, reason
 from petmjx.errors import InputError
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.scan import Damage, Entry, describe, scan_plans
+from petmjx.plans.unpack import read_json_bytes
+from petmjx.plans.validate import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
+from petmjx.text import is_text, printable, shown
+
+MOST_ITEMS: Final = 512
+"""Items of one order: twice the boxes of the largest plan. The packer's time grows with their third power."""
+_MOST_DIGITS: Final = 18
+"""Of a sequence number."""
 
 
 def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = None) -> Iterator[tuple[str, Order]]:
-    """Yield (order id, order) for each order of a file, plain or ``.gz``; items by rising sequence number.
+    """Yield (order id, order) for each order of a file, gzipped or not; items by rising sequence number.
 
     Raises:
-        InputError: the file cannot be read or is not a JSON object; or an order is bad and
-            ``on_bad_order`` is not given (else that is called with the error and the order skipped).
+        InputError: the file cannot be read or is not a whole JSON object, which is found out before the first order is
+            yielded; or an order is bad and ``on_bad_order`` is not given (else that is called with the error and the
+            order skipped).
     """
-    for order_id, record in _read_object(path).items():
+    name = printable(str(path))
+    data = _read_whole(path, name)
+    seen: set[str] = set()
+    for entry in scan_plans(data):
+        assert isinstance(entry, Entry), "the whole file was looked at before"
+        where = f"{name}: order {shown(entry.plan_id)}"
         try:
-            order = _order(record, f"{path}: order {order_id}")
+            if entry.plan_id in seen:
+                raise InputError(f"{where}: repeated order id")
+            order = _order(entry, where)
         except InputError as error:
             if on_bad_order is None:
                 raise
             on_bad_order(error)
         else:
-            yield order_id, order
+            seen.add(entry.plan_id)
+            yield entry.plan_id, order
 
 
-def _read_object(path: Path) -> dict[str, Any]:
+def _read_whole(path: Path, name: str) -> bytearray:
+    """The bytes of a file in which nothing is damaged."""
     try:
-        data = path.read_bytes()
-        text = gzip.decompress(data) if path.suffix == ".gz" else data
-        orders = json.loads(text.decode("utf-8"))
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
-    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, a number of thousands of digits
-        raise InputError(f"{path}: is not JSON: {error}") from error
-    if not isinstance(orders, dict):
-        raise InputError(f"{path}: must be a JSON object of orders, got {_kind(orders)}")
-    return orders
+        data, fault = read_json_bytes(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name}: cannot be read: {reason(error)}") from error
+    if fault is not None:
+        raise InputError(f"{name}: {fault.partition(';')[0]}")
+    n_orders = 0
+    for entry in scan_plans(data, "order id → order"):
+        if isinstance(entry, Damage):
+            raise InputError(f"{describe(name, entry, 'order')}; orders are read from whole files only")
+        n_orders += 1
+    if n_orders == 0:
+        raise InputError(f"{name}: holds no order")
+    return data
 
 
-def _order(record: object, where: str) -> Order:
+def _order(entry: Entry, where: str) -> Order:
+    record = entry.value
+    _name(entry.plan_id, "the order id", where)
+    if not entry.plan_id:
+        raise InputError(f"{where}: the order id must not be empty")
     if not isinstance(record, dict):
-        raise InputError(f"{where}: must be a JSON object, got {_kind(record)}")
+        raise InputError(f"{where}: must be a JSON object, {_kind(record)}")
     properties = record.get("properties")
     target = properties.get("target") if isinstance(properties, dict) else None
     if not isinstance(target, str) or target not in TARGET_EXTENT_MM:
-        raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, got {target!r}")
+        found = got(target) if isinstance(target, str) else _kind(target)
+        raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, {found}")
     sequence = record.get("item_sequence")
     if not isinstance(sequence, dict) or not sequence:
         raise InputError(f"{where}: item_sequence must be a JSON object that holds at least one item")
+    if len(sequence) > MOST_ITEMS:
+        raise InputError(f"{where}: must have at most {MOST_ITEMS:,} items, got {len(sequence):,}")
     ranked = []
     for key, raw in sequence.items():
-        if not key.isdecimal():
-            raise InputError(f"{where}: keys of item_sequence must be whole numbers, got {key!r}")
+        if not (key.isdecimal() and len(key) <= _MOST_DIGITS):
+            raise InputError(f"{where}: keys of item_sequence must be whole numbers, {got(key)}")
         ranked.append((int(key), _item(raw, f"{where}, item {key}")))
     ranked.sort(key=lambda pair: pair[0])
-    return Order(target, tuple(item for _, item in ranked))
+    return Order(target, tuple(item for _, item in ranked), tuple(number for number, _ in ranked))
 
 
 def _item(raw: object, where: str) -> Item:
     if not isinstance(raw, dict):
-        raise InputError(f"{where}: must be a JSON object, got {_kind(raw)}")
+        raise InputError(f"{where}: must be a JSON object, {_kind(raw)}")
     return Item(
         article=_text(raw, "article", where),
         item_id=_text(raw, "id", where),
-        product_group=str(raw.get("product_group", "")),
-        length_mm=_positive(raw, "length/mm", where),
-        width_mm=_positive(raw, "width/mm", where),
-        height_mm=_positive(raw, "height/mm", where),
-        weight_kg=_positive(raw, "weight/kg", where),
+        product_group=_text({"product_group": "", **raw}, "product_group", where),
+        length_mm=_number(raw, "length/mm", SMALLEST_MM, LARGEST_MM, where),
+        width_mm=_number(raw, "width/mm", SMALLEST_MM, LARGEST_MM, where),
+        height_mm=_number(raw, "height/mm", SMALLEST_MM, LARGEST_MM, where),
+        weight_kg=_number(raw, "weight/kg", SMALLEST_KG, LARGEST_KG, where),
     )
 
 
 def _text(raw: dict[str, Any], field: str, where: str) -> str:
     value = raw.get(field)
     if not isinstance(value, str):
-        raise InputError(f"{where}: {field} must be a text, got {_kind(value)}")
-    return value
+        raise InputError(f"{where}: {field} must be a text, {_kind(value)}")
+    return _name(value, field, where)
 
 
-def _positive(raw: dict[str, Any], field: str, where: str) -> float:
+def _name(text: str, what: str, where: str) -> str:
+    if not is_text(text):
+        raise InputError(f"{where}: {what} is not UTF-8 text")
+    if len(text) > LONGEST_NAME:
+        raise InputError(f"{where}: {what} must have at most {LONGEST_NAME:,} characters, got {len(text):,}")
+    return text
+
+
+def _number(raw: dict[str, Any], field: str, smallest: float, largest: float, where: str) -> float:
     value = raw.get(field)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where}: {field} must be a number, got {_kind(value)}")
+        raise InputError(f"{where}: {field} must be a number, {_kind(value)}")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number) or number <= 0:
         raise InputError(f"{where}: {field} must be finite and > 0, got {number:g}")
+    if not smallest <= number <= largest:
+        raise InputError(f"{where}: {field} must be from {smallest:g} to {largest:g}, got {number:g}")
     return number
 
 
 def _kind(value: object) -> str:
-    return "nothing" if value is None else type(value).__name__
+    return "got nothing" if value is None else f"got {type(value).__name__}"

@@ -92,10 +92,14 @@ class Item:
 
 @dataclass(frozen=True)
 class Order:
-    """What one customer gets on one target ("euro-pallet" or "rollcontainer")."""
+    """What one customer gets on one target ("euro-pallet" or "rollcontainer").
+
+    ``numbers`` are the sequence numbers that a file gives its items; none in drawn orders.
+    """
 
     target: str
     items: tuple[Item, ...]
+    numbers: tuple[int, ...] = ()
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:

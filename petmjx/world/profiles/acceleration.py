@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from petmjx.errors import InputError
 from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import ACCELERATION, Excitation
 from petmjx.world.profiles.base import Profile, Strength, step_averages, steps_to_cover
@@ -168,8 +169,19 @@ class HalfSine:
         edges_s = np.minimum(np.arange(self.n_steps(timestep_s) + 1) * timestep_s, duration_s)
         covered = duration_s / math.pi * (1.0 - np.cos(math.pi * edges_s / duration_s))
         magnitude = STANDARD_GRAVITY * step_averages(covered, timestep_s)
-        axis = np.asarray(self.axis)
-        return Excitation(self.name, self.kind, magnitude[:, None] * (axis / np.linalg.norm(axis)))
+        return Excitation(self.name, self.kind, magnitude[:, None] * _unit(self.axis))
+
+
+def _unit(axis: tuple[float, float, float]) -> FloatArray:
+    """(3,) the direction of an axis of any length; the square of a very long or short one is no float64."""
+    vector: FloatArray = np.asarray(axis, dtype=np.float64)
+    longest = float(np.abs(vector).max())
+    if not 0 < longest < math.inf:
+        raise InputError(f"axis must be finite and not zero, got {axis}")
+    if not 1e-100 < longest < 1e100:
+        vector = vector / longest
+    unit: FloatArray = vector / np.linalg.norm(vector)
+    return unit
 
 
 BUILT_IN_ACCELERATIONS: tuple[Profile, ...] = (eumos_40509(), *en_12195_1(), Tilt(), HalfSine())

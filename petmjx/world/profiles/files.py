@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,9 +11,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field, StrictFloat, model_validator
 
+from petmjx.bounded import read_regular
 from petmjx.checked import Checked, got, read_toml, reason
+from petmjx.config import within
 from petmjx.errors import InputError
-from petmjx.text import printable
+from petmjx.text import printable, shown
 from petmjx.world.profiles.base import MAX_PROFILE_S
 from petmjx.world.profiles.vibration import PsdTable, psd_rms_g
 from petmjx.world.profiles.windows import Window
@@ -24,17 +27,28 @@ MIN_DENSITY = 1e-30
 """Smallest PSD, g²/Hz: ratios of densities must not overflow."""
 MAX_RMS_G = 1000.0
 """Largest RMS of a random vibration, g."""
+MIN_HZ, MAX_HZ = 0.0001, 1e6
+MAX_DENSITY = 1e6
+MAX_PSD_ROWS = 1000
+"""Test standards have up to 30; each costs time at every step of the vibration."""
+MAX_CSV_BYTES = 1 << 20
+MAX_PARQUET_BYTES = 64 << 20
 
-Seconds = Annotated[StrictFloat, Field(ge=0, le=MAX_PROFILE_S)]
-Component = Annotated[StrictFloat, Field(ge=-MAX_FORCE, le=MAX_FORCE)]
-Positive = Annotated[StrictFloat, Field(gt=0, le=1e6)]
+MAX_PUSH_S = 100 * MAX_PROFILE_S
+"""All windows of a profile together, s: each is added to the samples on its own."""
+
+Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
+LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]
+Component = Annotated[StrictFloat, within(-MAX_FORCE, MAX_FORCE)]
+Hertz = Annotated[StrictFloat, Field(gt=0), within(MIN_HZ, MAX_HZ)]
+Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 
 
 class WindowRow(Checked):
     """One push; in sweep files also the list of its five numbers."""
 
     start_s: Seconds = Field(description="when it begins, s after the profile's beginning")
-    duration_s: Annotated[StrictFloat, Field(gt=0, le=MAX_PROFILE_S)] = Field(description="how long it acts, s")
+    duration_s: LongerThanNothing = Field(description="how long it acts, s")
     x: Component = Field(description="force along x in units of scale × total mass × 9.81 m/s²")
     y: Component = Field(description="force along y in the same units")
     z: Component = Field(description="force along z in the same units")
@@ -53,7 +67,14 @@ class WindowRow(Checked):
         return Window(self.start_s, self.duration_s, (self.x, self.y, self.z))
 
 
-Rows = Annotated[tuple[WindowRow, ...], Field(min_length=1, max_length=MAX_WINDOWS)]
+def _not_endless(rows: tuple[WindowRow, ...]) -> tuple[WindowRow, ...]:
+    total_s = sum(row.duration_s for row in rows)
+    if total_s > MAX_PUSH_S:
+        raise ValueError(f"must last at most {MAX_PUSH_S:g} s in all, got {total_s:g} s")
+    return rows
+
+
+Rows = Annotated[tuple[WindowRow, ...], Field(min_length=1, max_length=MAX_WINDOWS), AfterValidator(_not_endless)]
 
 
 class _WindowFile(Checked):
@@ -81,16 +102,38 @@ def _parquet_rows(path: Path) -> list[dict[str, Any]]:
     import pyarrow
     import pyarrow.parquet
 
+    name = printable(str(path))
     try:
-        table = pyarrow.parquet.read_table(path, columns=list(WindowRow.model_fields))
+        # limits: the footer of a damaged file may claim millions of columns or gigabytes of names
+        file = pyarrow.parquet.ParquetFile(
+            pyarrow.BufferReader(bytes(read_regular(path, MAX_PARQUET_BYTES))),
+            thrift_string_size_limit=MAX_PARQUET_BYTES,
+            thrift_container_size_limit=MAX_WINDOWS,
+        )
+        if not 0 <= file.metadata.num_rows <= MAX_WINDOWS:
+            raise InputError(f"{name}: must have at most {MAX_WINDOWS:,} rows, got {file.metadata.num_rows:,}")
+        for field in file.schema_arrow:
+            if field.name in WindowRow.model_fields and not _is_number(field.type):
+                raise InputError(f"{name}: column {field.name} must hold numbers, {got(str(field.type))}")
+        table = file.read(columns=list(WindowRow.model_fields), use_threads=False)
+        rows: list[dict[str, Any]] = table.to_pylist()
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
+        raise InputError(f"{name}: no such file") from None
     except pyarrow.ArrowInvalid as error:
-        raise InputError(f"{path}: is not Parquet: {str(error).splitlines()[0]}") from None
-    except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise InputError(f"{printable(str(path))}: cannot be read as Parquet: {reason(error)}") from None
-    rows: list[dict[str, Any]] = table.to_pylist()
+        raise InputError(f"{name}: is not Parquet: {_first_line(error)}") from None
+    except (OSError, ValueError, KeyError, pyarrow.ArrowException) as error:
+        raise InputError(f"{name}: cannot be read as Parquet: {_first_line(error)}") from None
     return rows
+
+
+def _is_number(kind: Any) -> bool:
+    import pyarrow
+
+    return bool(pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind))
+
+
+def _first_line(error: Exception) -> str:
+    return shown((reason(error).splitlines() or [type(error).__name__])[0])
 
 
 def _is_psd(rows: PsdTable) -> PsdTable:
@@ -107,7 +150,9 @@ def _is_psd(rows: PsdTable) -> PsdTable:
     return rows
 
 
-PsdRows = Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=2), AfterValidator(_is_psd)]
+PsdRows = Annotated[
+    tuple[tuple[Hertz, Density], ...], Field(min_length=2, max_length=MAX_PSD_ROWS), AfterValidator(_is_psd)
+]
 """Rows of [Hz, g²/Hz]."""
 
 
@@ -123,8 +168,10 @@ def read_psd(path: Path) -> PsdTable:
             "truck.csv: row[3][1] must be > 0, got -1.0".
     """
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            lines = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
+        text = read_regular(path, MAX_CSV_BYTES).decode()
+        lines = [
+            row for row in csv.reader(io.StringIO(text, newline="")) if row and not row[0].lstrip().startswith("#")
+        ]
     except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{printable(str(path))}: cannot be read as a PSD table: {reason(error)}") from None
     rows = [[_number_or_text(cell) for cell in line] for line in lines]

@@ -9,14 +9,17 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, StrictFloat, Tag, TypeAdapter, model_validator
 
-from petmjx.checked import LIST, VALUE, Checked, by_entry, complaint, shape
+from petmjx.checked import LIST, VALUE, Checked, by_entry, complaint, got, shape
+from petmjx.config import within
 from petmjx.errors import InputError
 from petmjx.world.profiles.acceleration import HalfSine, Tilt, Trapezoid, eumos_40509
 from petmjx.world.profiles.base import MAX_PROFILE_S, Profile
 from petmjx.world.profiles.files import (
     MAX_FORCE,
+    MAX_PUSH_S,
     MAX_WINDOWS,
     Component,
+    LongerThanNothing,
     PsdRows,
     Rows,
     Seconds,
@@ -32,7 +35,10 @@ _TILT: Final = Tilt()
 _HALF_SINE: Final = HalfSine()
 _TRAPEZOID: Final = eumos_40509()
 
-Duration = Annotated[StrictFloat, Field(gt=0, le=MAX_PROFILE_S)]
+MAX_NAME: Final = 100
+"""Characters of a profile's name."""
+Name = Annotated[str, Field(max_length=MAX_NAME)]
+FileName = Annotated[str, Field(max_length=4096)]
 
 
 class _Table(Checked):
@@ -57,7 +63,7 @@ class WindowsTable(_Table):
 
     kind: Literal["windows"]
     windows: Rows | None = Field(None, description="rows of [start_s, duration_s, x, y, z]")
-    file: str | None = Field(None, description="a file with these columns, Parquet or TOML")
+    file: FileName | None = Field(None, description="a file with these columns, Parquet or TOML")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -74,16 +80,18 @@ class WindowsTable(_Table):
 class Link(Checked):
     """One profile of a chain."""
 
-    profile: str = Field(description="name of a force profile")
+    profile: Name = Field(description="name of a force profile")
     offset_s: Seconds = Field(0.0, description="when it begins, s after the chain's beginning")
-    scale: Annotated[StrictFloat, Field(gt=0, le=MAX_FORCE)] = Field(1.0, description="factor on its forces")
+    scale: Annotated[StrictFloat, Field(gt=0), within(0, MAX_FORCE)] = Field(1.0, description="factor on its forces")
 
 
 class ChainTable(_Table):
     """Several force profiles, each with an offset in time."""
 
     kind: Literal["chain"]
-    of: Annotated[tuple[Link, ...], Field(min_length=1)] = Field(description="a list of {profile, offset_s, scale}")
+    of: Annotated[tuple[Link, ...], Field(min_length=1, max_length=MAX_WINDOWS)] = Field(
+        description="a list of {profile, offset_s, scale}"
+    )
     overlap: Literal["add", "replace"] = Field("add", description="what pushes do that act at the same time")
 
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> WindowProfile:
@@ -101,6 +109,9 @@ class ChainTable(_Table):
         if sum(len(member.windows) for member, _, _ in links) > MAX_WINDOWS:
             raise complaint(f"has more than {MAX_WINDOWS:,} windows", name, "of")
         made = chain(name, links, _USERS, replaces=self.overlap == "replace")
+        pushing_s = sum(window.duration_s for window in made.windows)
+        if pushing_s > MAX_PUSH_S:
+            raise complaint(f"must push for at most {MAX_PUSH_S:g} s in all, got {pushing_s:g} s", name, "of")
         if made.end_s > MAX_PROFILE_S:
             raise complaint(f"takes {made.end_s:g} s, more than {MAX_PROFILE_S:g} s", name, "of")
         strongest = max(abs(component) for window in made.windows for component in window.vector)
@@ -113,7 +124,7 @@ class HalfSineTable(_Table):
     """A shock along any axis; its strength is a level in g."""
 
     kind: Literal["half-sine"]
-    duration_ms: Annotated[StrictFloat, Field(gt=0, le=10_000)] = Field(
+    duration_ms: Annotated[StrictFloat, Field(gt=0), within(0, 10_000)] = Field(
         _HALF_SINE.duration_ms, description="length of the pulse, ms"
     )
     axis: tuple[Component, Component, Component] = Field(
@@ -134,10 +145,12 @@ class TiltTable(_Table):
     """Gravity that turns slowly up to an angle."""
 
     kind: Literal["tilt"]
-    max_deg: StrictFloat = Field(_TILT.max_deg, gt=0, le=90, description="largest angle, degrees")
-    rate_deg_s: StrictFloat = Field(_TILT.rate_deg_s, gt=0, description="how fast the angle grows, degrees/s")
+    max_deg: Annotated[StrictFloat, within(0, 90)] = Field(_TILT.max_deg, gt=0, description="largest angle, degrees")
+    rate_deg_s: Annotated[StrictFloat, within(0, 3600)] = Field(
+        _TILT.rate_deg_s, gt=0, description="how fast the angle grows, degrees/s"
+    )
     hold_s: Seconds = Field(_TILT.hold_s, description="time at the largest angle, s")
-    return_s: Duration = Field(_TILT.return_s, description="time of the way back, s")
+    return_s: LongerThanNothing = Field(_TILT.return_s, description="time of the way back, s")
 
     @model_validator(mode="after")
     def _not_too_slow(self) -> Self:
@@ -153,7 +166,7 @@ class TrapezoidTable(_Table):
     """A horizontal acceleration like EUMOS 40509's; its strength is a level in g."""
 
     kind: Literal["trapezoid"]
-    ramp_s: Duration = Field(_TRAPEZOID.ramp_s, description="length of each ramp, s")
+    ramp_s: LongerThanNothing = Field(_TRAPEZOID.ramp_s, description="length of each ramp, s")
     hold_s: Seconds = Field(_TRAPEZOID.hold_s, description="length of the plateau, s")
 
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> Trapezoid:
@@ -162,7 +175,7 @@ class TrapezoidTable(_Table):
 
 def _some_axes(axes: str) -> str:
     if not axes or set(axes) - set("xyz"):
-        raise ValueError(f"must be made of x, y and z, got {axes!r}")
+        raise ValueError(f"must be made of x, y and z, {got(axes)}")
     return axes
 
 
@@ -170,11 +183,11 @@ class RandomTable(_Table):
     """Random vibration; its strength is a scale."""
 
     kind: Literal["random"]
-    psd: Annotated[Annotated[PsdRows, Tag(LIST)] | Annotated[str, Tag(VALUE)], Discriminator(shape)] = Field(
+    psd: Annotated[Annotated[PsdRows, Tag(LIST)] | Annotated[FileName, Tag(VALUE)], Discriminator(shape)] = Field(
         description="random vibration needs a PSD table, [[Hz, g²/Hz], …] or the name of a CSV file"
     )
     axes: Annotated[str, AfterValidator(_some_axes)] = Field("z", description="which axes vibrate: x, y, z together")
-    duration_s: Duration = Field(10.0, description="length, s")
+    duration_s: LongerThanNothing = Field(10.0, description="length, s")
 
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> RandomVibration:
         table: PsdTable = read_psd(folder / self.psd) if isinstance(self.psd, str) else self.psd
@@ -198,7 +211,7 @@ ProfileTable = Annotated[
 ]
 """A table of any kind; its entry ``kind`` says which."""
 
-_TABLES: Final = TypeAdapter(dict[str, ProfileTable])
+_TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
 
 def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:

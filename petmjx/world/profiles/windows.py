@@ -7,6 +7,7 @@ force that accelerates carrier and boxes together by 1 g.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -93,12 +94,12 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
     It acts once at every beginning and every end, in order of time. Each time it first removes the force that acts, and
     then sets the force of the next window, if that has begun.
     """
-    waiting = sorted(spans, key=lambda span: span[0])
+    waiting = deque(sorted(spans, key=lambda span: span[0]))
     looks = sorted(step for begin, end, _ in spans for step in (begin, end))
     acting: list[tuple[int, int, Vector]] = []
     for look, until in zip(looks, [*looks[1:], looks[-1]], strict=True):
         if waiting and waiting[0][0] <= look:
-            acting.append((look, until, waiting.pop(0)[2]))
+            acting.append((look, until, waiting.popleft()[2]))
     return acting
 
 

@@ -1,0 +1,63 @@
+"""Files that users name, read within bounds: whatever a path leads to, reading it ends."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import Final
+
+_BLOCK: Final = 1 << 20
+
+_KINDS: Final = (
+    (stat.S_ISDIR, errno.EISDIR, "Is a directory"),
+    (stat.S_ISFIFO, errno.EINVAL, "it is a FIFO, not a file"),
+    (stat.S_ISSOCK, errno.EINVAL, "it is a socket, not a file"),
+    (stat.S_ISCHR, errno.EINVAL, "it is a device, not a file"),
+    (stat.S_ISBLK, errno.EINVAL, "it is a device, not a file"),
+)
+
+
+def read_regular(path: Path, most: int) -> bytearray:
+    """The bytes of a regular file. A file that changes meanwhile is read as far as it goes.
+
+    FIFOs, sockets and devices are refused and not waited for: some of them never end.
+
+    Args:
+        most: bytes; a larger file is refused, before it is read where its size is known.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is too large; ``strerror`` says which.
+        ValueError: a name that no file can have.
+    """
+    # a device may do something when it is opened, so it is looked at before; what is opened is looked at again
+    _check(os.stat(path), most)
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        _check(os.fstat(descriptor), most)
+        data = bytearray()
+        while block := os.read(descriptor, _BLOCK):
+            data += block
+            if len(data) > most:
+                raise _too_large(most)
+        return data
+    finally:
+        os.close(descriptor)
+
+
+def _check(found: os.stat_result, most: int) -> None:
+    for is_kind, number, text in _KINDS:
+        if is_kind(found.st_mode):
+            raise OSError(number, text)
+    if found.st_size > most:
+        raise _too_large(most)
+
+
+def _too_large(most: int) -> OSError:
+    return OSError(errno.EFBIG, f"it is larger than {size(most)}")
+
+
+def size(n_bytes: int) -> str:
+    """ "4 GiB", "16 MiB": a bound, for messages."""
+    return f"{n_bytes >> 30} GiB" if n_bytes >= 1 << 30 else f"{n_bytes >> 20} MiB"
