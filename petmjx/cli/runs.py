@@ -71,8 +71,9 @@ def stoppable() -> Iterator[None]:
                 signal.signal(number, stop)
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        if last_s == -math.inf:  # else the process is about to end, and the rest of the burst may still come
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def run_and_show(
@@ -102,7 +103,7 @@ def run_and_show(
             if made is not None:
                 _remove_empty(made)
     if as_json:
-        print(json.dumps(_brief(results), indent=2))
+        print(json.dumps(brief(results), indent=2))
         return
     from petmjx.show.layout import print_each
     from petmjx.show.tables import run_tables
@@ -149,7 +150,8 @@ def _how_far(folder: Path, watcher: Any) -> str:
     return f"{of} {'is' if done == 1 else 'are'} done and in {folder}"
 
 
-def _brief(results: RunResults) -> dict[str, Any]:
+def brief(results: RunResults) -> dict[str, Any]:
+    """A run as --json prints it."""
     names = ("status", "counts", "timings", "device", "skipped", "warnings")
     brief = {"out": str(results.path), **{name: results.info[name] for name in names}}
     if results.summary is not None:

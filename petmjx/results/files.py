@@ -18,6 +18,7 @@ import contextlib
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -60,6 +61,13 @@ def write_text(text: str, path: Path) -> None:
     """Write one UTF-8 text file so that it appears whole or not at all."""
     with _replacing(path) as file:
         file.write(text.encode())
+
+
+def copy_file(source: Path, path: Path) -> None:
+    """Copy one file so that it appears whole or not at all."""
+    path.parent.mkdir(exist_ok=True)
+    with source.open("rb") as original, _replacing(path) as file:
+        shutil.copyfileobj(original, file)
 
 
 def holds_run(folder: Path) -> bool:

@@ -23,6 +23,7 @@ from petmjx.plans.plan import Plan, Skipped
 from petmjx.results.counts import Counts
 from petmjx.results.files import (
     RUN_FILE,
+    copy_file,
     drop_unfinished_parts,
     holds_run,
     make_room,
@@ -37,7 +38,7 @@ from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.parts import Part, Row
 from petmjx.results.plain import plain
-from petmjx.results.reader import read_info
+from petmjx.results.reader import read_info, read_part
 from petmjx.results.recorded import Recorded
 from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_schema
 from petmjx.results.shield import shielded
@@ -89,6 +90,7 @@ class RunWriter:
 
     Attributes:
         recorded: the worlds of a resumed run that are there already.
+        earlier_s: seconds to which this run's timings are added.
 
     Raises:
         InputError: the folder holds a run already (another one, with ``resume``), or cannot be written.
@@ -125,7 +127,7 @@ class RunWriter:
         self._status = "running"
         self._error: str | None = None
         self._started = time.monotonic()
-        self._before_s: dict[str, float] = {}
+        self.earlier_s: dict[str, float] = {}
         self._head: dict[str, Any] = {
             "started": _now(),
             "resumed": [],
@@ -167,7 +169,7 @@ class RunWriter:
             raise ValueError("a run without a manifest cannot be resumed")
         differs = self._manifest.difference_from(Manifest.read(self.out_dir, info))
         if differs:
-            raise InputError(f"{self.out_dir}: cannot be resumed, it is another run: {differs}")
+            raise InputError(f"{self.out_dir}: cannot be resumed, it is another run ({differs})")
         for name, version in self._head["versions"].items():
             before = info["versions"].get(name)
             if before != version:
@@ -176,7 +178,7 @@ class RunWriter:
         self.recorded = Recorded(self.out_dir, [param.name for param in self.params])
         numbers = [part_number(file) for file in part_files(self.out_dir, "worlds")]
         self._pending = _Pending(Part(max(numbers, default=-1) + 1), self.recorded.counts())
-        self._before_s = dict(info["timings"])
+        self.earlier_s = dict(info["timings"])
         self._head |= {"started": info["started"], "resumed": [*info["resumed"], _now()]}
 
     def __exit__(
@@ -211,7 +213,7 @@ class RunWriter:
     @property
     def info(self) -> dict[str, Any]:
         """What ``run.json`` says now. Counts are of worlds on disk."""
-        seconds = Counter(self._before_s)
+        seconds = Counter(self.earlier_s)
         seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})
         return {
             "schema_version": SCHEMA_VERSION,
@@ -274,6 +276,28 @@ class RunWriter:
         with self._lock:
             self._write_part(last=True)
 
+    def adopt(self, folder: Path) -> None:
+        """Take over the parts of another run, which has the same columns.
+
+        Raises:
+            PetmjxError: a part cannot be written.
+        """
+        for file in part_files(folder, "worlds"):
+            worlds = read_part(file, ("verdict", "reason", "attempt"))
+            if not len(worlds):
+                continue
+            with self._lock:
+                number = self._pending.part.number
+                try:
+                    for table in ("boxes", "attempts", "worlds"):
+                        source = folder / table / file.name
+                        if source.exists():
+                            copy_file(source, self.out_dir / table / part_name(number))
+                except OSError as error:
+                    raise self._trouble(error) from error
+                self._pending.counts.add(*(worlds[name].to_pylist() for name in ("verdict", "reason", "attempt")))
+                self._pending = _Pending(Part(number + 1), self._pending.counts)
+
     def skip(self, skipped: Skipped) -> None:
         """Record something that is not simulated, and why."""
         self.skipped.append(skipped)
@@ -300,17 +324,20 @@ class RunWriter:
         try:
             part.write(self.out_dir, self.schemas)
         except OSError as error:
-            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
+            raise self._trouble(error) from error
         # one assignment: an interrupt before it writes the same part again, one after it begins the next
         self._pending = self._pending.following()
         self._write_info()
+
+    def _trouble(self, error: OSError) -> PetmjxError:
+        return PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}")
 
     def _write_info(self) -> None:
         text = json.dumps(plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)
         try:
             write_text(text + "\n", self.out_dir / RUN_FILE)
         except OSError as error:
-            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
+            raise self._trouble(error) from error
 
 
 def write_summary(

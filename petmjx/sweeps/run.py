@@ -19,7 +19,7 @@ from petmjx.plans.plan import Plan
 from petmjx.results.recorded import Recorded
 from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup, SweepPlan
-from petmjx.sweeps.search import Bisection, Found, Tested
+from petmjx.sweeps.search import Bisection, Found, Probe
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -94,8 +94,8 @@ class Answer:
     found: Found
     largest_survived: float | None
     first_failed: float | None
-    at_largest: Tested | None
-    at_failure: Tested | None
+    at_largest: Probe | None
+    at_failure: Probe | None
 
 
 @dataclass
@@ -279,39 +279,39 @@ class SweepRun:
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         asked = [(start, number) for start in settled for number in range(len(items))]
-        bisection = self._bisection([Tested.of(start.outcome, tilt_deg) for start, _ in asked])
+        bisection = self._bisection([Probe.of(start.outcome, tilt_deg) for start, _ in asked])
 
         def variant(which: int, level: int) -> Variant:
             start, number = asked[which]
             return self.plan.search_variant(start.group, number, level)
 
-        def recorded(which: int, level: int) -> Tested | None:
+        def recorded(which: int, level: int) -> Probe | None:
             start, number = asked[which]
             return self._recorded_test(start.group, number, level)
 
         for which, found in enumerate(bisection.items):
             if not found.stands_at_rest and recorded(which, 0) is None:
                 yield _undriven(asked[which][0], variant(which, 0))
-        tested: dict[Test, Tested] = {}
+        tested: dict[Test, Probe] = {}
         while tests := bisection.next_tests():
             tested |= {test: known for test in tests if (known := recorded(*test)) is not None}
             missing = [test for test in tests if test not in tested]
             drives = (self._driving(asked[test[0]][0], variant(*test), test) for test in missing)
             for test, world in self._drive(drives):
-                tested[test] = Tested.of(world.outcome, tilt_deg, self.values_of(world))
+                tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
                 yield world
             bisection.record(tests, [tested[test] for test in tests])
             # Only the worlds at the bounds of an item's search may yet be an answer.
             tested = {test: tested[test] for test in bisection.bounds() if test in tested}
         self._answer([(start.group, number) for start, number in asked], bisection, tested)
 
-    def _bisection(self, at_rest: Sequence[Tested]) -> Bisection:
+    def _bisection(self, at_rest: Sequence[Probe]) -> Bisection:
         sweep = self.plan.sweep
         assert sweep.search is not None
         return Bisection(sweep.search_levels, at_rest, sweep.search.sections)
 
     def _answer(
-        self, asked: Sequence[tuple[PlacementGroup, int]], bisection: Bisection, tested: Mapping[Test, Tested]
+        self, asked: Sequence[tuple[PlacementGroup, int]], bisection: Bisection, tested: Mapping[Test, Probe]
     ) -> None:
         items = self.plan.search_items()
         for which, ((group, number), found) in enumerate(zip(asked, bisection.items, strict=True)):
@@ -336,7 +336,7 @@ class SweepRun:
         asked = {which for which, _ in bisection.next_tests()}
         if any(found.stands_at_rest and which not in asked for which, found in enumerate(bisection.items)):
             return False  # a search of one level, of which no world tells that the placement stood
-        tested: dict[Test, Tested] = {}
+        tested: dict[Test, Probe] = {}
         while tests := bisection.next_tests():
             worlds = [self._recorded_test(group, *test) for test in tests]
             known = [world for world in worlds if world is not None]
@@ -347,15 +347,15 @@ class SweepRun:
         self._answer([(group, number) for number in numbers], bisection, tested)
         return True
 
-    def _recorded_rest(self, group: PlacementGroup, number: int) -> Tested:
+    def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
         """What a placement came to, as far as records say: one that did not stand has a world without steps."""
         row = self._row(group, number, 0)
         fell = row is not None and row["n_steps"] == 0
-        return Tested.from_row(row) if fell and row is not None else Tested(Verdict.STABLE)
+        return Probe.from_row(row) if fell and row is not None else Probe(Verdict.STABLE)
 
-    def _recorded_test(self, group: PlacementGroup, number: int, level: int) -> Tested | None:
+    def _recorded_test(self, group: PlacementGroup, number: int, level: int) -> Probe | None:
         row = self._row(group, number, level)
-        return None if row is None else Tested.from_row(row)
+        return None if row is None else Probe.from_row(row)
 
     def _row(self, group: PlacementGroup, number: int, level: int) -> dict[str, Any] | None:
         if not len(self.recorded):

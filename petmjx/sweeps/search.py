@@ -35,7 +35,7 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 
 @dataclass(frozen=True)
-class Tested:
+class Probe:
     """What a search reads of a world. Its row in ``worlds`` says the same, so that a search can go on from there.
 
     Attributes:
@@ -50,14 +50,12 @@ class Tested:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None
-    ) -> Tested:
+    def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
         """Of a world that was simulated; ``tilt_deg``: from where on a box that failed is said to have tilted."""
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), values or {})
 
     @classmethod
-    def from_row(cls, row: Mapping[str, Any]) -> Tested:
+    def from_row(cls, row: Mapping[str, Any]) -> Probe:
         """Of a world's row, column → value, null as None."""
         culprit = -1 if row["culprit"] is None else int(row["culprit"])
         return cls(Verdict(row["verdict"]), culprit, row["mode"], row)
@@ -114,7 +112,7 @@ class Bisection:
     def __init__(
         self,
         levels: ArrayLike,
-        at_rest: Sequence[Tested],
+        at_rest: Sequence[Probe],
         sections: int = 3,
     ) -> None:
         self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
@@ -125,7 +123,7 @@ class Bisection:
         self.sections = sections
         self.items = [self._at_begin(world) for world in at_rest]
 
-    def _at_begin(self, world: Tested) -> Found:
+    def _at_begin(self, world: Probe) -> Found:
         if world.verdict is not Verdict.STABLE:
             return Found(False, -1, 0, -1, world.culprit, world.mode)
         survived = 0 if self.levels[0] == 0 else -1
@@ -155,7 +153,7 @@ class Bisection:
             tests += [(item, found.survived + step) for step in steps.tolist()]
         return tests
 
-    def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Tested]) -> None:
+    def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
         """Take the worlds of a round's tests.
 
         A world without a verdict that can be believed has not survived: its mode is why it is invalid.
