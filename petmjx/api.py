@@ -207,7 +207,8 @@ def _simulate(
             )
             if watcher is not None:
                 what = "plan" if command == "score" else "world"
-                size = plan.size(choice.seconds)
+                left = 1 - len(writer.recorded) / max(plan.n_worlds, 1)
+                size = plan.size(None if choice.seconds is None else choice.seconds * left)
                 watcher.begin(RunStart(what, total, size, choice, progress, len(writer.recorded)))
             for world in swept.worlds():
                 values = columns.of(world) if columns else None

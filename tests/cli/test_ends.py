@@ -52,9 +52,13 @@ def test_ctrl_c_in_the_end_is_put_off_until_the_last_part_is_written(
             signal.raise_signal(signal.SIGINT)
         real(source, target)
 
-    with pytest.raises(KeyboardInterrupt), RunWriter(tmp_path, {}) as writer:
-        writer.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
-        monkeypatch.setattr(files.os, "replace", replace)
+    def end_under_fire() -> None:
+        with RunWriter(tmp_path, {}) as writer:
+            writer.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
+            monkeypatch.setattr(files.os, "replace", replace)
+
+    with pytest.raises(KeyboardInterrupt):
+        end_under_fire()
     assert (load_run(tmp_path).info["status"], len(load_run(tmp_path).worlds)) == ("finished", 1)
 
 

@@ -162,20 +162,28 @@ def test_temporary_files_cannot_be_planted(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_folder_that_vanishes_ends_the_run_in_one_line(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    with pytest.raises(PetmjxError, match="cannot write results: No such file"), RunWriter(folder, {}) as run:
-        folder.rename(tmp_path / "away")
-        run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+
+    def vanish() -> None:
+        with RunWriter(folder, {}) as run:
+            folder.rename(tmp_path / "away")
+            run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+
+    with pytest.raises(PetmjxError, match="cannot write results: No such file"):
+        vanish()
     assert not folder.exists()
 
 
 def test_a_disk_that_is_full_for_run_json_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(PetmjxError, match="cannot write results: No space"), RunWriter(tmp_path, {}) as run:
-        run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
 
-        def full(*_: Any) -> None:
-            raise OSError(28, "No space left on device")
+    def fill() -> None:
+        with RunWriter(tmp_path, {}) as run:
+            run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+            monkeypatch.setattr(files.os, "fsync", full)
 
-        monkeypatch.setattr(files.os, "fsync", full)
+    with pytest.raises(PetmjxError, match="cannot write results: No space"):
+        fill()
 
 
 def test_a_part_is_written_after_a_while_though_no_world_finishes(tmp_path: Path) -> None:

@@ -131,17 +131,18 @@ def test_boxes_that_are_missing_are_named(tmp_path: Path) -> None:
     [
         ({"schedule": "fixed"}, "simulation.schedule is fixed, was adaptive"),
         ({"thresholds": {"tilt_deg": 5}}, "simulation.thresholds.tilt_deg is 5.0, was 20.0"),
-        ({"plans": PLANS[:9]}, r"\(1 plan more\)"),
-        ({"plans": PLANS[1:8]}, r"\(1 plan fewer\)"),
-        ({"plans": [*PLANS[:7], make_plan("plan-07", 2)]}, r"\(plan plan-07 differs\)"),
+        ({"plans": PLANS[:9]}, "(1 plan more)"),
+        ({"plans": PLANS[1:8]}, "(1 plan fewer)"),
+        ({"plans": [*PLANS[:7], make_plan("plan-07", 2)]}, "(plan plan-07 differs)"),
         ({"shard": "1/2"}, "shard is 1/2, was none"),
     ],
 )
 def test_another_run_is_not_gone_on_with(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     simulate("score", tmp_path / "run")
     before = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
-    with pytest.raises(petmjx.InputError, match=f"cannot be resumed, it is another run.*{message}"):
+    with pytest.raises(petmjx.InputError, match="cannot be resumed, it is another run") as caught:
         simulate("score", tmp_path / "run", resume=True, **changes)
+    assert message in str(caught.value)
     assert {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()} == before
 
 
@@ -207,7 +208,7 @@ def test_the_digest_of_ten_thousand_plans_is_quick() -> None:
 def test_shares_are_fixed_and_about_equal() -> None:
     ids = [f"{number:08}" for number in range(4_000)]
     shards = [[each for each in ids if RunOptions(shard=f"{i}/4").takes(each)] for i in range(1, 5)]
-    assert sorted(sum(shards, [])) == ids
+    assert sorted(each for shard in shards for each in shard) == ids
     assert all(900 < len(shard) < 1_100 for shard in shards)
     assert shards[0][:3] == ["00000000", "00000007", "00000014"]
 
