@@ -71,8 +71,8 @@ def copy_file(source: Path, path: Path) -> None:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one."""
-    return (folder / RUN_FILE).exists() or bool(part_files(folder, "worlds"))
+    """Whether a folder has a run, or parts of one. The table ``plans`` alone is none: it comes before ``run.json``."""
+    return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in TABLES if table != "plans")
 
 
 def make_room(folder: Path, overwrite: bool) -> None:

@@ -150,6 +150,20 @@ def test_overwriting_takes_away_nothing_of_others(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+def test_parts_without_run_json_are_not_mixed_with_a_new_run(tmp_path: Path) -> None:
+    """What is left where overwriting was cut short."""
+    write_run(tmp_path, "a", "b", worlds_per_part=1)
+    (tmp_path / "run.json").unlink()
+    for file in tmp_path.glob("worlds/*"):
+        file.unlink()
+    with pytest.raises(InputError, match="holds a run already"):
+        write_run(tmp_path, "c")
+    with pytest.raises(InputError, match="it has no run"):
+        write_run(tmp_path, "c", resume=True)
+    write_run(tmp_path, "c", overwrite=True)
+    assert [file.name for file in tmp_path.glob("boxes/*")] == ["part-00000.parquet"]
+
+
 def test_temporary_files_cannot_be_planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     victim = tmp_path / "victim"
     victim.write_text("mine")

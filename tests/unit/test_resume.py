@@ -163,7 +163,7 @@ def test_a_changed_profile_of_the_same_name_is_another_sweep(tmp_path: Path) -> 
     file.write_text(text)
     petmjx.sweep(file, PLANS[:1], engine=Counting(), out=tmp_path / "run")
     file.write_text(text.replace("0.1, 0, 0", "0.2, 0, 0"))
-    with pytest.raises(petmjx.InputError, match="sweep.profiles.push is"):
+    with pytest.raises(petmjx.InputError, match=r"sweep.profiles.push is"):
         petmjx.sweep(file, PLANS[:1], engine=Counting(), out=tmp_path / "run", resume=True)
 
 
