@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from petmjx.plans.read import load_plans
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
+    from petmjx.sweeps.merge import merge_runs
 
 __version__ = "0.2.0.dev0"
 
@@ -52,6 +53,7 @@ _HOME = {
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
     "compare_runs": "petmjx.results.compare",
+    "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
     "load_run": "petmjx.results.reader",
 }
@@ -79,6 +81,7 @@ __all__ = [
     "compare_runs",
     "load_plans",
     "load_run",
+    "merge_runs",
     "score",
     "sweep",
 ]

@@ -9,7 +9,7 @@ import inspect
 import tempfile
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -20,14 +20,23 @@ from petmjx.engines.choose import Choice, resolve_engine
 from petmjx.machine import device_name, package_versions
 from petmjx.plans.gather import PathArgument, PlanSource, usable_plans
 from petmjx.plans.plan import PlanSet
+from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.writer import RunWriter, write_summary
 from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.identity import sweep_identity
 from petmjx.sweeps.ready import find_sweep
 from petmjx.sweeps.run import Batching, SweepRun, SweptWorld
 from petmjx.sweeps.sliding import hopeless_profiles
-from petmjx.sweeps.summary import SweepColumns, search_frame, search_row, summarise_shares, summary_units
+from petmjx.sweeps.summary import (
+    ShareColumns,
+    SweepColumns,
+    search_frame,
+    search_row,
+    summarise_shares,
+    summary_units,
+)
 from petmjx.text import shown
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -43,6 +52,7 @@ class RunStart:
         size: one line with the number of worlds and steps, and the estimated time.
         choice: which engine, and why.
         progress: kept up to date by the engine.
+        recorded: worlds that a resumed run has already; they are part of the total.
     """
 
     what: str
@@ -50,6 +60,7 @@ class RunStart:
     size: str
     choice: Choice
     progress: Progress
+    recorded: int = 0
 
 
 class Watcher(Protocol):
@@ -148,44 +159,61 @@ def _simulate(
     sim = asked.simulation
     found = usable_plans(plans, sim, options)
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
+    everything = plan.plans
+    plan.plans = [each for each in everything if options.takes(each.plan_id)]
     engine, choice = resolve_engine(options, plan.work())
     columns = SweepColumns(plan) if command == "sweep" else None
+    shares = ShareColumns.of(plan) if command == "sweep" and asked.search is None else None
     total = plan.n_worlds if asked.search is None else None
     progress = Progress()
-    rows: list[dict[str, Any]] = []
-    swept = SweepRun(
-        plan,
-        engine,
-        on_answer=lambda answer: rows.append(search_row(answer, columns)) if columns else None,
-        progress=progress,
-        batching=batching,
-    )
+    settings = {
+        "command": command,
+        "simulation": sim.model_dump(mode="json"),
+        **({"sweep": sweep_identity(asked)} if command == "sweep" else {}),
+        "engine": choice.name,
+        "shard": options.shard,
+    }
     config = {
         "command": command,
         **({"sweep": asked.resolved()} if command == "sweep" else {}),
         "simulation": sim.model_dump(mode="json"),
-        **options.model_dump(mode="json", exclude={"engine", "out", "overwrite"}),
+        **options.model_dump(mode="json", exclude={"engine", "out", "overwrite", "resume"}),
+        **({"shares": asdict(shares)} if shares else {}),
         "engine": choice.name,
         "engine_reason": choice.reason,
     }
 
     def run(folder: Path) -> RunResults:
+        rows: list[dict[str, Any]] = []
         with RunWriter(
             folder,
             config,
+            manifest=Manifest.of(settings, everything),
             params=columns.params if columns else (),
             dynamic=bool(columns and columns.has_drives),
             versions=package_versions(),
             device=device_name(choice.name, options.threads),
             expected_worlds=total,
             overwrite=options.overwrite,
+            resume=options.resume,
         ) as writer:
             _note_input(writer, replace(found, skipped=[*found.skipped, *plan.skipped]))
             for note in hopeless_profiles(asked):
                 writer.warn(note)
+            swept = SweepRun(
+                plan,
+                engine,
+                on_answer=lambda answer: rows.append(search_row(answer, columns)) if columns else None,
+                values_of=columns.of if columns else lambda world: {},
+                recorded=writer.recorded,
+                progress=progress,
+                batching=batching,
+            )
             if watcher is not None:
                 what = "plan" if command == "score" else "world"
-                watcher.begin(RunStart(what, total, plan.size(choice.seconds), choice, progress))
+                left = 1 - len(writer.recorded) / max(plan.n_worlds, 1)
+                size = plan.size(None if choice.seconds is None else choice.seconds * left)
+                watcher.begin(RunStart(what, total, size, choice, progress, len(writer.recorded)))
             for world in swept.worlds():
                 values = columns.of(world) if columns else None
                 writer.add(
@@ -203,9 +231,10 @@ def _simulate(
                 if watcher is not None:
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=progress.compile_s)
-        if columns:
-            frame = search_frame(rows) if asked.search is not None else summarise_shares(folder, plan)
-            write_summary(folder, frame, *summary_units(frame, plan))
+            if columns and plan.plans:  # a shard may have none
+                writer.flush()  # shares are taken of what is on disk
+                frame = summarise_shares(folder, shares) if shares else search_frame(rows)
+                write_summary(folder, frame, *summary_units(frame, plan))
         return load_run(folder)
 
     return run(options.out) if options.out is not None else _in_temporary_folder(run)

@@ -6,6 +6,8 @@ and the ``[simulation]`` table of sweep files are made from these records. ``run
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -340,6 +342,16 @@ class Simulation(Checked):
 AUTO: Final = "auto"
 
 
+def _share(text: str | None) -> str | None:
+    """I/N with 1 ≤ I ≤ N."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"0*(\d{1,9})/0*(\d{1,9})", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise ValueError(f"must be I/N with 1 ≤ I ≤ N, such as 3/16, {got(text)}")
+    return f"{found[1]}/{found[2]}"
+
+
 class RunOptions(Checked):
     """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
     ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
@@ -376,6 +388,29 @@ class RunOptions(Checked):
     overwrite: Annotated[bool, Flag("--overwrite")] = Field(
         False, description="replace the results that the folder holds"
     )
+    resume: Annotated[bool, Flag("--resume")] = Field(
+        False,
+        description="go on with the run that the folder holds: simulate what is missing of it; begin if it holds none",
+    )
+    shard: Annotated[str | None, AfterValidator(_share), Flag("--shard", "I/N")] = Field(
+        None, description="take only the I-th of N shares of the plans, I from 1; petmjx merge joins the results"
+    )
+
+    @model_validator(mode="after")
+    def _folder_is_named(self) -> Self:
+        if self.resume and self.out is None:
+            raise complaint("needs out: which run is to go on?", "resume")
+        if self.resume and self.overwrite:
+            raise complaint("contradicts overwrite: drop one of them", "resume")
+        return self
+
+    def takes(self, plan_id: str) -> bool:
+        """Whether a plan is in this run's shard. That depends on its id alone, so that all its worlds stay together."""
+        if self.shard is None:
+            return True
+        share, shares = (int(number) for number in self.shard.split("/"))
+        digest = hashlib.blake2b(plan_id.encode("utf-8", "backslashreplace"), digest_size=8).digest()
+        return int.from_bytes(digest, "big") % shares == share - 1
 
 
 def sorted_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -13,7 +14,7 @@ from typing import Annotated
 import typer
 
 from petmjx import __version__
-from petmjx.cli import compare, doctor, export, samples, score, sweep
+from petmjx.cli import compare, doctor, export, merge, samples, score, sweep
 from petmjx.cli.console import prepare_streams
 from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
@@ -27,7 +28,17 @@ class ExitCode(IntEnum):
     OK = 0
     FAILURE = 1
     UNUSABLE = 2
+    HUNG_UP = 129
     INTERRUPTED = 130
+    TERMINATED = 143
+
+
+_BY_SIGNAL = {
+    signal.SIGHUP: ExitCode.HUNG_UP,
+    signal.SIGINT: ExitCode.INTERRUPTED,
+    signal.SIGTERM: ExitCode.TERMINATED,
+}
+"""128 + the number of the signal, as shells have it."""
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
@@ -40,7 +51,8 @@ _SETTINGS = SimpleNamespace(debug=False)
 app = typer.Typer(
     name="petmjx",
     help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
-    epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted.",
+    epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted "
+    "(143 by SIGTERM, 129 by SIGHUP).",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
@@ -49,6 +61,7 @@ app = typer.Typer(
 for _command, _short_help in (
     (score.score, "Say which packing plans stand."),
     (sweep.sweep, "Simulate plans in many variants: forces, friction, errors."),
+    (merge.merge, "Join the shards of a run."),
     (compare.compare, "Compare two runs of the same plans."),
     (samples.samples, "Write packing plans with BED-BPP's statistics."),
     (export.export, "Write the MuJoCo model of one plan."),
@@ -106,7 +119,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)
     except Interrupted as interrupt:
-        return _report(f"interrupted: {interrupt}", ExitCode.INTERRUPTED)
+        return _report(f"interrupted: {interrupt}", _BY_SIGNAL[signal.Signals(interrupt.number)])
     except (InputError, EngineUnavailable) as error:
         return _report(str(error), ExitCode.UNUSABLE)
     except PetmjxError as error:
@@ -124,7 +137,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
 def _report(message: str, code: ExitCode) -> int:
     """Print one line to standard error (the traceback before it with --debug)."""
     with suppress(OSError):  # nobody reads it
-        if _SETTINGS.debug and code is not ExitCode.INTERRUPTED:
+        if _SETTINGS.debug and code not in _BY_SIGNAL.values():
             import traceback
 
             traceback.print_exc()

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Callable, Mapping
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.cli.console import results_console
 from petmjx.errors import InputError
@@ -17,8 +24,56 @@ if TYPE_CHECKING:
     from petmjx.results.reader import RunResults
 
 
+BURST_S: Final = 2.0
+"""Signals that come closer than this are one: who presses Ctrl-C six times in a row wants the run to end, once."""
+
+
 class Interrupted(Exception):
-    """Ctrl-C, with the number of finished worlds. (typer would end on a KeyboardInterrupt without a message.)"""
+    """Ctrl-C or a signal to end, with how far the run came. (A bare KeyboardInterrupt would end inside typer, without a
+    word.)
+
+    Attributes:
+        number: of the signal.
+    """
+
+    def __init__(self, how_far: str, number: int) -> None:
+        super().__init__(how_far)
+        self.number = number
+
+
+class _Stopped(KeyboardInterrupt):
+    """What a signal to end raises where the run is."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """SIGTERM and SIGHUP end the body as Ctrl-C does, each burst of signals once. What is ignored stays so (nohup)."""
+    last_s = -math.inf
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal last_s
+        now_s, before_s = time.monotonic(), last_s
+        last_s = now_s
+        if now_s - before_s >= BURST_S:
+            raise _Stopped(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, stop)
+        yield
+    finally:
+        if last_s == -math.inf:  # else the process is about to end, and the rest of the burst may still come
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def run_and_show(
@@ -30,19 +85,25 @@ def run_and_show(
         run: called with a watcher and the options, which have the folder.
 
     Raises:
-        Interrupted: Ctrl-C.
+        Interrupted: Ctrl-C, SIGTERM or SIGHUP.
     """
     from petmjx.show.progress import BarWatcher
 
-    folder = Path(options.setdefault("out", default_folder()))
     watcher = BarWatcher()
-    try:
-        with watcher:
-            results = run(watcher, options)
-    except KeyboardInterrupt:
-        raise Interrupted(_how_far(folder, watcher)) from None
+    with stoppable():
+        made = None if "out" in options or options.get("resume") else default_folder()
+        if made is not None:
+            options["out"] = made
+        try:
+            with watcher:
+                results = run(watcher, options)
+        except KeyboardInterrupt as stop:
+            raise Interrupted(_how_far(Path(options["out"]), watcher), getattr(stop, "number", signal.SIGINT)) from None
+        finally:
+            if made is not None:
+                _remove_empty(made)
     if as_json:
-        print(json.dumps(_brief(results), indent=2))
+        print(json.dumps(brief(results), indent=2))
         return
     from petmjx.show.layout import print_each
     from petmjx.show.tables import run_tables
@@ -51,8 +112,30 @@ def run_and_show(
 
 
 def default_folder() -> Path:
-    """A folder named after date and time."""
-    return Path("petmjx-results") / datetime.now().strftime("%Y%m%d-%H%M%S")
+    """Make a folder named after this moment that no other run has.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    parent = Path("petmjx-results")
+    name = datetime.now().strftime("%Y%m%d-%H%M%S")
+    try:
+        parent.mkdir(exist_ok=True)
+        for number in itertools.count(1):
+            folder = parent / (name if number == 1 else f"{name}-{number}")
+            with suppress(FileExistsError):
+                folder.mkdir()
+                break
+    except OSError as error:
+        raise InputError(f"{parent}: cannot write results there: {error.strerror or error}") from error
+    return folder
+
+
+def _remove_empty(folder: Path) -> None:
+    """Take away a folder that was made for a run that did not begin, and the one around it."""
+    with suppress(OSError):
+        folder.rmdir()
+        folder.parent.rmdir()
 
 
 def _how_far(folder: Path, watcher: Any) -> str:
@@ -67,7 +150,8 @@ def _how_far(folder: Path, watcher: Any) -> str:
     return f"{of} {'is' if done == 1 else 'are'} done and in {folder}"
 
 
-def _brief(results: RunResults) -> dict[str, Any]:
+def brief(results: RunResults) -> dict[str, Any]:
+    """A run as --json prints it."""
     names = ("status", "counts", "timings", "device", "skipped", "warnings")
     brief = {"out": str(results.path), **{name: results.info[name] for name in names}}
     if results.summary is not None:

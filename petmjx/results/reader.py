@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from petmjx.errors import InputError
+from petmjx.results.counts import Counts
 from petmjx.results.files import RUN_FILE, part_files
 from petmjx.results.schema import SCHEMA_VERSION, schema_version_of, schemas
 from petmjx.text import counted, one_line
@@ -59,17 +61,17 @@ class RunResults:
     def summary(self) -> pd.DataFrame | None:
         """A sweep's answers; None if the run has none."""
         files = part_files(self.path, "summary")
-        return pa.concat_tables([_read_part(file) for file in files]).to_pandas() if files else None
+        return pa.concat_tables([read_part(file) for file in files]).to_pandas() if files else None
 
     def units(self, table: str) -> dict[str, str]:
         """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty if the run has no such table."""
         files = part_files(self.path, table)
-        schema = _read_part(files[0]).schema if files else pa.schema([])
+        schema = read_part(files[0]).schema if files else pa.schema([])
         return {column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema}
 
     def _read(self, table: str) -> pd.DataFrame:
         files = [self.path / table / file.name for file in part_files(self.path, "worlds")]
-        parts = [_read_part(file) for file in files if table != "attempts" or file.exists()]
+        parts = [read_part(file) for file in files if table != "attempts" or file.exists()]
         parts = parts or [schemas()[table].empty_table()]
         frame: pd.DataFrame = pa.concat_tables(parts, promote_options="default").to_pandas()
         return frame
@@ -83,6 +85,26 @@ def load_run(path: str | Path) -> RunResults:
             it too when they are read, for a damaged or missing part.
     """
     folder = Path(path)
+    info = read_info(folder)
+    expected = info.get("counts", {}).get("worlds")
+    if isinstance(expected, int):
+        found = sum(_rows(file) for file in part_files(folder, "worlds"))
+        if found != expected and info.get("status") == "finished":
+            raise InputError(
+                f"{folder}: {counted(found, 'world')} on disk, though the run finished with {expected:,}: parts were "
+                "taken away or added"
+            )
+        if found != expected:  # killed after a part was written, before run.json was
+            info["counts"] |= _counted(folder).as_json()
+    return RunResults(folder, info)
+
+
+def read_info(folder: Path) -> dict[str, Any]:
+    """``run.json`` as it stands there.
+
+    Raises:
+        InputError: no run there, an unreadable ``run.json``, or results of a newer petmjx.
+    """
     file = folder / RUN_FILE
     try:
         info = json.loads(file.read_text(encoding="utf-8"))
@@ -94,14 +116,37 @@ def load_run(path: str | Path) -> RunResults:
     if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     _check_version(file, info["schema_version"])
-    return RunResults(folder, info)
+    return info
 
 
-def _read_part(file: Path) -> pa.Table:
-    # read_table would take "a=1" in the name of a folder for a column; ParquetFile does not
+def _counted(folder: Path) -> Counts:
+    """The counts of the worlds on disk."""
+    counts = Counts()
+    for file in part_files(folder, "worlds"):
+        part = read_part(file, ("verdict", "reason", "attempt")).to_pydict()
+        counts.add(part["verdict"], part["reason"], part["attempt"])
+    return counts
+
+
+def _rows(file: Path) -> int:
+    """How many worlds a part has, without reading them."""
+    try:
+        rows: int = pq.read_metadata(file).num_rows
+    except (pa.ArrowException, OSError):
+        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from None
+    return rows
+
+
+def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """One Parquet file, or some of its columns.
+
+    Raises:
+        InputError: missing, damaged, or of a newer petmjx.
+    """
+    # ParquetFile and not read_table, which would read "a=1" in a folder's name as a column
     try:
         with pq.ParquetFile(file) as parquet:
-            table = parquet.read()
+            table = parquet.read(None if columns is None else list(columns))
     except FileNotFoundError:
         raise InputError(f"{file}: missing, though the worlds of this part are there") from None
     except (pa.ArrowException, OSError) as error:

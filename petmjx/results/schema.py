@@ -126,6 +126,14 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa
     return {table: _schema(table, columns) for table, columns in tables.items()}
 
 
+def plans_schema() -> pa.Schema:
+    """Schema of ``plans``: what the run was of, to tell whether another run has the same plans."""
+    texts = _texts(
+        plan_id="id of the packing plan", digest="of all that reaches the results", source="the file it came from"
+    )
+    return _schema("plans", texts)
+
+
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:
     """Schema of ``summary`` from the columns of a data frame, with a unit for every number.
 

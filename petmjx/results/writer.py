@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
+import threading
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,12 +20,30 @@ import pyarrow as pa
 
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.plan import Plan, Skipped
-from petmjx.results.files import RUN_FILE, make_room, part_name, write_table, write_text
+from petmjx.results.counts import Counts
+from petmjx.results.files import (
+    RUN_FILE,
+    copy_file,
+    drop_unfinished_parts,
+    holds_run,
+    make_room,
+    part_files,
+    part_name,
+    part_number,
+    tidy,
+    write_table,
+    write_text,
+)
+from petmjx.results.lock import locked
+from petmjx.results.manifest import Manifest
 from petmjx.results.parts import Part, Row
 from petmjx.results.plain import plain
+from petmjx.results.reader import read_info, read_part
+from petmjx.results.recorded import Recorded
 from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_schema
+from petmjx.results.shield import shielded
 from petmjx.text import one_line
-from petmjx.verdict import Attempt, Outcome, Reason, Verdict
+from petmjx.verdict import Attempt, Outcome
 
 WORLDS_PER_PART: Final = 1_000
 """A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little."""
@@ -37,26 +57,16 @@ class _Pending:
     """The part that is being collected, and what was written before it."""
 
     part: Part
-    verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
-    retried: int = 0
+    counts: Counts = field(default_factory=Counts)
     since_s: float = 0.0
     """When its first world came (monotonic clock). Time before that, such as for compiling, does not count."""
 
     def following(self) -> _Pending:
         """The next part, once this one is written."""
-        rows = self.part.rows
-        verdicts = self.verdicts + Counter((row.cells["verdict"], row.cells["reason"]) for row in rows)
-        return _Pending(Part(self.part.number + 1), verdicts, self.retried + sum(bool(row.attempts) for row in rows))
-
-    def counts(self) -> dict[str, Any]:
-        """Counts of what was written, for run.json: worlds by verdict, and those that are not stable by reason."""
-        by_reason: dict[str, dict[str, int]] = {Verdict.UNSTABLE.value: {}, Verdict.INVALID.value: {}}
-        by_verdict = {verdict.value: 0 for verdict in Verdict}
-        for (verdict, reason), count in sorted(self.verdicts.items()):
-            by_verdict[verdict.value] += count
-            if verdict is not Verdict.STABLE:
-                by_reason[verdict.value][reason.value] = count
-        return {"worlds": self.verdicts.total(), **by_verdict, "by_reason": by_reason, "retried": self.retried}
+        counts = Counts(Counter(self.counts.verdicts), self.counts.retried)
+        cells = [row.cells for row in self.part.rows]
+        counts.add(*([cell[name] for cell in cells] for name in ("verdict", "reason", "attempt")))
+        return _Pending(Part(self.part.number + 1), counts)
 
 
 class RunWriter:
@@ -74,11 +84,17 @@ class RunWriter:
         versions: package → version; Python's own is added.
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
+        manifest: what the run is of; without one it cannot be resumed.
         overwrite: replace a run that is in the folder.
+        resume: continue the same run, if there is one.
         worlds_per_part, seconds_per_part: a part is written when one of them is reached.
 
+    Attributes:
+        recorded: the worlds of a resumed run that are there already.
+        earlier_s: seconds to which this run's timings are added.
+
     Raises:
-        InputError: the folder has a run already, or cannot be written.
+        InputError: the folder has a run already (another one, with ``resume``), or cannot be written.
     """
 
     def __init__(
@@ -86,33 +102,41 @@ class RunWriter:
         out_dir: str | Path,
         config: Mapping[str, Any],
         *,
+        manifest: Manifest | None = None,
         params: Sequence[Param] = (),
         dynamic: bool = False,
         versions: Mapping[str, str] | None = None,
         device: str = "",
         expected_worlds: int | None = None,
         overwrite: bool = False,
+        resume: bool = False,
         worlds_per_part: int = WORLDS_PER_PART,
         seconds_per_part: float = SECONDS_PER_PART,
     ) -> None:
         self.out_dir = Path(out_dir)
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic)
+        self.recorded = Recorded()
         self.skipped: list[Skipped] = []
         self.warnings: list[str] = []
         """About the whole run."""
         self.odd_plans: list[str] = []
         """A line for each plan with overlapping, floating or outside boxes."""
         self.timings: dict[str, float] = {}
-        self._overwrite = overwrite
+        self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
+        self._lock = threading.Lock()  # of the pending part and of run.json
+        self._timer = threading.Timer(0, self._time_is_up)
         self._pending = _Pending(Part(0))
         self._status = "running"
         self._error: str | None = None
         self._started = time.monotonic()
-        self._head = {
+        self.earlier_s: dict[str, float] = {}
+        self._head: dict[str, Any] = {
             "started": _now(),
+            "resumed": [],
             "config": dict(config),
+            **({"identity": manifest.identity} if manifest else {}),
             "versions": {"python": platform.python_version(), **(versions or {})},
             "device": device,
             "expected_worlds": expected_worlds,
@@ -120,47 +144,93 @@ class RunWriter:
         }
 
     def __enter__(self) -> Self:
-        try:
-            make_room(self.out_dir, self._overwrite)
-            self._write_info()
-        except OSError as error:
-            raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
+        with contextlib.ExitStack() as until_exit:
+            try:
+                self.out_dir.mkdir(parents=True, exist_ok=True)
+                if not until_exit.enter_context(locked(self.out_dir)):
+                    self.warn("the file system has no locks: another run into the same folder is not noticed")
+                tidy(self.out_dir)
+                if self._resume and holds_run(self.out_dir):
+                    self._go_on()
+                else:
+                    make_room(self.out_dir, self._overwrite)
+                    if self._manifest is not None:
+                        self._manifest.write(self.out_dir)
+                self._write_info()
+            except OSError as error:
+                raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
+            self._until_exit = until_exit.pop_all()
         return self
+
+    def _go_on(self) -> None:
+        """Take up the run that is in the folder.
+
+        Raises:
+            InputError: it is another run, or damaged.
+        """
+        info = read_info(self.out_dir)
+        if self._manifest is None:
+            raise ValueError("a run without a manifest cannot be resumed")
+        differs = self._manifest.difference_from(Manifest.read(self.out_dir, info))
+        if differs:
+            raise InputError(f"{self.out_dir}: cannot be resumed, it is another run ({differs})")
+        for name, version in self._head["versions"].items():
+            before = info["versions"].get(name)
+            if before != version:
+                self.warn(f"resumed with {name} {version}; worlds before were simulated with {before or 'none'}")
+        drop_unfinished_parts(self.out_dir)
+        self.recorded = Recorded(self.out_dir, [param.name for param in self.params])
+        numbers = [part_number(file) for file in part_files(self.out_dir, "worlds")]
+        self._pending = _Pending(Part(max(numbers, default=-1) + 1), self.recorded.counts())
+        self.earlier_s = dict(info["timings"])
+        self._head |= {"started": info["started"], "resumed": [*info["resumed"], _now()]}
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if error is None:
-            self._status = "finished"
-        elif isinstance(error, KeyboardInterrupt | SystemExit):
-            self._status = "interrupted"
-        else:
-            self._status, self._error = "failed", one_line(error)
-        if error is not None:
-            self._write_info()  # if a second Ctrl-C stops the last part, run.json at least says so
-        try:
-            self._flush(last=True)
-        except Exception as trouble:
+        # of several Ctrl-C in a row the first one ends the run; the others must not cost what it has gathered
+        with shielded(afterwards=error is None), self._until_exit:
+            self._timer.cancel()
             if error is None:
-                self._status, self._error = "failed", one_line(trouble)
+                self._status = "finished"
+            elif isinstance(error, KeyboardInterrupt | SystemExit):
+                self._status = "interrupted"
+            else:
+                self._status, self._error = "failed", one_line(error)
+            try:
+                with self._lock:
+                    self._write_part(last=True)
+            except PetmjxError as trouble:
+                if error is None:
+                    self._status, self._error = "failed", one_line(trouble)
+                    with contextlib.suppress(PetmjxError):
+                        self._write_info()
+                    raise
+                # the error that ended the body is the one to tell; this one is kept beside it
+                self.warn(f"the last part could not be written: {one_line(trouble)}")
+            try:
                 self._write_info()
-                raise
-            # the error that ended the body is reported; this one becomes a warning
-            self.warn(f"the last part could not be written: {one_line(trouble)}")
-        self._write_info()
+            except PetmjxError:
+                if error is None:
+                    raise
 
     @property
     def info(self) -> dict[str, Any]:
-        """The present content of ``run.json``. Counts are of worlds on disk."""
-        wall_s = time.monotonic() - self._started
+        """What ``run.json`` says now. Counts are of worlds on disk."""
+        seconds = Counter(self.earlier_s)
+        seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})
         return {
             "schema_version": SCHEMA_VERSION,
             "status": self._status,
             **({"error": self._error} if self._error else {}),
             **self._head,
             "updated": _now(),
-            "counts": {**self._pending.counts(), "skipped_plans": len(self.skipped), "odd_plans": len(self.odd_plans)},
-            "timings": {**self.timings, "wall_s": round(wall_s, 3)},
+            "counts": {
+                **self._pending.counts.as_json(),
+                "skipped_plans": len(self.skipped),
+                "odd_plans": len(self.odd_plans),
+            },
+            "timings": dict(seconds),
             "skipped": [{"plan_id": s.plan_id or "", "source": s.source, "error": s.message} for s in self.skipped],
             "warnings": [*self.warnings, *self.odd_plans],
         }
@@ -193,14 +263,48 @@ class RunWriter:
         if len(values) > len(self.params):
             raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
         row = Row.of(plan, variant, engine, str(schedule), outcome, attempts, values)
-        pending, rows = self._pending, self._pending.part.rows
-        if not rows:
-            pending.since_s = time.monotonic()
-        rows.append(row)
-        enough = len(rows) >= self._worlds_per_part
-        if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
-            self._flush()
-            self._write_info()
+        with self._lock:
+            pending, rows = self._pending, self._pending.part.rows
+            if not rows:
+                pending.since_s = time.monotonic()
+                self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
+                self._timer.daemon = True
+                self._timer.start()
+            rows.append(row)
+            enough = len(rows) >= self._worlds_per_part
+            if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
+                self._write_part()
+
+    def flush(self) -> None:
+        """Write what is gathered, for whoever reads the folder before the run is over.
+
+        Raises:
+            PetmjxError: the part cannot be written.
+        """
+        with self._lock:
+            self._write_part(last=True)
+
+    def adopt(self, folder: Path) -> None:
+        """Take over the parts of another run, which has the same columns.
+
+        Raises:
+            PetmjxError: a part cannot be written.
+        """
+        for file in part_files(folder, "worlds"):
+            worlds = read_part(file, ("verdict", "reason", "attempt"))
+            if not len(worlds):
+                continue
+            with self._lock:
+                number = self._pending.part.number
+                try:
+                    for table in ("boxes", "attempts", "worlds"):
+                        source = folder / table / file.name
+                        if source.exists():
+                            copy_file(source, self.out_dir / table / part_name(number))
+                except OSError as error:
+                    raise self._trouble(error) from error
+                self._pending.counts.add(*(worlds[name].to_pylist() for name in ("verdict", "reason", "attempt")))
+                self._pending = _Pending(Part(number + 1), self._pending.counts)
 
     def skip(self, skipped: Skipped) -> None:
         """Record a plan or a file that is not simulated, and why."""
@@ -210,21 +314,38 @@ class RunWriter:
         """Record a warning about the whole run for ``run.json``."""
         self.warnings.append(message)
 
-    def _flush(self, last: bool = False) -> None:
+    def _time_is_up(self) -> None:
+        """In the timer's thread: write the part though it is not full, since no world may finish for long."""
+        # a failure is met again, and told, with the next world or in the end
+        with self._lock, contextlib.suppress(PetmjxError):
+            old = time.monotonic() - self._pending.since_s >= self._seconds_per_part
+            if self._status == "running" and self._pending.part.rows and old:
+                self._write_part()
+
+    def _write_part(self, last: bool = False) -> None:
+        """Write the pending part and begin the next one, with the lock held."""
         part = self._pending.part
         # a run without worlds still gets one empty part, so that readers find the columns
         if not part.rows and not (last and part.number == 0):
             return
+        self._timer.cancel()
         try:
             part.write(self.out_dir, self.schemas)
         except OSError as error:
-            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
+            raise self._trouble(error) from error
         # one assignment: after an interrupt before it the same part is written again, after it the next part begins
         self._pending = self._pending.following()
+        self._write_info()
+
+    def _trouble(self, error: OSError) -> PetmjxError:
+        return PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}")
 
     def _write_info(self) -> None:
         text = json.dumps(plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)
-        write_text(text + "\n", self.out_dir / RUN_FILE)
+        try:
+            write_text(text + "\n", self.out_dir / RUN_FILE)
+        except OSError as error:
+            raise self._trouble(error) from error
 
 
 def write_summary(

@@ -159,7 +159,11 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
         for text in (start.size, f"engine {start.choice.name} ({start.choice.reason})"):
             with suppress(OSError):
                 print(_broken(text), file=sys.stderr)
-        shown = self._until_exit.enter_context(progress(start.total, start.what))
+        if start.recorded:
+            with suppress(OSError):
+                print(f"{counted(start.recorded, start.what)} of an earlier run are there already", file=sys.stderr)
+        left = None if start.total is None else start.total - start.recorded
+        shown = self._until_exit.enter_context(progress(left, start.what))
         stop = threading.Event()
 
         def refresh() -> None:

@@ -7,17 +7,19 @@ The engine gets placements and drives in batches over many plans, since a device
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
 from petmjx.plans.plan import Plan
+from petmjx.results.recorded import Recorded
 from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup, SweepPlan
-from petmjx.sweeps.search import Bisection, Found
+from petmjx.sweeps.search import Bisection, Found, Probe
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -84,7 +86,7 @@ class Answer:
 
     Attributes:
         largest_survived, first_failed: level in g, or scale; None where there is none.
-        at_largest, at_failure: the worlds that say so; None where no world was simulated for it.
+        at_largest, at_failure: what the worlds that say so came to; None where no world was simulated for it.
     """
 
     group: PlacementGroup
@@ -92,8 +94,8 @@ class Answer:
     found: Found
     largest_survived: float | None
     first_failed: float | None
-    at_largest: SweptWorld | None
-    at_failure: SweptWorld | None
+    at_largest: Probe | None
+    at_failure: Probe | None
 
 
 @dataclass
@@ -132,13 +134,16 @@ class SweepRun:
         plan: what to simulate.
         engine: placements and drives run on this one object, since only it can use its states.
         progress: kept up to date; its message says what happens while no world finishes.
-        on_answer: called with each answer of a search. It should keep only what it needs: an answer has worlds with all
-            their boxes.
+        on_answer: called with each answer of a search.
+        values_of: columns that the sweep adds to a world's row, column → value: answers are made from them.
+        recorded: the worlds that the run already has; they are not simulated again.
     """
 
     plan: SweepPlan
     engine: Engine
     on_answer: Callable[[Answer], None] = lambda answer: None
+    values_of: Callable[[SweptWorld], Mapping[str, Any]] = lambda world: {}
+    recorded: Recorded = field(default_factory=Recorded)
     progress: Progress = field(default_factory=Progress)
     batching: Batching = field(default_factory=Batching)
     tally: Tally = field(default_factory=Tally)
@@ -149,15 +154,25 @@ class SweepRun:
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[SweptWorld]:
-        """Simulate everything; yield each world when it is final, in any order."""
+        """Simulate everything that is missing; yield each world when it is final, in any order."""
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
-            yield from self._run_placements(group for group in self.plan.groups() if not _is_driven(group))
+            yield from self._run_placements(group for group in self._groups() if not _is_driven(group))
         if not profiles:
             return
         for chunk in self._chunks():
-            settled = self._settle(chunk)
-            yield from self._search(settled) if self.plan.sweep.search is not None else self._fork(settled)
+            if self.plan.sweep.search is None:
+                yield from self._fork(self._settle(chunk))
+            else:
+                yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
+
+    def _groups(self) -> Iterator[PlacementGroup]:
+        """Placements with worlds that are missing; of a search every one, since its worlds follow from each other."""
+        return (group for group in self.plan.groups() if not group.variants or self._missing(group))
+
+    def _missing(self, group: PlacementGroup) -> list[Variant]:
+        """Those of a placement's worlds that are not recorded."""
+        return [each for each in group.variants if (group.plan.plan_id, each.index) not in self.recorded]
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
@@ -169,7 +184,7 @@ class SweepRun:
             most = self.batching.drives
         chunk: list[PlacementGroup] = []
         worlds = 0
-        for group in filter(_is_driven, self.plan.groups()):
+        for group in filter(_is_driven, self._groups()):
             more = len(group.variants) or per_search
             if chunk and (worlds + more > most or len(chunk) >= self.batching.placements):
                 yield chunk
@@ -202,10 +217,11 @@ class SweepRun:
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
         """Worlds without a drive: they have the placement's outcome, with rest window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
-            first, *others = placed.group.variants
-            yield SweptWorld(placed.group.plan, first, placed.scene, placed.outcome, placed.attempts)
-            for variant in others:
-                yield _undriven(placed, variant)
+            for variant in self._missing(placed.group):
+                if variant is placed.group.variants[0]:
+                    yield SweptWorld(placed.group.plan, variant, placed.scene, placed.outcome, placed.attempts)
+                else:
+                    yield _undriven(placed, variant)
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[Settled]:
         """Simulate placements and keep their states, in the order of the groups."""
@@ -228,10 +244,10 @@ class SweepRun:
         """All variants of settled placements."""
         for start in settled:
             if not self._can_be_driven(start):
-                for variant in start.group.variants:
+                for variant in self._missing(start.group):
                     yield _undriven(start, variant)
         shaken = (start for start in settled if self._can_be_driven(start))
-        drives = (self._driving(start, variant) for start in shaken for variant in start.group.variants)
+        drives = (self._driving(start, variant) for start in shaken for variant in self._missing(start.group))
         for _, world in self._drive(drives):
             yield world
 
@@ -262,40 +278,90 @@ class SweepRun:
         A placement that does not stand has one row per profile and direction, at the lowest level, with its own
         outcome. Nothing more is simulated for it.
         """
-        sweep, items = self.plan.sweep, self.plan.search_items()
-        assert sweep.search is not None
+        items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         asked = [(start, number) for start in settled for number in range(len(items))]
-        at_rest = [start.outcome for start, _ in asked]
-        bisection = Bisection(sweep.search_levels, at_rest, sweep.search.sections, self.sim.thresholds.tilt_deg)
+        bisection = self._bisection([Probe.of(start.outcome, tilt_deg) for start, _ in asked])
 
         def variant(which: int, level: int) -> Variant:
             start, number = asked[which]
             return self.plan.search_variant(start.group, number, level)
 
+        def recorded(which: int, level: int) -> Probe | None:
+            start, number = asked[which]
+            return self._recorded_test(start.group, number, level)
+
         for which, found in enumerate(bisection.items):
-            if not found.stands_at_rest:
+            if not found.stands_at_rest and recorded(which, 0) is None:
                 yield _undriven(asked[which][0], variant(which, 0))
-        worlds: dict[Test, SweptWorld] = {}
+        tested: dict[Test, Probe] = {}
         while tests := bisection.next_tests():
-            drives = (self._driving(asked[test[0]][0], variant(*test), test) for test in tests)
+            tested |= {test: known for test in tests if (known := recorded(*test)) is not None}
+            missing = [test for test in tests if test not in tested]
+            drives = (self._driving(asked[test[0]][0], variant(*test), test) for test in missing)
             for test, world in self._drive(drives):
-                worlds[test] = world
+                tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
                 yield world
-            bisection.record(tests, [worlds[test].outcome for test in tests])
-            # Only the worlds at the bounds of an item's search can still become an answer.
-            worlds = {test: worlds[test] for test in bisection.bounds() if test in worlds}
-        for which, ((start, number), found) in enumerate(zip(asked, bisection.items, strict=True)):
+            bisection.record(tests, [tested[test] for test in tests])
+            # Only the worlds at the bounds of an item's search may yet be an answer.
+            tested = {test: tested[test] for test in bisection.bounds() if test in tested}
+        self._answer([(start.group, number) for start, number in asked], bisection, tested)
+
+    def _bisection(self, at_rest: Sequence[Probe]) -> Bisection:
+        sweep = self.plan.sweep
+        assert sweep.search is not None
+        return Bisection(sweep.search_levels, at_rest, sweep.search.sections)
+
+    def _answer(
+        self, asked: Sequence[tuple[PlacementGroup, int]], bisection: Bisection, tested: Mapping[Test, Probe]
+    ) -> None:
+        items = self.plan.search_items()
+        for which, ((group, number), found) in enumerate(zip(asked, bisection.items, strict=True)):
             self.on_answer(
                 Answer(
-                    start.group,
+                    group,
                     items[number],
                     found,
                     bisection.largest_survived(which),
                     bisection.first_failed(which),
-                    worlds.get((which, found.survived)),
-                    worlds.get((which, found.failed)),
+                    tested.get((which, found.survived)),
+                    tested.get((which, found.failed)),
                 )
             )
+
+    def _answer_again(self, group: PlacementGroup) -> bool:
+        """Answer all of a placement's questions from recorded worlds; False where one of these is missing."""
+        if not len(self.recorded):
+            return False
+        numbers = range(len(self.plan.search_items()))
+        bisection = self._bisection([self._recorded_rest(group, number) for number in numbers])
+        asked = {which for which, _ in bisection.next_tests()}
+        if any(found.stands_at_rest and which not in asked for which, found in enumerate(bisection.items)):
+            return False  # a search of one level, of which no world tells that the placement stood
+        tested: dict[Test, Probe] = {}
+        while tests := bisection.next_tests():
+            worlds = [self._recorded_test(group, *test) for test in tests]
+            known = [world for world in worlds if world is not None]
+            if len(known) < len(tests):
+                return False
+            tested |= zip(tests, known, strict=True)
+            bisection.record(tests, known)
+        self._answer([(group, number) for number in numbers], bisection, tested)
+        return True
+
+    def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
+        """What a placement came to, as far as records say: one that did not stand has a world without steps."""
+        row = self._row(group, number, 0)
+        fell = row is not None and row["n_steps"] == 0
+        return Probe.from_row(row) if fell and row is not None else Probe(Verdict.STABLE)
+
+    def _recorded_test(self, group: PlacementGroup, number: int, level: int) -> Probe | None:
+        row = self._row(group, number, level)
+        return None if row is None else Probe.from_row(row)
+
+    def _row(self, group: PlacementGroup, number: int, level: int) -> dict[str, Any] | None:
+        if not len(self.recorded):
+            return None
+        return self.recorded.row(group.plan.plan_id, self.plan.search_variant(group, number, level).index)
 
 
 def _is_driven(group: PlacementGroup) -> bool:

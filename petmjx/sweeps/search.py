@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +32,33 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     if boxes.dropped[box]:
         return MODES[Reason.DROP]
     return MODES[Reason.TILT if boxes.max_tilt_deg[box] > tilt_deg else Reason.SHIFT]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a search reads of a world. Its row in ``worlds`` says the same, so that a search can go on from there.
+
+    Attributes:
+        culprit: box that went first, −1 for none.
+        mode: how it failed: `failure_mode`.
+        values: columns that the sweep adds to ``worlds``.
+    """
+
+    verdict: Verdict
+    culprit: int = -1
+    mode: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
+        """Of a world that was simulated; ``tilt_deg``: from where on a box that failed is said to have tilted."""
+        return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), values or {})
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, Any]) -> Probe:
+        """Of a world's row, column → value, null as None."""
+        culprit = -1 if row["culprit"] is None else int(row["culprit"])
+        return cls(Verdict(row["verdict"]), culprit, row["mode"], row)
 
 
 @dataclass
@@ -73,10 +101,9 @@ class Bisection:
 
     Args:
         levels: (n_levels,) rising; g, or scale.
-        at_rest: of each item, the outcome before any profile. Items that do not stand are through at once, with
+        at_rest: of each item, its world before any profile. Items that do not stand are through at once, with
             nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
         sections: levels tested per item and round, ≥ 1; 1 is plain bisection.
-        tilt_deg: from where on a box that failed is said to have tilted.
 
     Attributes:
         items: what is known of each item.
@@ -85,9 +112,8 @@ class Bisection:
     def __init__(
         self,
         levels: ArrayLike,
-        at_rest: Sequence[Outcome],
+        at_rest: Sequence[Probe],
         sections: int = 3,
-        tilt_deg: float = DEFAULT_TILT_DEG,
     ) -> None:
         self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
         if self.levels.ndim != 1 or len(self.levels) < 1 or np.any(np.diff(self.levels) <= 0):
@@ -95,12 +121,11 @@ class Bisection:
         if sections < 1:
             raise ValueError(f"sections must be ≥ 1, got {sections}")
         self.sections = sections
-        self._tilt_deg = tilt_deg
-        self.items = [self._at_begin(outcome) for outcome in at_rest]
+        self.items = [self._at_begin(world) for world in at_rest]
 
-    def _at_begin(self, outcome: Outcome) -> Found:
-        if outcome.verdict is not Verdict.STABLE:
-            return Found(False, -1, 0, -1, outcome.culprit, failure_mode(outcome, self._tilt_deg))
+    def _at_begin(self, world: Probe) -> Found:
+        if world.verdict is not Verdict.STABLE:
+            return Found(False, -1, 0, -1, world.culprit, world.mode)
         survived = 0 if self.levels[0] == 0 else -1
         return Found(True, survived, len(self.levels), survived)
 
@@ -128,23 +153,23 @@ class Bisection:
             tests += [(item, found.survived + step) for step in steps.tolist()]
         return tests
 
-    def record(self, tests: Sequence[tuple[int, int]], outcomes: Sequence[Outcome]) -> None:
-        """Record the outcomes of a round's tests.
+    def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
+        """Record the worlds of a round's tests.
 
         An invalid world has not survived; its mode is the reason why it is invalid.
         """
-        if len(tests) != len(outcomes):
+        if len(tests) != len(worlds):
             raise ValueError("record needs one answer for each test")
         survivors = []
-        for (item, level), outcome in zip(tests, outcomes, strict=True):
+        for (item, level), world in zip(tests, worlds, strict=True):
             found = self.items[item]
             found.n_tests += 1
-            found.n_invalid += outcome.verdict is Verdict.INVALID
-            if outcome.verdict is Verdict.STABLE:
+            found.n_invalid += world.verdict is Verdict.INVALID
+            if world.verdict is Verdict.STABLE:
                 survivors.append((found, level))
             elif level < found.failed:
                 found.failed = level
-                found.box, found.mode = outcome.culprit, failure_mode(outcome, self._tilt_deg)
+                found.box, found.mode = world.culprit, world.mode
         # Failures came first: a level survived above a failed one must not raise the answer.
         for found, level in survivors:
             found.highest = max(found.highest, level)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,37 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 # Grids and samples.
 
 
-def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
+@dataclass(frozen=True)
+class ShareColumns:
+    """Over which columns of ``worlds`` shares are taken. Stands in ``run.json``, so that shards can be joined.
+
+    Attributes:
+        axes: columns, in the order of the summary.
+        ranges: column → (low, high) of those whose values were drawn from a range.
+        eumos, tilt: whether the sweep has EUMOS's profile, and profiles that tilt.
+        draws: (variant, draw) of the variants with something random; see `Design.draws`.
+        same_draws: whether a draw is the same for every plan.
+    """
+
+    axes: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    eumos: bool
+    tilt: bool
+    draws: Sequence[tuple[int, int]]
+    same_draws: bool
+
+    @classmethod
+    def of(cls, plan: SweepPlan) -> ShareColumns:
+        """Those of a grid or a sample."""
+        columns = SweepColumns(plan)
+        axes = tuple(AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes)
+        drawn = [axis for axis in plan.sweep.axes.values() if axis.continuous]
+        ranges = {axis.kind.column: (axis.low, axis.high) for axis in drawn}
+        draws = tuple(plan.draws().items())
+        return cls(axes, ranges, columns.has_eumos, columns.has_tilt, draws, plan.sweep.sample is not None)
+
+
+def summarise_shares(folder: Path, columns: ShareColumns) -> pd.DataFrame:
     """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
 
     Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there is also the share that
@@ -117,19 +148,17 @@ def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
     Args:
         folder: the run's folder, with all parts written.
     """
-    columns = SweepColumns(plan)
-    axes = [AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes]
-    extra = ["eumos_passed"] if columns.has_eumos else []
-    extra += [FAIL_ANGLE.name] if columns.has_tilt else []
+    axes = list(columns.axes)
+    extra = ["eumos_passed"] if columns.eumos else []
+    extra += [FAIL_ANGLE.name] if columns.tilt else []
     wanted = ["plan_id", "variant", "verdict", *axes, *extra]
     worlds = ds.dataset(folder / "worlds", format="parquet").to_table(columns=wanted).to_pandas()
-    for axis in plan.sweep.axes.values():
-        if axis.continuous:
-            worlds[axis.kind.column] = _binned(worlds[axis.kind.column], axis)
-    worlds["draw"] = _draws(worlds, plan)
+    for name, (low, high) in columns.ranges.items():
+        worlds[name] = _binned(worlds[name], low, high)
+    worlds["draw"] = _draws(worlds, columns)
     keys = [*KEYS]
     summary = share_standing(worlds, axes)
-    if columns.has_eumos:
+    if columns.eumos:
         tested = worlds[worlds["eumos_passed"].notna()]
         verdict = np.where(tested["eumos_passed"].astype(bool), Verdict.STABLE, Verdict.UNSTABLE)
         eumos = share_standing(tested.assign(verdict=verdict), axes)
@@ -137,22 +166,22 @@ def summarise_shares(folder: Path, plan: SweepPlan) -> pd.DataFrame:
         names |= {"low": "eumos_low", "high": "eumos_high"}
         summary = summary.merge(eumos[[*keys, *names]].rename(columns=names), on=keys, how="left")
         summary[["n_eumos", "n_eumos_passed"]] = summary[["n_eumos", "n_eumos_passed"]].fillna(0).astype("int64")
-    if columns.has_tilt:
+    if columns.tilt:
         angles = by_plan_and_axis(worlds, axes, smallest_fail_angle_deg=(FAIL_ANGLE.name, "min"))
         summary = summary.merge(angles, on=keys, how="left")
     return summary
 
 
-def _draws(worlds: pd.DataFrame, plan: SweepPlan) -> pd.Series[float]:
+def _draws(worlds: pd.DataFrame, columns: ShareColumns) -> pd.Series[float]:
     """A number that worlds with the same random numbers share; NaN for worlds without any."""
-    drawn = worlds["variant"].map(plan.draws())
-    if plan.sweep.sample is not None:  # the same for every plan
+    drawn = worlds["variant"].map(dict(columns.draws))
+    if columns.same_draws:
         return drawn
     return worlds.assign(draw=drawn).groupby(["plan_id", "draw"]).ngroup().where(drawn.notna())
 
 
-def _binned(values: pd.Series[float], axis: Axis) -> pd.Series[str]:
-    edges = np.linspace(axis.low, axis.high, RANGE_BINS + 1)
+def _binned(values: pd.Series[float], lowest: float, highest: float) -> pd.Series[str]:
+    edges = np.linspace(lowest, highest, RANGE_BINS + 1)
     labels = [f"{low:.4g} to {high:.4g}" for low, high in itertools.pairwise(edges)]
     place = np.clip(np.searchsorted(edges, values.to_numpy(), side="right") - 1, 0, RANGE_BINS - 1)
     named = pd.Series(pd.Categorical.from_codes(place, labels, ordered=True), index=values.index)
@@ -166,7 +195,7 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
     """One row of a search's summary."""
     group, found = answer.group, answer.found
     box = found.box if found.box >= 0 else None
-    at_failure = columns.during_drive(answer.at_failure) if answer.at_failure is not None else {}
+    at_failure: Mapping[str, Any] = answer.at_failure.values if answer.at_failure is not None else {}
     row: dict[str, Any] = {
         "plan_id": group.plan.plan_id,
         "placement": group.number,
@@ -185,7 +214,7 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
         "n_invalid": found.n_invalid,
     }
     if columns.has_eumos:
-        at_largest = columns.during_drive(answer.at_largest) if answer.at_largest is not None else {}
+        at_largest: Mapping[str, Any] = answer.at_largest.values if answer.at_largest is not None else {}
         row |= {param.name: at_largest.get(param.name) for param in EUMOS_COLUMNS}
     return row
 

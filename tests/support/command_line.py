@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ INTERRUPT_AFTER = 10
 """Worlds that :func:`run_interrupted` lets finish."""
 
 _INTERRUPTED = f"""
-import os, signal, sys
+import os, signal, sys, threading, time
 from petmjx.cli import main
 from petmjx.engines.cpu.engine import MujocoEngine
 
@@ -25,10 +26,16 @@ def interrupted_run(*arguments):
     for number, outcome in enumerate(whole_run(*arguments), 1):
         yield outcome
         if number == {INTERRUPT_AFTER}:
-            os.kill(os.getpid(), signal.SIGINT)
+            threading.Thread(target=send).start()
+            time.sleep(10)  # the first signal ends this
+
+def send():
+    for number in sys.argv[1].split(","):
+        os.kill(os.getpid(), int(number))
+        time.sleep(0.02)
 
 MujocoEngine.run = interrupted_run
-sys.exit(main(sys.argv[1:]))
+sys.exit(main(sys.argv[2:]))
 """
 
 
@@ -66,9 +73,13 @@ def run_with_closed(descriptor: int, *arguments: str | Path) -> subprocess.Compl
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def run_interrupted(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """petmjx in a process that gets SIGINT, as from Ctrl-C, while the engine's threads work on further worlds."""
-    command = [sys.executable, "-c", _INTERRUPTED, *map(str, arguments)]
+def run_interrupted(
+    *arguments: str | Path, signals: Sequence[int] = (signal.SIGINT,)
+) -> subprocess.CompletedProcess[str]:
+    """petmjx in a process that gets signals (SIGINT, as from Ctrl-C), one right after the other, while the engine's
+    threads work on further worlds."""
+    numbers = ",".join(str(int(number)) for number in signals)
+    command = [sys.executable, "-c", _INTERRUPTED, numbers, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 

@@ -11,7 +11,7 @@ import pytest
 from support.outcomes import make_boxes, make_outcome
 
 from petmjx.sweeps.eumos import eumos_assessment
-from petmjx.sweeps.search import Bisection, failure_mode
+from petmjx.sweeps.search import Bisection, Probe, failure_mode
 from petmjx.sweeps.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.verdict import BoxMetrics, Outcome, Reason, Verdict
 
@@ -26,8 +26,8 @@ def outcome(verdict: Verdict, reason: Reason = Reason.NONE, culprit: int = -1) -
     return make_outcome(1, verdict, reason, culprit=culprit)
 
 
-STANDS = outcome(Verdict.STABLE)
-SLID = outcome(Verdict.UNSTABLE, Reason.SHIFT, culprit=0)
+STANDS = Probe.of(outcome(Verdict.STABLE))
+SLID = Probe.of(outcome(Verdict.UNSTABLE, Reason.SHIFT, culprit=0))
 
 
 def search_with(search: Bisection, survives: Callable[[int, float], bool], backwards: bool = False) -> int:
@@ -161,7 +161,7 @@ def test_bisection_leaves_out_what_does_not_stand_at_rest() -> None:
     tests = search.next_tests()
     assert tests == [(1, 1), (1, 2)]
     tilted = make_outcome(5, Verdict.UNSTABLE, Reason.TILT, culprit=4, max_tilt_deg=np.full(5, 30.0))
-    search.record(tests, [tilted, SLID])
+    search.record(tests, [Probe.of(tilted), SLID])
     assert (search.largest_survived(0), search.first_failed(0)) == (None, None)
     assert (search.items[0].box, search.items[0].mode, search.items[0].n_tests) == (0, "slide", 0)
     assert (search.largest_survived(1), search.first_failed(1)) == (0.0, 0.5)
@@ -200,7 +200,7 @@ def test_bisection_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> N
         outcome(Verdict.INVALID, Reason.NONFINITE),
         outcome(Verdict.UNSTABLE, Reason.DROP, culprit=0),
     ]
-    search.record(search.next_tests(), answers)
+    search.record(search.next_tests(), [Probe.of(answer) for answer in answers])
     assert (search.largest_survived(0), search.first_failed(0)) == (0.1, 0.2)
     assert (search.items[0].mode, search.items[0].n_invalid) == ("nonfinite", 1)
     assert failure_mode(answers[0]) == ""

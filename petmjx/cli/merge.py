@@ -1,0 +1,34 @@
+"""``petmjx merge``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from petmjx.cli import options as opt
+from petmjx.cli.console import results_console
+
+
+def merge(
+    shards: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Folders of all shards, in any order.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the whole run.")],
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the results that the folder holds.")] = False,
+    as_json: opt.JsonOption = False,
+) -> None:
+    """Join the shards of a run (score or sweep with --shard I/N) to one run.
+
+    All N shards must be there, finished, and of the same plans and options. Worlds that are there twice are refused.
+    """
+    from petmjx.cli.runs import brief
+    from petmjx.show.layout import print_each
+    from petmjx.show.tables import run_tables
+    from petmjx.sweeps.merge import merge_runs
+
+    results = merge_runs(shards, out, overwrite=overwrite)
+    if as_json:
+        print(json.dumps(brief(results), indent=2))
+        return
+    print_each(run_tables(results), results_console())

@@ -1,0 +1,34 @@
+"""Counts of worlds, as they stand in ``run.json``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from petmjx.verdict import Reason, Verdict
+
+
+@dataclass
+class Counts:
+    """Worlds by verdict and reason, and how many of them needed more than one attempt."""
+
+    verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
+    retried: int = 0
+
+    def add(self, verdicts: Iterable[str], reasons: Iterable[str], attempts: Iterable[int]) -> None:
+        """Count the rows of a part; ``attempts``: which attempt gave the verdict, from 1."""
+        for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
+            self.verdicts[Verdict(verdict), Reason(reason)] += count
+        self.retried += sum(attempt > 1 for attempt in attempts)
+
+    def as_json(self) -> dict[str, Any]:
+        """Worlds by verdict, and those that are not stable by reason."""
+        by_reason: dict[str, dict[str, int]] = {Verdict.UNSTABLE.value: {}, Verdict.INVALID.value: {}}
+        by_verdict = {verdict.value: 0 for verdict in Verdict}
+        for (verdict, reason), count in sorted(self.verdicts.items()):
+            by_verdict[verdict.value] += count
+            if verdict is not Verdict.STABLE:
+                by_reason[verdict.value][reason.value] = count
+        return {"worlds": self.verdicts.total(), **by_verdict, "by_reason": by_reason, "retried": self.retried}

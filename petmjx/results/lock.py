@@ -1,0 +1,79 @@
+"""One run at a time in a folder: a lock that ends with its process, however that ends."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from petmjx.errors import InputError
+
+LOCK_FILE: Final = ".lock"
+"""In the run's folder while a run is on. One that a killed run has left is not locked, and is taken over."""
+
+_NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
+"""What file systems that have no locks answer."""
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[bool]:
+    """Hold a folder for one run; yields whether its file system has locks at all.
+
+    Raises:
+        InputError: another run writes there.
+        OSError: the folder cannot be written.
+    """
+    descriptor = _opened(folder)
+    try:
+        try:
+            has_locks = _take(descriptor, folder)
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+            has_locks = False
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        try:
+            yield has_locks
+        finally:
+            # before the lock is given back: the next run then finds a new file, or none
+            with contextlib.suppress(OSError):
+                (folder / LOCK_FILE).unlink()
+    finally:
+        os.close(descriptor)
+
+
+def _opened(folder: Path) -> int:
+    return os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+
+
+def _take(descriptor: int, folder: Path) -> bool:
+    """Lock the file, and make sure that it is still the one in the folder: its last holder may have removed it."""
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _in_use(descriptor, folder) from None
+        if _is_in(descriptor, folder):
+            return True
+        again = _opened(folder)
+        os.dup2(again, descriptor, inheritable=False)
+        os.close(again)
+
+
+def _is_in(descriptor: int, folder: Path) -> bool:
+    try:
+        there = os.stat(folder / LOCK_FILE, follow_symlinks=False)
+    except FileNotFoundError:
+        return False
+    return os.path.samestat(there, os.fstat(descriptor))
+
+
+def _in_use(descriptor: int, folder: Path) -> InputError:
+    pid = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
+    who = f" (process {pid})" if pid.isdigit() else ""
+    return InputError(f"{folder}: another run{who} writes there; wait for it, or name another folder with --out")

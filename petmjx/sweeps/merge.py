@@ -1,0 +1,162 @@
+"""Joins the shards of a run to one run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+
+from petmjx.errors import InputError
+from petmjx.plans.plan import Skipped
+from petmjx.results.files import part_files, part_name, write_table
+from petmjx.results.manifest import Manifest
+from petmjx.results.reader import RunResults, load_run, read_part
+from petmjx.results.schema import Param
+from petmjx.results.writer import RunWriter, write_summary
+from petmjx.sweeps.summary import ShareColumns, summarise_shares
+from petmjx.text import counted, shown
+
+MOST_NAMED: Final = 5
+"""Worlds, plans or shards that a message names."""
+
+_ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
+"""What makes a row of a search's summary unique, and sorts it."""
+
+
+def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
+    """Join all shards of a run; the tables are those of the run without shards, in another order.
+
+    Args:
+        shards: folders of the N runs with ``shard`` 1/N to N/N, finished, in any order.
+        out: folder for the whole run.
+        overwrite: replace the results that ``out`` holds.
+
+    Raises:
+        InputError: a shard is missing, not finished or of another run, or a world is there twice.
+    """
+    folders = [Path(shard) for shard in shards]
+    out = Path(out)
+    if any(folder.resolve() == out.resolve() for folder in folders):
+        raise InputError(f"{out}: is one of the shards; name another folder with --out")
+    runs = _in_order([load_run(folder) for folder in folders])
+    manifests = [Manifest.read(run.path, run.info) for run in runs]
+    for run, manifest in zip(runs, manifests, strict=True):
+        differs = manifest.difference_from(manifests[0], without=("shard",))
+        if differs:
+            raise InputError(f"{run.path}: not of the same run as {runs[0].path} ({differs})")
+    whole = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans)
+    _check_worlds(runs, whole)
+    first = runs[0].info
+    expected = [run.info["expected_worlds"] for run in runs]
+    with RunWriter(
+        out,
+        {**first["config"], "shard": None, "shards": [_of_shard(run) for run in runs]},
+        manifest=whole,
+        params=[Param(**param) for param in first["params"]],
+        versions=first["versions"],
+        device=", ".join(dict.fromkeys(run.info["device"] for run in runs)),
+        expected_worlds=None if None in expected else sum(expected),
+        overwrite=overwrite,
+    ) as writer:
+        seconds: Counter[str] = Counter()
+        for run in runs:
+            writer.adopt(run.path)
+            seconds.update(run.info["timings"])
+        writer.earlier_s = dict(seconds)
+        for entry in _distinct(run.info["skipped"] for run in runs):
+            writer.skip(Skipped(entry["source"], entry["plan_id"] or None, entry["error"]))
+        for warning in _distinct(run.info["warnings"] for run in runs):
+            writer.warn(warning)
+        if whole.settings["command"] == "sweep":
+            _write_summary(out, runs)
+    return load_run(out)
+
+
+def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
+    """The runs by number of their shards.
+
+    Raises:
+        InputError: one is no shard or not finished, or not all shards are there once.
+    """
+    found: dict[int, RunResults] = {}
+    of: set[int] = set()
+    for run in runs:
+        shard = run.info.get("identity", {}).get("shard")
+        if shard is None:
+            raise InputError(f"{run.path}: not a shard (made without --shard)")
+        if run.info["status"] != "finished":
+            raise InputError(f"{run.path}: not finished ({run.info['status']}); go on with it by --resume first")
+        number, total = (int(part) for part in shard.split("/"))
+        of.add(total)
+        if len(of) > 1:
+            raise InputError(f"{run.path}: is shard {shard}, others are of {min(of - {total})}")
+        if number in found:
+            raise InputError(f"{run.path}: shard {shard} twice, also in {found[number].path}")
+        found[number] = run
+    if not found:
+        raise InputError("no shard to merge: name their folders")
+    total = of.pop()
+    missing = [f"{number}/{total}" for number in range(1, total + 1) if number not in found]
+    if missing:
+        raise InputError(f"missing: {'shard' if len(missing) == 1 else 'shards'} {_listed(missing)}")
+    return [found[number] for number in sorted(found)]
+
+
+def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
+    """Raises InputError where two shards have the same world, or none has any of a plan."""
+    home: dict[tuple[str, int], Path] = {}
+    for run in runs:
+        for file in part_files(run.path, "worlds"):
+            keys = read_part(file, ("plan_id", "variant"))
+            for key in zip(keys["plan_id"].to_pylist(), keys["variant"].to_pylist(), strict=True):
+                if key in home:
+                    where = f"{home[key]} and {run.path}" if home[key] != run.path else f"{run.path}"
+                    raise InputError(f"plan {shown(key[0])}, variant {key[1]} twice: in {where}")
+                home[key] = run.path
+    lacking = sorted(whole.plans.keys() - {plan_id for plan_id, _ in home})
+    if lacking:
+        raise InputError(f"no world of {counted(len(lacking), 'plan')}: {_listed([shown(each) for each in lacking])}")
+
+
+def _of_shard(run: RunResults) -> dict[str, Any]:
+    """What ``run.json`` of the whole run keeps of a shard."""
+    info = run.info
+    return {
+        "shard": info["identity"]["shard"],
+        "folder": str(run.path),
+        "started": info["started"],
+        "device": info["device"],
+        "worlds": info["counts"]["worlds"],
+        "wall_s": info["timings"]["wall_s"],
+    }
+
+
+def _write_summary(out: Path, runs: Sequence[RunResults]) -> None:
+    """Shares are taken of all worlds anew; answers of searches are each plan's own."""
+    tables = [read_part(file) for run in runs for file in part_files(run.path, "summary")]
+    shares = runs[0].info["config"].get("shares")
+    if shares is None:
+        answers = pa.concat_tables(tables).sort_by([(name, "ascending") for name in _ANSWER])
+        write_table(answers, out / "summary" / part_name(0))
+        return
+    columns = ShareColumns(**shares)
+    metadata = {field.name: field.metadata or {} for field in tables[0].schema}
+    units = {name: entry.get(b"unit", b"").decode() for name, entry in metadata.items()}
+    texts = {name: entry.get(b"description", b"").decode() for name, entry in metadata.items()}
+    write_summary(out, summarise_shares(out, columns), units, texts)
+
+
+def _distinct(lists: Iterable[Sequence[Any]]) -> list[Any]:
+    """All entries once, in the order in which they come first."""
+    found: list[Any] = []
+    for entries in lists:
+        found += [entry for entry in entries if entry not in found]
+    return found
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + more

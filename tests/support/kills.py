@@ -1,0 +1,145 @@
+"""Kills runs at random moments (SIGKILL) and resumes them until they are done: nothing may be lost, nothing double.
+
+    python tests/support/kills.py FOLDER score 100
+
+Children are forked from a process that has imported everything and started no thread, so that a run takes a fraction of
+a second and kills hit it everywhere: while it simulates, writes a part, renames a file, or has just begun.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import sys
+import time
+from pathlib import Path
+
+import mujoco
+import pandas as pd
+
+import petmjx
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.results.writer import RunWriter
+from petmjx.sweeps.run import Batching
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.plans import make_plan, stack
+
+WORLDS_PER_PART = 3
+KEYS = {
+    "worlds": ["plan_id", "variant"],
+    "boxes": ["plan_id", "variant", "box"],
+    "attempts": ["plan_id", "variant", "attempt"],
+    "summary": [],
+}
+
+GRID = """
+nominal = true
+[axes]
+profile = ["eumos-40509"]
+level = [0.3, 0.6]
+direction = [0, 90]
+mass_factor = [0.8, 1.0]
+"""
+SEARCH = """
+[simulation]
+rest_s = 0.2
+[search]
+upper = 1.0
+tolerance = 0.1
+[axes]
+profile = ["eumos-40509"]
+direction = [0, 90]
+"""
+PLANS = [make_plan(f"plan-{k:02}", stack(1 + k % 4, overhang_mm=k % 5 * 60.0)) for k in range(80)]
+
+
+def run(kind: str, folder: Path, *, resume: bool) -> petmjx.RunResults:
+    """A short run with small parts."""
+    engine = MujocoEngine(threads=2)
+    if kind == "score":
+        return petmjx.score(PLANS, out=folder, resume=resume, engine=engine)
+    file = folder.parent / f"{kind}.toml"
+    batching = Batching(placements=2)
+    return petmjx.sweep(file, PLANS[3:8], out=folder, resume=resume, engine=engine, batching=batching)
+
+
+def tables(results: petmjx.RunResults) -> dict[str, pd.DataFrame]:
+    """All tables, sorted by their keys."""
+    found = {}
+    for name, keys in KEYS.items():
+        frame = getattr(results, name)
+        if frame is not None:
+            by = keys or [column for column in ("plan_id", "axis", "value", "direction_deg") if column in frame]
+            found[name] = frame.sort_values(by, ignore_index=True)
+    return found
+
+
+def assert_same(found: petmjx.RunResults, expected: dict[str, pd.DataFrame]) -> None:
+    """All tables are equal to the last bit."""
+    ours = tables(found)
+    assert ours.keys() == expected.keys()
+    for name, frame in ours.items():
+        pd.testing.assert_frame_equal(frame, expected[name], check_exact=True, obj=name)
+    assert found.info["status"] == "finished"
+    assert found.info["counts"]["worlds"] == len(expected["worlds"])
+
+
+def start(kind: str, folder: Path) -> int:
+    """A run that resumes what is there, in a child; its process id."""
+    child = os.fork()
+    if child:
+        return child
+    try:
+        run(kind, folder, resume=True)
+    except BaseException as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        os._exit(1)
+    os._exit(0)
+
+
+def leftovers(folder: Path) -> bool:
+    """Whether a kill hit a part that was being written."""
+    worlds = {file.name for file in folder.glob("worlds/part-*")}
+    boxes = {file.name for file in folder.glob("boxes/part-*")}
+    return bool(boxes - worlds) or bool(list(folder.rglob("*.tmp")))
+
+
+def main(folder: Path, kind: str, kills: int, seed: int = 0) -> None:
+    mujoco.mj_version()
+    defaults = RunWriter.__init__.__kwdefaults__
+    assert defaults is not None
+    defaults["worlds_per_part"] = WORLDS_PER_PART
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "grid.toml").write_text(GRID)
+    (folder / "search.toml").write_text(SEARCH)
+    rng = random.Random(seed)
+    begin = time.monotonic()
+    child = start(kind, folder / "whole")  # in a child, as the others: this process starts no threads
+    assert os.waitpid(child, 0)[1] == 0
+    whole_s = time.monotonic() - begin
+    expected = tables(petmjx.load_run(folder / "whole"))
+    done = runs = in_part = 0
+    while done < kills or runs == 0:
+        out = folder / f"run-{runs}"
+        while True:
+            child = start(kind, out)
+            if done < kills:
+                time.sleep(rng.uniform(0, whole_s))
+                os.kill(child, signal.SIGKILL)
+            _, status = os.waitpid(child, 0)
+            if not os.WIFSIGNALED(status):
+                assert status == 0, f"{out} could not be resumed"
+                break
+            done += 1
+            in_part += leftovers(out)
+        assert_same(petmjx.load_run(out), expected)
+        runs += 1
+    print(
+        f"{kind}: {done} kills ({in_part} within a part) in {runs} runs of {len(expected['worlds'])} worlds: all equal"
+    )
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), *(int(seed) for seed in sys.argv[4:]))

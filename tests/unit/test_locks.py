@@ -1,0 +1,223 @@
+"""A run's folder belongs to one run at a time, and to petmjx only its own files in it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.outcomes import make_outcome, make_plan
+
+from petmjx.cli.runs import default_folder
+from petmjx.errors import InputError, PetmjxError
+from petmjx.results import files, lock
+from petmjx.results.lock import LOCK_FILE, locked
+from petmjx.results.reader import load_run
+from petmjx.results.writer import RunWriter
+
+
+def write_run(folder: Path, *ids: str, **options: Any) -> None:
+    with RunWriter(folder, {}, **options) as run:
+        for plan_id in ids or ("a", "b"):
+            run.add(make_plan(plan_id), 0, "mujoco", "fixed", make_outcome())
+
+
+def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}) as run:
+        run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
+        with pytest.raises(InputError, match=rf"{tmp_path}: another run \(process {os.getpid()}\) writes there"):
+            write_run(tmp_path, overwrite=True)
+    assert load_run(tmp_path).worlds.plan_id.tolist() == ["a"]
+    assert not (tmp_path / LOCK_FILE).exists()
+    write_run(tmp_path, "c", overwrite=True)
+
+
+def test_of_a_hundred_runs_at_once_one_writes(tmp_path: Path) -> None:
+    start, over = threading.Barrier(101), threading.Event()
+
+    def attempt(_: int) -> str:
+        start.wait()
+        try:
+            with locked(tmp_path):
+                over.wait(30)
+            return "wrote"
+        except InputError:
+            return "refused"
+
+    with ThreadPoolExecutor(101) as pool:
+        attempts = [pool.submit(attempt, number) for number in range(101)]
+        deadline = time.monotonic() + 30
+        while sum(each.done() for each in attempts) < 100 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        over.set()
+        answers = [each.result() for each in attempts]
+    assert sorted(answers) == ["refused"] * 100 + ["wrote"]
+
+
+def test_the_lock_is_held_by_one_at_any_time_while_it_is_taken_and_removed(tmp_path: Path) -> None:
+    inside, most, lock_of_count = 0, 0, threading.Lock()
+
+    def often(_: int) -> None:
+        nonlocal inside, most
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            try:
+                with locked(tmp_path):
+                    with lock_of_count:
+                        inside += 1
+                        most = max(most, inside)
+                    with lock_of_count:
+                        inside -= 1
+            except InputError:
+                pass
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(often, range(8)))
+    assert most == 1
+
+
+HOLD = """
+import os, signal, sys
+from pathlib import Path
+from petmjx.results.lock import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    signal.pause()
+"""
+
+
+def test_the_lock_dies_with_its_process(tmp_path: Path, repository: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(repository)}
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(InputError, match=f"process {holder.pid}"):
+            write_run(tmp_path)
+        holder.kill()
+    assert (tmp_path / LOCK_FILE).exists()
+    write_run(tmp_path)
+    assert not (tmp_path / LOCK_FILE).exists()
+
+
+def test_a_file_system_without_locks_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: Any) -> None:
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(lock.fcntl, "flock", none)
+    write_run(tmp_path)
+    assert "has no locks" in load_run(tmp_path).info["warnings"][0]
+
+
+def test_default_folders_of_one_second_differ(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        folders = list(pool.map(lambda _: default_folder(), range(20)))
+    assert len(set(folders)) == 20
+    assert all(folder.is_dir() for folder in folders)
+
+
+@pytest.mark.parametrize("name", ["worlds", "boxes", "worlds/part-00000.parquet", "run.json", "summary"])
+def test_links_are_refused(name: str, tmp_path: Path) -> None:
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    write_run(run)
+    elsewhere.mkdir()
+    (elsewhere / "part-00000.parquet").write_text("mine")
+    path = run / name
+    if path.exists():
+        path.rename(tmp_path / "away")
+    path.symlink_to(elsewhere / "part-00000.parquet" if path.suffix else elsewhere)
+    with pytest.raises(InputError, match=f"{path}: is a link"):
+        write_run(run, overwrite=True)
+    assert (elsewhere / "part-00000.parquet").read_text() == "mine"
+
+
+def test_overwriting_takes_away_nothing_of_others(tmp_path: Path) -> None:
+    write_run(tmp_path, "a", "b", worlds_per_part=1)
+    others = [tmp_path / "notes.txt", tmp_path / "worlds/part-of-mine.parquet", tmp_path / "worlds/.part.tmp"]
+    for file in others:
+        file.write_text("mine")
+    (tmp_path / f"worlds/.part-00007.parquet.{'0' * 32}.tmp").write_text("of a run that was killed")
+    write_run(tmp_path, "c", overwrite=True)
+    assert [file.read_text() for file in others] == ["mine"] * 3
+    assert sorted(file.name for file in (tmp_path / "worlds").iterdir()) == [
+        ".part.tmp", "part-00000.parquet", "part-of-mine.parquet"
+    ]  # fmt: skip
+
+
+def test_parts_without_run_json_are_not_mixed_with_a_new_run(tmp_path: Path) -> None:
+    """What is left where overwriting was cut short."""
+    write_run(tmp_path, "a", "b", worlds_per_part=1)
+    (tmp_path / "run.json").unlink()
+    for file in tmp_path.glob("worlds/*"):
+        file.unlink()
+    with pytest.raises(InputError, match="holds a run already"):
+        write_run(tmp_path, "c")
+    with pytest.raises(InputError, match="it has no run"):
+        write_run(tmp_path, "c", resume=True)
+    write_run(tmp_path, "c", overwrite=True)
+    assert [file.name for file in tmp_path.glob("boxes/*")] == ["part-00000.parquet"]
+
+
+def test_temporary_files_cannot_be_planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    monkeypatch.setattr(files.secrets, "token_hex", lambda n: "0" * 2 * n)
+    (tmp_path / f".x.{'0' * 32}.tmp").symlink_to(victim)
+    with pytest.raises(FileExistsError):
+        files.write_text("theirs", tmp_path / "x")
+    assert victim.read_text() == "mine"
+
+
+def test_a_folder_that_vanishes_ends_the_run_in_one_line(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+
+    def vanish() -> None:
+        with RunWriter(folder, {}) as run:
+            folder.rename(tmp_path / "away")
+            run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+
+    with pytest.raises(PetmjxError, match="cannot write results: No such file"):
+        vanish()
+    assert not folder.exists()
+
+
+def test_a_disk_that_is_full_for_run_json_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    def fill() -> None:
+        with RunWriter(tmp_path, {}) as run:
+            run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+            monkeypatch.setattr(files.os, "fsync", full)
+
+    with pytest.raises(PetmjxError, match="cannot write results: No space"):
+        fill()
+
+
+def test_a_part_is_written_after_a_while_though_no_world_finishes(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
+        run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
+        deadline = time.monotonic() + 20
+        while not (tmp_path / "worlds/part-00000.parquet").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert load_run(tmp_path).info["counts"]["worlds"] == 1
+        run.add(make_plan("b"), 0, "mujoco", "fixed", make_outcome())
+    assert load_run(tmp_path).worlds.plan_id.tolist() == ["a", "b"]
+
+
+def test_parts_and_counts_that_disagree(tmp_path: Path) -> None:
+    write_run(tmp_path, "a", "b", "c", worlds_per_part=1)
+    (tmp_path / "worlds/part-00001.parquet").rename(tmp_path / "away")
+    with pytest.raises(InputError, match="2 worlds on disk, though the run finished with 3"):
+        load_run(tmp_path)
+    (tmp_path / "away").rename(tmp_path / "worlds/part-00001.parquet")
+    text = (tmp_path / "run.json").read_text()
+    (tmp_path / "run.json").write_text(text.replace('"finished"', '"running"').replace('"worlds": 3', '"worlds": 1'))
+    counts = load_run(tmp_path).info["counts"]
+    assert (counts["worlds"], counts["stable"], counts["skipped_plans"]) == (3, 3, 0)

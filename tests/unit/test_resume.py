@@ -1,0 +1,271 @@
+"""Runs that go on after anything, and runs that are shared out: the tables are those of one uninterrupted run."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.kills import GRID, PLANS, SEARCH, assert_same, tables
+from support.plans import make_plan, stack
+
+import petmjx
+from petmjx.config import RunOptions, Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.results.manifest import Manifest
+from petmjx.results.reader import load_run
+from petmjx.results.writer import RunWriter
+from petmjx.sweeps.run import Batching
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+SAMPLE = """
+mode = "sample"
+sample = 4
+nominal = true
+[axes]
+profile = ["eumos-40509", "tilt"]
+placement_error_mm = 5
+mass_factor = { from = 0.8, to = 1.2 }
+"""
+KINDS = {"grid": GRID, "search": SEARCH, "sample": SAMPLE.replace('"eumos-40509", "tilt"', '"tilt"')}
+
+
+class Counting(MujocoEngine):
+    """Counts its jobs, and is interrupted after some of them."""
+
+    def __init__(self, interrupt_after: int | None = None) -> None:
+        super().__init__(threads=2)
+        self.n_jobs = 0
+        self._left = interrupt_after
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        for outcome in super().run(jobs, sim, progress):
+            if self._left == 0:
+                raise KeyboardInterrupt
+            self._left = self._left - 1 if self._left is not None else None
+            self.n_jobs += 1
+            yield outcome
+
+
+def simulate(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
+    """A score, or a sweep of that kind, of a few small plans."""
+    options = {"engine": Counting(), "out": folder, **options}
+    if kind == "score":
+        return petmjx.score(options.pop("plans", PLANS[:8]), **options)
+    file = folder.parent / f"{kind}.toml"
+    file.write_text(KINDS[kind])
+    return petmjx.sweep(file, options.pop("plans", PLANS[3:6]), batching=Batching(placements=2), **options)
+
+
+@pytest.mark.parametrize(("kind", "after"), [("score", 3), ("grid", 17), ("search", 11), ("sample", 9)])
+def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: Path) -> None:
+    whole = Counting()
+    expected = tables(simulate(kind, tmp_path / "whole", engine=whole))
+    with pytest.raises(KeyboardInterrupt):
+        simulate(kind, tmp_path / "run", engine=Counting(after), resume=True)
+    before = load_run(tmp_path / "run").info
+    assert 0 < before["counts"]["worlds"] < len(expected["worlds"])
+    rest = Counting()
+    results = simulate(kind, tmp_path / "run", engine=rest, resume=True)
+    assert_same(results, expected)
+    assert 0 < rest.n_jobs < whole.n_jobs
+    nothing = Counting()
+    again = simulate(kind, tmp_path / "run", engine=nothing, resume=True)
+    assert nothing.n_jobs == 0
+    assert_same(again, expected)
+    assert len(again.info["resumed"]) == 2
+    assert again.info["started"] == before["started"]
+    assert again.info["timings"]["wall_s"] > before["timings"]["wall_s"]
+
+
+@pytest.mark.parametrize(("kind", "kills"), [("score", 3), ("search", 2)])
+def test_a_killed_run_goes_on(kind: str, kills: int, tmp_path: Path) -> None:
+    assert f"{kills} kills" in killed(kind, kills, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "kills"), [("score", 100), ("grid", 20), ("search", 20)])
+def test_a_run_that_is_killed_many_times_goes_on(kind: str, kills: int, tmp_path: Path) -> None:
+    assert f"{kills} kills" in killed(kind, kills, tmp_path)
+
+
+def killed(kind: str, kills: int, folder: Path) -> str:
+    """What tests/support/kills.py says; in a process of its own, since it forks."""
+    script = Path(__file__).parents[1] / "support" / "kills.py"
+    command = [sys.executable, str(script), str(folder), kind, str(kills)]
+    environment = {**os.environ, "PYTHONPATH": str(script.parents[2])}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_leftovers_of_a_part_are_taken_away_and_numbers_go_on(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        simulate("score", tmp_path, engine=Counting(3))
+    for table in ("boxes", "attempts"):
+        (tmp_path / table).mkdir(exist_ok=True)
+        (tmp_path / table / "part-00007.parquet").write_bytes(b"of a crash")
+    simulate("score", tmp_path, resume=True)
+    assert [file.name for file in sorted(tmp_path.glob("boxes/*"))] == ["part-00000.parquet", "part-00001.parquet"]
+    assert not list(tmp_path.glob("attempts/*"))
+
+
+def test_boxes_that_are_missing_are_named(tmp_path: Path) -> None:
+    simulate("score", tmp_path)
+    (tmp_path / "boxes/part-00000.parquet").unlink()
+    with pytest.raises(petmjx.InputError, match=r"boxes/part-00000.parquet: missing"):
+        simulate("score", tmp_path, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schedule": "fixed"}, "simulation.schedule is fixed, was adaptive"),
+        ({"thresholds": {"tilt_deg": 5}}, "simulation.thresholds.tilt_deg is 5.0, was 20.0"),
+        ({"plans": PLANS[:9]}, "(1 plan more)"),
+        ({"plans": PLANS[1:8]}, "(1 plan fewer)"),
+        ({"plans": [*PLANS[:7], make_plan("plan-07", 2)]}, "(plan plan-07 differs)"),
+        ({"shard": "1/2"}, "shard is 1/2, was none"),
+    ],
+)
+def test_another_run_is_not_gone_on_with(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    simulate("score", tmp_path / "run")
+    before = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
+    with pytest.raises(petmjx.InputError, match="cannot be resumed, it is another run") as caught:
+        simulate("score", tmp_path / "run", resume=True, **changes)
+    assert message in str(caught.value)
+    assert {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()} == before
+
+
+def test_another_sweep_is_not_gone_on_with(tmp_path: Path) -> None:
+    simulate("grid", tmp_path / "run")
+    file = tmp_path / "other.toml"
+    file.write_text(GRID.replace("level = [0.3, 0.6]", "level = [0.3, 0.7]"))
+    with pytest.raises(petmjx.InputError, match=r"sweep.axes.level is \[0.3, 0.7\], was \[0.3, 0.6\]"):
+        petmjx.sweep(file, PLANS[3:6], engine=Counting(), out=tmp_path / "run", resume=True)
+    with pytest.raises(petmjx.InputError, match="command is score, was sweep"):
+        petmjx.score(PLANS[3:6], engine=Counting(), out=tmp_path / "run", resume=True)
+
+
+def test_a_changed_profile_of_the_same_name_is_another_sweep(tmp_path: Path) -> None:
+    text = '[profiles.push]\nkind = "windows"\nwindows = [[0.0, 0.1, 0.1, 0, 0]]\n'
+    text += '[axes]\nprofile = ["push"]\n'
+    file = tmp_path / "push.toml"
+    file.write_text(text)
+    petmjx.sweep(file, PLANS[:1], engine=Counting(), out=tmp_path / "run")
+    file.write_text(text.replace("0.1, 0, 0", "0.2, 0, 0"))
+    with pytest.raises(petmjx.InputError, match=r"sweep.profiles.push is"):
+        petmjx.sweep(file, PLANS[:1], engine=Counting(), out=tmp_path / "run", resume=True)
+
+
+def test_runs_of_before_cannot_be_resumed(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}):
+        pass
+    with pytest.raises(petmjx.InputError, match="does not say what it is of"):
+        simulate("score", tmp_path, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"resume": True}, "resume needs out"),
+        ({"resume": True, "out": "x", "overwrite": True}, "resume contradicts overwrite"),
+        ({"shard": "0/4"}, "shard must be I/N with 1 ≤ I ≤ N"),
+        ({"shard": "5/4"}, "shard must be I/N"),
+        ({"shard": "half"}, "shard must be I/N"),
+    ],
+)
+def test_options_that_make_no_sense(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(petmjx.InputError, match=message):
+        RunOptions(**options)
+
+
+def test_the_digest_of_ten_thousand_plans_is_quick() -> None:
+    plan = make_plan("a", stack(43))
+    plans = [replace(plan, plan_id=f"{number:08}") for number in range(10_003)]
+    start = time.process_time()
+    manifest = Manifest.of({}, plans)
+    assert manifest.identity["plans"]["count"] == 10_003
+    assert time.process_time() - start < 2.0  # 0.3 s on an idle core; the margin is for a busy machine
+    assert Manifest.of({}, plans[::-1]).identity == manifest.identity
+    heavier = replace(plans[5], mass_kg=plans[5].mass_kg + 1e-9)
+    other = Manifest.of({}, [*plans[:5], heavier, *plans[6:]])
+    assert other.difference_from(manifest) == "plan 00000005 differs"
+
+
+# Shards.
+
+
+def test_shares_are_fixed_and_about_equal() -> None:
+    ids = [f"{number:08}" for number in range(4_000)]
+    shards = [[each for each in ids if RunOptions(shard=f"{i}/4").takes(each)] for i in range(1, 5)]
+    assert sorted(each for shard in shards for each in shard) == ids
+    assert all(900 < len(shard) < 1_100 for shard in shards)
+    assert shards[0][:3] == ["00000000", "00000007", "00000014"]
+
+
+@pytest.mark.parametrize("kind", ["score", "grid", "search", "sample"])
+def test_merged_shards_are_the_run_without_shards(kind: str, tmp_path: Path) -> None:
+    expected = tables(simulate(kind, tmp_path / "whole"))
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2, 3)]
+    for number, folder in enumerate(folders, 1):
+        simulate(kind, folder, shard=f"{number}/3")
+    merged = petmjx.merge_runs(folders[::-1], tmp_path / "merged")
+    assert_same(merged, expected)
+    whole = load_run(tmp_path / "whole")
+    assert merged.info["counts"] == whole.info["counts"]
+    assert merged.info["identity"] == whole.info["identity"]
+    assert [entry["shard"] for entry in merged.info["config"]["shards"]] == ["1/3", "2/3", "3/3"]
+    for table in expected:
+        assert merged.units(table) == whole.units(table)
+    assert_same(simulate(kind, tmp_path / "merged", engine=Counting(0), resume=True), expected)
+
+
+def test_a_shard_without_plans_is_a_run_without_worlds(tmp_path: Path) -> None:
+    folders = [tmp_path / f"shard-{number}" for number in range(1, 9)]
+    for kind in ("score", "grid", "search"):
+        for number, folder in enumerate(folders, 1):
+            simulate(kind, folder, shard=f"{number}/8", plans=PLANS[3:5], overwrite=True)
+        assert len(petmjx.merge_runs(folders, tmp_path / "merged", overwrite=True).worlds.plan_id.unique()) == 2
+
+
+def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
+    one, two = tmp_path / "1", tmp_path / "2"
+    for number, folder in enumerate((one, two), 1):
+        simulate("score", folder, shard=f"{number}/2")
+    out = tmp_path / "out"
+
+    def refused(*folders: Path, to: Path = out) -> str:
+        with pytest.raises(petmjx.InputError) as caught:
+            petmjx.merge_runs(folders, to)
+        return str(caught.value)
+
+    assert refused(one) == "missing: shard 2/2"
+    assert refused(one, two, one) == f"{one}: shard 1/2 twice, also in {one}"
+    assert "is one of the shards" in refused(one, two, to=two)
+    assert "no shard to merge" in refused()
+    simulate("score", tmp_path / "whole")
+    assert "not a shard" in refused(one, tmp_path / "whole")
+    simulate("score", tmp_path / "3", shard="2/3")
+    assert "is shard 2/3, others are of 2" in refused(one, tmp_path / "3")
+    simulate("score", tmp_path / "fixed", shard="2/2", schedule="fixed")
+    assert "simulation.schedule is fixed, was adaptive" in refused(one, tmp_path / "fixed")
+    info = json.loads((two / "run.json").read_text())
+    (two / "run.json").write_text(json.dumps(info | {"status": "interrupted"}))
+    assert "not finished (interrupted); go on with it by --resume first" in refused(one, two)
+    n_worlds = info["counts"]["worlds"] + load_run(one).info["counts"]["worlds"]
+    counts = {**info["counts"], "worlds": n_worlds}
+    for table in ("worlds", "boxes"):
+        (two / table / "part-00001.parquet").write_bytes((one / table / "part-00000.parquet").read_bytes())
+    (two / "run.json").write_text(json.dumps(info | {"counts": counts}))
+    assert "twice: in" in refused(one, two)
+    assert not out.exists()
