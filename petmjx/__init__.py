@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         Cone,
         Physics,
         Quiet,
-        RunOptions,
         Schedule,
         Simulation,
         Solver,
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from petmjx.plans.read import load_plans
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
+    from petmjx.run_options import RunOptions
     from petmjx.sweeps.merge import merge_runs
 
 __version__ = "0.2.0.dev0"
@@ -41,7 +41,7 @@ _HOME = {
     "PHYSICS": "petmjx.config",
     "Physics": "petmjx.config",
     "Quiet": "petmjx.config",
-    "RunOptions": "petmjx.config",
+    "RunOptions": "petmjx.run_options",
     "Schedule": "petmjx.config",
     "Simulation": "petmjx.config",
     "Solver": "petmjx.config",

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from petmjx.checked import Checked
-from petmjx.config import RunOptions, Simulation, sorted_options
+from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.choose import Choice, resolve_engine
 from petmjx.machine import device_name, package_versions
@@ -23,6 +23,7 @@ from petmjx.plans.plan import PlanSet
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.writer import RunWriter, write_summary
+from petmjx.run_options import RunOptions, sorted_options
 from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity

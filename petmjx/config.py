@@ -1,4 +1,4 @@
-"""Every option: what results depend on (``Simulation``), and how and where a run runs (``RunOptions``).
+"""Every option that results depend on (``Simulation``). How and where a run runs: petmjx/run_options.py.
 
 Defaults, units, checks and descriptions are written only here. ``petmjx.score``, ``petmjx.sweep``, the command line
 and the ``[simulation]`` table of sweep files are made from these records. ``run.json`` has their values.
@@ -6,18 +6,14 @@ and the ``[simulation]`` table of sweep files are made from these records. ``run
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
-from petmjx.checked import Checked, complaint, got, hint
-from petmjx.errors import InputError
+from petmjx.checked import Checked, complaint, got
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -337,94 +333,3 @@ class Simulation(Checked):
         (docs/performance.md).
         """
         return self.schedule is Schedule.ADAPTIVE and self.physics.cone is Cone.ELLIPTIC
-
-
-AUTO: Final = "auto"
-
-
-def _share(text: str | None) -> str | None:
-    """I/N with 1 ≤ I ≤ N."""
-    if text is None:
-        return None
-    found = re.fullmatch(r"0*(\d{1,9})/0*(\d{1,9})", text)
-    if not found or not 1 <= int(found[1]) <= int(found[2]):
-        raise ValueError(f"must be I/N with 1 ≤ I ≤ N, such as 3/16, {got(text)}")
-    return f"{found[1]}/{found[2]}"
-
-
-class RunOptions(Checked):
-    """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
-    ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
-
-    engine: Annotated[Any, Flag("--engine")] = Field(
-        AUTO,
-        description="what steps worlds: mujoco: C MuJoCo on CPU threads; mjx-jax, mjx-warp: MJX in batches; auto: "
-        "mjx-warp where it runs and is expected to finish first, else mujoco; in Python also an engine of your own",
-    )
-    threads: Annotated[int | None, within(1, 4096), Flag("--threads", "N")] = Field(
-        None, ge=1, description="CPU threads of the engine mujoco; by default all that this process may use"
-    )
-    lanes: Annotated[int | None, within(1, 1 << 20), Flag("--lanes", "N")] = Field(
-        None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
-    )
-    world_timeout_s: Annotated[float | None, within(0, 1e9), Flag("--world-timeout", "S")] = Field(
-        None,
-        gt=0,
-        description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
-    )
-    limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
-        None, ge=1, description="take only this many plans"
-    )
-    strict: Annotated[bool, Flag("--strict")] = Field(
-        False, description="stop at the first unusable plan instead of skipping it"
-    )
-    allow_large: Annotated[bool, Flag("--yes", short="-y")] = Field(
-        False, description="run sweeps of more than a million worlds too"
-    )
-    out: Annotated[Path | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
-        None,
-        description="folder for the results; in Python by default a temporary one that goes with what is returned",
-    )
-    overwrite: Annotated[bool, Flag("--overwrite")] = Field(
-        False, description="replace the results that the folder holds"
-    )
-    resume: Annotated[bool, Flag("--resume")] = Field(
-        False,
-        description="go on with the run that the folder holds: simulate what is missing of it; begin if it holds none",
-    )
-    shard: Annotated[str | None, AfterValidator(_share), Flag("--shard", "I/N")] = Field(
-        None, description="take only the I-th of N shares of the plans, I from 1; petmjx merge joins the results"
-    )
-
-    @model_validator(mode="after")
-    def _folder_is_named(self) -> Self:
-        if self.resume and self.out is None:
-            raise complaint("needs out: which run is to go on?", "resume")
-        if self.resume and self.overwrite:
-            raise complaint("contradicts overwrite: drop one of them", "resume")
-        return self
-
-    def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. That depends on its id alone, so that all its worlds stay together."""
-        if self.shard is None:
-            return True
-        share, shares = (int(number) for number in self.shard.split("/"))
-        digest = hashlib.blake2b(plan_id.encode("utf-8", "backslashreplace"), digest_size=8).digest()
-        return int.from_bytes(digest, "big") % shares == share - 1
-
-
-def sorted_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Options by name, divided into fields of ``Simulation`` and fields of ``RunOptions``.
-
-    Raises:
-        InputError: no such option; the line suggests the most similar name.
-    """
-    ours: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
-    records: tuple[type[Checked], ...] = (Simulation, RunOptions)
-    for name, value in options.items():
-        home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
-        if home is None:
-            known = [field for record in records for field in record.model_fields]
-            raise InputError(f"unknown option {name}; {hint(name, known)}")
-        ours[home][name] = value
-    return ours

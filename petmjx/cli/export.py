@@ -23,8 +23,9 @@ def export(
     **options: Any,
 ) -> None:
     """Write the exact MuJoCo model of one plan as MJCF, every box at its place; MuJoCo's viewer opens it."""
-    from petmjx.config import RunOptions, Simulation
+    from petmjx.config import Simulation
     from petmjx.plans.gather import find_plan, usable_plans
+    from petmjx.run_options import RunOptions
     from petmjx.world.model import to_mjcf
     from petmjx.world.scene import build_scene
 

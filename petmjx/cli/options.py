@@ -14,8 +14,9 @@ import typer
 from pydantic.fields import FieldInfo
 
 from petmjx.checked import Checked
-from petmjx.config import Flag, RunOptions, Simulation
+from petmjx.config import Flag, Simulation
 from petmjx.errors import InputError
+from petmjx.run_options import RunOptions
 from petmjx.text import printable
 
 Command = TypeVar("Command", bound=Callable[..., None])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from petmjx.config import Simulation
 from petmjx.verdict import Outcome
@@ -49,6 +49,7 @@ class RunLock:
         self._lock.release()
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Simulates worlds. Outcomes come in any order, as worlds finish; ``Outcome.job`` is the index of the job.
 

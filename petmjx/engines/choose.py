@@ -5,11 +5,12 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 
-from petmjx.config import AUTO, RunOptions
+from petmjx.checked import got
 from petmjx.engines.base import Engine
 from petmjx.engines.cost import H100, Costs, Work
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import cpu_threads, why_no_warp
+from petmjx.run_options import AUTO, RunOptions
 from petmjx.text import counted
 
 ENGINES: dict[str, tuple[str, str]] = {
@@ -42,6 +43,8 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tupl
     """
     asked = options.engine
     if not isinstance(asked, str):
+        if isinstance(asked, type) or not isinstance(asked, Engine):
+            raise InputError(f"engine must be a name or an object with a name and a method run, {got(asked)}")
         return asked, Choice(asked.name, "given")
     threads = options.threads or cpu_threads()
     seconds = costs.seconds(work, threads)
@@ -50,7 +53,7 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tupl
     if asked == AUTO:
         for option in ("lanes",) if name == "mujoco" else OF_MUJOCO:
             del limits[option]
-    return make_engine(name, **limits), Choice(name, reason, seconds[name])
+    return make_engine(name, **limits), Choice(name, reason, seconds.get(name))
 
 
 def choose(seconds: dict[str, float], threads: int) -> tuple[str, str]:

@@ -7,11 +7,12 @@ from os import PathLike
 
 import numpy as np
 
-from petmjx.config import CARRIER_EXTENT_M, RunOptions, Simulation
+from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
+from petmjx.run_options import RunOptions
 from petmjx.text import counted
 from petmjx.units import MM_PER_M
 

@@ -15,12 +15,13 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.api import RunStart
-from petmjx.config import RunOptions, Simulation, Thresholds
+from petmjx.config import Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
 from petmjx.plans.gather import find_plan, gather_plans, usable_plans
 from petmjx.plans.plan import PlanSet, Skipped
+from petmjx.run_options import RunOptions
 from petmjx.sweeps.run import SweptWorld
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job

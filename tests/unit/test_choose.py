@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from petmjx.config import RunOptions, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.choose import ENGINES, Choice, choose, make_engine, resolve_engine
 from petmjx.engines.cost import COST_SHARE, H100, Work
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import EngineUnavailable, InputError
+from petmjx.run_options import RunOptions
 
 SIM = Simulation()
 STATIC = Simulation(check="static", schedule="fixed", duration_s=1.0)
@@ -137,6 +138,9 @@ def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
         make_engine("mjx-warp")
     with pytest.raises(InputError, match="there are mujoco, mjx-jax, mjx-warp and auto"):
         make_engine("abacus")
+    for no_engine, shown in ((MujocoEngine, "<class"), (5, "5")):
+        with pytest.raises(InputError, match=f"^engine must be a name or an object with .*, got {shown}"):
+            resolve_engine(RunOptions(engine=no_engine), Work(SIM, [9]))
     with pytest.raises(InputError, match="threads belong to the engine mujoco"):
         make_engine("mjx-jax", threads=2)
     with pytest.raises(InputError, match="lanes belong to the MJX engines"):

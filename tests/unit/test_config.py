@@ -10,8 +10,8 @@ import pytest
 
 from petmjx import PHYSICS, Check, Cone, Physics, Quiet, RunOptions, Schedule, Simulation, Thresholds
 from petmjx.checked import Checked
-from petmjx.config import sorted_options
 from petmjx.errors import InputError
+from petmjx.run_options import sorted_options
 
 
 @pytest.mark.parametrize(
@@ -70,8 +70,11 @@ def test_options_are_sorted_by_record_and_unknown_ones_refused_with_a_hint() -> 
     assert of_run == {"threads": 2}
     with pytest.raises(InputError, match=r"^unknown option intervall_s; did you mean interval_s\?$"):
         sorted_options({"intervall_s": 1.0})
-    with pytest.raises(InputError, match=r"^unknown option xyz; there are check, schedule, .*, overwrite$"):
+    with pytest.raises(InputError, match=r"^unknown option xyz; there are check, schedule, .*, overwrite, "):
         sorted_options({"xyz": 1})
+    inside = r"^unknown option tilt_deg; it is a field of thresholds: thresholds=\{'tilt_deg': …\}$"
+    with pytest.raises(InputError, match=inside):
+        sorted_options({"tilt_deg": 15})
     assert not set(Simulation.model_fields) & set(RunOptions.model_fields)
 
 

@@ -17,12 +17,13 @@ from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.config import RunOptions, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
+from petmjx.run_options import RunOptions
 from petmjx.sweeps.run import Batching
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
