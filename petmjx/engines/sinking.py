@@ -75,29 +75,55 @@ def sinking_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m:
     """(n,) how far each box's centre comes down because the contacts below it give way, m: an upper estimate.
 
     Args:
-        top_force_n: (n,) what presses on each box's top, N; 0 for boxes that were not placed.
+        top_force_n: (n,) what presses on each box's top, N; 0 for boxes that were not placed. What exceeds the weight
+            of all that the plan has above a box is an impact, over before a box has sunk, and does not count.
         enough_m: where no box can sink by more than this, zeros are returned and nothing is looked at closely.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier_mass
     unit = _give_s2(physics) / CONTACTS_PER_FACE
     box, plate, floor = scene.box_friction[0], scene.carrier_friction[0], scene.floor_friction[0]
     of_boxes, of_carrier = _cone_factor(physics, box), _cone_factor(physics, box, plate)
-    load = top_force_n + mass * gravity
     low = scene.target - scene.half_size
     stands_on_carrier = low[:, 2] < ON_CARRIER_M
-    above = unit * of_boxes * top_force_n / mass
-    below = unit * np.where(stands_on_carrier, of_carrier * load * (1 / mass + 1 / carrier), of_boxes * load / mass)
+    give = unit * np.where(stands_on_carrier, of_carrier * (1 / mass + 1 / carrier), of_boxes / mass)
     base = unit * _cone_factor(physics, plate, floor) * scene.total_mass * gravity / carrier
+
+    def gives_way(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) each: by how much what is on a box comes closer to it, and it to what bears it, m."""
+        return unit * of_boxes * top_n / mass, give * (top_n + mass * gravity)
+
+    above, below = gives_way(top_force_n)
     if base + above.sum() + below.sum() <= enough_m:
         return np.zeros(len(mass))
     high = scene.target + scene.half_size
     over = _overlap(low[:, 0], high[:, 0]) & _overlap(low[:, 1], high[:, 1])
-    sinking = np.zeros(len(mass))
     order = np.argsort(scene.target[:, 2], kind="stable")
+    above, below = gives_way(np.minimum(top_force_n, _weight_above_n(mass * gravity, over, order)))
+    sinking = np.zeros(len(mass))
     for place, number in enumerate(order):
         under = order[:place][over[number, order[:place]]]
         sinking[number] = below[number] + (sinking[under] + above[under]).max(initial=base)
     return sinking
+
+
+def _weight_above_n(weight_n: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
+    """(n,) the weight of all boxes that a box may bear, directly or through others, N.
+
+    No box at rest bears more on its top: what presses down on a box passes on, together with its weight, to the boxes
+    under it, and none of it is counted twice.
+
+    Args:
+        over: (n, n) whether two boxes overlap seen from above.
+        order: (n,) the boxes from the lowest to the highest.
+    """
+    bears = np.zeros_like(over)
+    for place in range(len(order) - 1, -1, -1):
+        number, higher = order[place], order[place + 1 :]
+        direct = higher[over[number, higher]]
+        bears[number, direct] = True
+        bears[number] |= bears[direct].any(axis=0)
+    total: FloatArray = bears @ weight_n
+    return total
 
 
 ON_CARRIER_M = 0.001

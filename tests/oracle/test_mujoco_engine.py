@@ -294,7 +294,7 @@ from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.world.job import Job
 from support.plans import make_scene, stack
-sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=1e4)
+sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=600)
 short, long = Job(make_scene(stack(3, -200.0))), Job(make_scene(3))
 try:
     for outcome in MujocoEngine(2).run([short, long, long, long], sim):

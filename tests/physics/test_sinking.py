@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,6 +128,19 @@ def test_a_shift_that_is_sinking_alone_is_no_verdict() -> None:
     fallen: tuple[Box, ...] = (boxes[0], ((400, 300, 200), (0, 0, 225), 140.0))
     result = score(fallen, Simulation())
     assert (result.outcome.verdict, result.outcome.reason) == (Verdict.UNSTABLE, Reason.SHIFT)
+
+
+def test_an_impact_is_no_sinking() -> None:
+    """In one sample the upper box has just landed: the lower one bears a hundred times what stands on it."""
+    boxes = one_on_another(1.0, 20.0)
+    scene, outcome = make_scene(boxes), simulate(boxes, Simulation())
+    force = outcome.boxes.max_top_force_n
+    assert force[0] == pytest.approx(20.0 * 9.81, rel=0.1)
+    hit = replace(outcome, boxes=replace(outcome.boxes, max_top_force_n=100 * force))
+    assert note_sinking(hit, scene, Simulation()) is hit
+    np.testing.assert_allclose(
+        sinking_m(scene, PHYSICS["pallet"], 100 * force), sinking_m(scene, PHYSICS["pallet"], force), rtol=0.1
+    )
 
 
 def test_looking_for_it_costs_next_to_nothing() -> None:

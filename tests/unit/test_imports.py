@@ -13,6 +13,7 @@ import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"errors", "text", "units", "machine", "bounded", "checked", "config"}),
+    frozenset({"run_options"}),
     frozenset({"plans"}),
     frozenset({"world"}),
     frozenset({"metrics"}),
