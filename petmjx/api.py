@@ -87,7 +87,7 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
         ]
         lines = [f"    {name}: {info.description}." for name, info in fields.items()]
         function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nOptions:\n" + "\n".join(lines) + "\n"
-        function.__signature__ = own.replace(parameters=named)  # type: ignore[attr-defined]
+        function.__signature__ = own.replace(parameters=named)  # type: ignore[attr-defined]  # what inspect reads
         return function
 
     return decorate
@@ -167,9 +167,10 @@ def _simulate(
     shares = ShareColumns.of(plan) if command == "sweep" and asked.search is None else None
     total = plan.n_worlds if asked.search is None else None
     progress = Progress()
+    simulation = sim.model_dump(mode="json")
     settings = {
         "command": command,
-        "simulation": sim.model_dump(mode="json"),
+        "simulation": simulation,
         **({"sweep": sweep_identity(asked)} if command == "sweep" else {}),
         "engine": choice.name,
         "shard": options.shard,
@@ -177,7 +178,7 @@ def _simulate(
     config = {
         "command": command,
         **({"sweep": asked.resolved()} if command == "sweep" else {}),
-        "simulation": sim.model_dump(mode="json"),
+        "simulation": simulation,
         **options.model_dump(mode="json", exclude={"engine", "out", "overwrite", "resume"}),
         **({"shares": asdict(shares)} if shares else {}),
         "engine": choice.name,

@@ -163,7 +163,7 @@ class Physics(Checked):
         (0.99, 0.99, 0.01), description="MuJoCo's impedances of contacts and their width, m"
     )
 
-    @computed_field(description="the preset that these values are, or custom")  # type: ignore[prop-decorator]
+    @computed_field(description="the preset that these values are, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
     @property
     def name(self) -> str:
         """The preset that has exactly these values, or "custom"."""

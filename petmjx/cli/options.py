@@ -133,9 +133,9 @@ def takes(*fields: str, without: Collection[str] = (), simulated: str = SIMULATE
         parameters += [_set_parameter(settable, simulated)] if settable else []
         parameters += [option.parameter for option in options if option.section != simulated]
         with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
-        with_options.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+        with_options.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
         with_options.__annotations__ = {p.name: p.annotation for p in parameters}
-        return with_options  # type: ignore[return-value]
+        return with_options  # type: ignore[return-value]  # called as the signature says
 
     return decorate
 

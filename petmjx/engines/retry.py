@@ -154,9 +154,12 @@ def score_worlds(
 
     def retry(batch: Sequence[_Pending[AnyWorld]]) -> Iterator[WorldResult[AnyWorld]]:
         for number, attempt in enumerate(retries, start=1):
-            chosen = [pending for pending in batch if pending[1] is not None and attempt.is_for(pending[1])]
+            chosen: list[_Pending[AnyWorld]] = []
+            others: list[_Pending[AnyWorld]] = []
+            for pending in batch:
+                fits = pending[1] is not None and attempt.is_for(pending[1])
+                (chosen if fits else others).append(pending)
             if chosen:
-                others = [pending for pending in batch if not (pending[1] is not None and attempt.is_for(pending[1]))]
                 progress.message = f"{len(chosen)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
                 batch = others + (yield from attempt_at(chosen, attempt, retries[number:]))
 

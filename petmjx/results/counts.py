@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
+
+import pyarrow as pa
 
 from petmjx.verdict import Reason, Verdict
+
+COUNTED: Final = ("verdict", "reason", "attempt")
+"""The columns of ``worlds`` that are counted, in the order of :meth:`Counts.add`."""
 
 
 @dataclass
@@ -22,6 +27,10 @@ class Counts:
         for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
             self.verdicts[Verdict(verdict), Reason(reason)] += count
         self.retried += sum(attempt > 1 for attempt in attempts)
+
+    def add_worlds(self, worlds: pa.Table) -> None:
+        """Count the rows of a table ``worlds`` (its columns ``COUNTED``)."""
+        self.add(*(worlds.column(name).to_pylist() for name in COUNTED))
 
     def as_json(self) -> dict[str, Any]:
         """Worlds by verdict, and those that are not stable by reason."""

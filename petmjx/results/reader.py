@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from petmjx.errors import InputError
-from petmjx.results.counts import Counts
+from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import RUN_FILE, part_files
 from petmjx.results.schema import SCHEMA_VERSION, schema_version_of, schemas
 from petmjx.text import counted, one_line
@@ -123,8 +123,7 @@ def _counted(folder: Path) -> Counts:
     """The counts of the worlds on disk."""
     counts = Counts()
     for file in part_files(folder, "worlds"):
-        part = read_part(file, ("verdict", "reason", "attempt")).to_pydict()
-        counts.add(part["verdict"], part["reason"], part["attempt"])
+        counts.add_worlds(read_part(file, COUNTED))
     return counts
 
 

@@ -56,7 +56,8 @@ class Recorded:
     def counts(self) -> Counts:
         """How many worlds came to what."""
         counts = Counts()
-        counts.add(*(self._column(name) for name in ("verdict", "reason", "attempt")))
+        if self._table is not None:
+            counts.add_worlds(self._table)
         return counts
 
     def _column(self, name: str) -> list[Any]:

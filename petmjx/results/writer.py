@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.plan import Plan, Skipped
-from petmjx.results.counts import Counts
+from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import (
     RUN_FILE,
     copy_file,
@@ -65,7 +65,7 @@ class _Pending:
         """The next part, once this one is written."""
         counts = Counts(Counter(self.counts.verdicts), self.counts.retried)
         cells = [row.cells for row in self.part.rows]
-        counts.add(*([cell[name] for cell in cells] for name in ("verdict", "reason", "attempt")))
+        counts.add(*([cell[name] for cell in cells] for name in COUNTED))
         return _Pending(Part(self.part.number + 1), counts)
 
 
@@ -291,7 +291,7 @@ class RunWriter:
             PetmjxError: a part cannot be written.
         """
         for file in part_files(folder, "worlds"):
-            worlds = read_part(file, ("verdict", "reason", "attempt"))
+            worlds = read_part(file, COUNTED)
             if not len(worlds):
                 continue
             with self._lock:
@@ -303,7 +303,7 @@ class RunWriter:
                             copy_file(source, self.out_dir / table / part_name(number))
                 except OSError as error:
                     raise self._trouble(error) from error
-                self._pending.counts.add(*(worlds[name].to_pylist() for name in ("verdict", "reason", "attempt")))
+                self._pending.counts.add_worlds(worlds)
                 self._pending = _Pending(Part(number + 1), self._pending.counts)
 
     def skip(self, skipped: Skipped) -> None:

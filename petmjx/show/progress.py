@@ -130,7 +130,7 @@ class _Bar(RichProgress):
         super().__init__(count, BarColumn(), _Words(rate), TimeRemainingColumn(), console=console)
         self._task = self.add_task("", total=total)
 
-    def update(self, done: int, message: str = "") -> None:  # type: ignore[override]
+    def update(self, done: int, message: str = "") -> None:  # type: ignore[override]  # its only task
         self._message = printable(message)
         super().update(self._task, completed=done)
 

@@ -142,8 +142,18 @@ Directions = Annotated[
 ]
 
 
+def _listed(given: Any) -> tuple[Any, ...]:
+    """A value or a list of values (`OneOrMore`) as a list."""
+    return given if isinstance(given, tuple) else (given,)
+
+
+def _ends(given: Any) -> tuple[float, float]:
+    """The smallest and the largest number of a range, a list, or one value."""
+    return (given.low, given.high) if isinstance(given, Range) else (min(_listed(given)), max(_listed(given)))
+
+
 def _leave_a_mass(given: Any) -> Any:
-    lowest = given.low if isinstance(given, Range) else min(given) if isinstance(given, tuple) else given
+    lowest, _ = _ends(given)
     if lowest < MIN_MASS_FACTOR:
         raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
     return given
@@ -153,7 +163,7 @@ Masses = Annotated[Positives, AfterValidator(_leave_a_mass)]
 
 
 def _are_frictions(given: Any) -> Any:
-    highest = given.high if isinstance(given, Range) else max(given) if isinstance(given, tuple) else given
+    _, highest = _ends(given)
     if highest > MAX_FRICTION_FACTOR:
         raise ValueError(f"must be from 0 to {MAX_FRICTION_FACTOR:g}, got {highest:g}")
     return given
@@ -217,7 +227,7 @@ def _up_to(largest: float) -> AfterValidator:
     """A check of errors against a smaller range than that of places."""
 
     def check(given: Any) -> Any:
-        for error in given if isinstance(given, tuple) else (given,):
+        for error in _listed(given):
             if max(abs(error.centre), error.spread) > largest:
                 raise ValueError(f"must be from {-largest:g} to {largest:g}, got {error.label()}")
         return given
@@ -361,7 +371,7 @@ def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
 
 def _axis(name: str, given: Any, sampled: bool) -> Axis:
     if not isinstance(given, Range):
-        return Axis(name, given if isinstance(given, tuple) else (given,))
+        return Axis(name, _listed(given))
     if not given.continuous:
         return Axis(name, given.values())
     if not sampled:

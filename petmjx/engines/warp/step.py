@@ -204,6 +204,6 @@ def _step(step: int, *arrays: Any) -> None:
 # Warp reads the types of the buffers from the signature, and loads the kernels of this module before the call.
 _step.__module__ = kernels.__name__
 _step.__annotations__ = {"step": int} | _INPUTS | _OUTPUTS
-_step.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+_step.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # what inspect reads
     [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in _step.__annotations__]
 )
