@@ -12,6 +12,7 @@ import numpy as np
 
 from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.units import FloatArray, seconds_to_steps
+from petmjx.world.job import Job
 
 STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.25, Schedule.BRISK: 0.2}
 """Steps of a schedule as a share of the fixed schedule's. Measured on 2,000 generated plans, physics ``pallet``
@@ -96,8 +97,8 @@ class Costs:
     tail_lanes: int = 3300
     gpu_start_s: float = 25.0
 
-    def seconds(self, work: Work, threads: int) -> dict[str, float]:
-        """Engine → expected time, s; for ``mjx-jax`` that on a CPU."""
+    def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
+        """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
         n_plans = len(work.boxes)
         if not n_plans:
             return {"mujoco": 0.0, "mjx-jax": 0.0, "mjx-warp": self.gpu_start_s}
@@ -108,11 +109,22 @@ class Costs:
             "mujoco": thread_s / min(threads, worlds),
             "mjx-jax": self.jax_step_s * box2_steps,
             "mjx-warp": self.gpu_start_s
-            + self._phase_s(n_plans * work.placements, float(work._placing.mean()))
-            + self._phase_s(n_plans * work.drives, float(work._driving.mean())),
+            + self._phase_s(n_plans * work.placements / gpus, float(work._placing.mean()))
+            + self._phase_s(n_plans * work.drives / gpus, float(work._driving.mean())),
         }
 
-    def _phase_s(self, worlds: int, box2_steps: float) -> float:
+    def of_jobs(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
+        """(n,) expected time of each job on one CPU thread, s. On a device only its order counts."""
+        boxes = [job.scene.n_boxes for job in jobs]
+        placed = np.array([job.start is None for job in jobs])
+        rest = [seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s) if job.drive else 0 for job in jobs]
+        shaken = [len(job.drive.excitation.samples) if job.drive else 0 for job in jobs]
+        drive_steps = np.array(rest, dtype=float) + shaken
+        placing = Work(sim, boxes, drives=int(any(job.keep_state or job.drive for job in jobs)))
+        box2_steps = placed * placing._placing + SHAKEN_FACTOR * np.array(boxes, dtype=float) ** 2 * drive_steps
+        return self.cpu_step_s * box2_steps + self.cpu_overhead_s * (placed * placing.steps + drive_steps)
+
+    def _phase_s(self, worlds: float, box2_steps: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
         return self.gpu_step_s * box2_steps * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
 

@@ -9,14 +9,14 @@ from functools import partial
 from itertools import islice
 
 import mujoco
-import numpy as np
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.world import Cancelled, WorldRun
+from petmjx.engines.failing import failed_outcome
 from petmjx.machine import cpu_threads
 from petmjx.text import one_line
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
 
@@ -103,38 +103,4 @@ def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event, time
     except Cancelled:
         raise
     except Exception as error:
-        return _failed(index, job, sim, one_line(error))
-
-
-def _failed(index: int, job: Job, sim: Simulation, message: str) -> Outcome:
-    """The outcome of a world whose simulation raised an exception: it has no metrics."""
-    n = job.scene.n_boxes
-    unknown = np.full(n, np.nan)
-    boxes = BoxMetrics(
-        shift_m=np.full((n, 3), np.nan),
-        max_tilt_deg=unknown,
-        max_lin_acc=unknown,
-        max_ang_acc=unknown,
-        max_top_force_n=unknown,
-        rest_top_force_n=unknown,
-        dropped=np.zeros(n, np.bool_),
-        drop_s=unknown,
-        max_sway_m=unknown,
-        pos=job.scene.start_pos,
-        quat=job.scene.start_quat,
-    )
-    return Outcome(
-        job=index,
-        verdict=Verdict.INVALID,
-        reason=Reason.FAILED,
-        culprit=-1,
-        first_sign_s=np.nan,
-        n_boxes=n,
-        n_placed=0,
-        sim_time_s=np.nan,
-        n_steps=0,
-        flags=Flag.FAILED | (Flag.FORKED if job.start is not None else Flag.NONE),
-        boxes=boxes,
-        solver=sim.solver.value,
-        message=message,
-    )
+        return failed_outcome(index, job, sim, one_line(error))
