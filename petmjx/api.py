@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeVar
 from petmjx.checked import Checked
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.choose import Choice, resolve_engine
+from petmjx.engines.choose import Choice, engine_for
 from petmjx.machine import device_name, package_versions
 from petmjx.plans.gather import PathArgument, PlanSource, usable_plans
 from petmjx.plans.plan import PlanSet
@@ -162,84 +162,84 @@ def _simulate(
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
     everything = plan.plans
     plan.plans = [each for each in everything if options.takes(each.plan_id)]
-    engine, choice = resolve_engine(options, plan.work())
-    columns = SweepColumns(plan) if command == "sweep" else None
-    shares = ShareColumns.of(plan) if command == "sweep" and asked.search is None else None
-    total = plan.n_worlds if asked.search is None else None
-    progress = Progress()
-    simulation = sim.model_dump(mode="json")
-    settings = {
-        "command": command,
-        "simulation": simulation,
-        **({"sweep": sweep_identity(asked)} if command == "sweep" else {}),
-        "engine": choice.name,
-        "shard": options.shard,
-    }
-    config = {
-        "command": command,
-        **({"sweep": asked.resolved()} if command == "sweep" else {}),
-        "simulation": simulation,
-        **options.model_dump(mode="json", exclude={"engine", "out", "overwrite", "resume"}),
-        **({"shares": asdict(shares)} if shares else {}),
-        "engine": choice.name,
-        "engine_reason": choice.reason,
-    }
+    with engine_for(options, plan.work()) as (engine, choice):
+        columns = SweepColumns(plan) if command == "sweep" else None
+        shares = ShareColumns.of(plan) if command == "sweep" and asked.search is None else None
+        total = plan.n_worlds if asked.search is None else None
+        progress = Progress()
+        simulation = sim.model_dump(mode="json")
+        settings = {
+            "command": command,
+            "simulation": simulation,
+            **({"sweep": sweep_identity(asked)} if command == "sweep" else {}),
+            "engine": choice.name,
+            "shard": options.shard,
+        }
+        config = {
+            "command": command,
+            **({"sweep": asked.resolved()} if command == "sweep" else {}),
+            "simulation": simulation,
+            **options.model_dump(mode="json", exclude={"engine", "out", "overwrite", "resume"}),
+            **({"shares": asdict(shares)} if shares else {}),
+            "engine": choice.name,
+            "engine_reason": choice.reason,
+        }
 
-    def run(folder: Path) -> RunResults:
-        rows: list[dict[str, Any]] = []
-        with RunWriter(
-            folder,
-            config,
-            manifest=Manifest.of(settings, everything),
-            params=columns.params if columns else (),
-            dynamic=bool(columns and columns.has_drives),
-            versions=package_versions(),
-            device=device_name(choice.name, options.threads),
-            expected_worlds=total,
-            overwrite=options.overwrite,
-            resume=options.resume,
-        ) as writer:
-            _note_input(writer, replace(found, skipped=[*found.skipped, *plan.skipped]))
-            for note in hopeless_profiles(asked):
-                writer.warn(note)
-            swept = SweepRun(
-                plan,
-                engine,
-                on_answer=lambda answer: rows.append(search_row(answer, columns)) if columns else None,
-                values_of=columns.of if columns else lambda world: {},
-                recorded=writer.recorded,
-                progress=progress,
-                batching=batching,
-            )
-            if watcher is not None:
-                what = "plan" if command == "score" else "world"
-                left = 1 - len(writer.recorded) / max(plan.n_worlds, 1)
-                size = plan.size(None if choice.seconds is None else choice.seconds * left)
-                watcher.begin(RunStart(what, total, size, choice, progress, len(writer.recorded)))
-            for world in swept.worlds():
-                values = columns.of(world) if columns else None
-                writer.add(
-                    world.plan,
-                    world.variant.index,
-                    choice.name,
-                    sim.schedule.value,
-                    world.outcome,
-                    world.attempts,
-                    values,
+        def run(folder: Path) -> RunResults:
+            rows: list[dict[str, Any]] = []
+            with RunWriter(
+                folder,
+                config,
+                manifest=Manifest.of(settings, everything),
+                params=columns.params if columns else (),
+                dynamic=bool(columns and columns.has_drives),
+                versions=package_versions(),
+                device=getattr(engine, "device", "") or device_name(choice.name, options.threads),
+                expected_worlds=total,
+                overwrite=options.overwrite,
+                resume=options.resume,
+            ) as writer:
+                _note_input(writer, replace(found, skipped=[*found.skipped, *plan.skipped]))
+                for note in hopeless_profiles(asked):
+                    writer.warn(note)
+                swept = SweepRun(
+                    plan,
+                    engine,
+                    on_answer=lambda answer: rows.append(search_row(answer, columns)) if columns else None,
+                    values_of=columns.of if columns else lambda world: {},
+                    recorded=writer.recorded,
+                    progress=progress,
+                    batching=batching,
                 )
-                if world.outcome.message:
-                    variant = f", variant {world.variant.index}" if columns else ""
-                    writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
                 if watcher is not None:
-                    watcher.world_done(world)
-            writer.timings.update(vars(swept.tally) if columns else {}, compile_s=progress.compile_s)
-            if columns and plan.plans:  # a shard may have none
-                writer.flush()  # shares are taken of what is on disk
-                frame = summarise_shares(folder, shares) if shares else search_frame(rows)
-                write_summary(folder, frame, *summary_units(frame, plan))
-        return load_run(folder)
+                    what = "plan" if command == "score" else "world"
+                    left = 1 - len(writer.recorded) / max(plan.n_worlds, 1)
+                    size = plan.size(None if choice.seconds is None else choice.seconds * left)
+                    watcher.begin(RunStart(what, total, size, choice, progress, len(writer.recorded)))
+                for world in swept.worlds():
+                    values = columns.of(world) if columns else None
+                    writer.add(
+                        world.plan,
+                        world.variant.index,
+                        choice.name,
+                        sim.schedule.value,
+                        world.outcome,
+                        world.attempts,
+                        values,
+                    )
+                    if world.outcome.message:
+                        variant = f", variant {world.variant.index}" if columns else ""
+                        writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
+                    if watcher is not None:
+                        watcher.world_done(world)
+                writer.timings.update(vars(swept.tally) if columns else {}, compile_s=progress.compile_s)
+                if columns and plan.plans:  # a shard may have none
+                    writer.flush()  # shares are taken of what is on disk
+                    frame = summarise_shares(folder, shares) if shares else search_frame(rows)
+                    write_summary(folder, frame, *summary_units(frame, plan))
+            return load_run(folder)
 
-    return run(options.out) if options.out is not None else _in_temporary_folder(run)
+        return run(options.out) if options.out is not None else _in_temporary_folder(run)
 
 
 def _note_input(writer: RunWriter, found: PlanSet) -> None:

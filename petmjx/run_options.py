@@ -11,13 +11,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from petmjx.checked import Checked, complaint, got, hint
 from petmjx.config import Flag, Simulation, within
 from petmjx.errors import InputError
 
 AUTO: Final = "auto"
+
+MOST_WORKERS: Final = 4096
 
 
 def _share(text: str | None) -> str | None:
@@ -30,6 +32,23 @@ def _share(text: str | None) -> str | None:
     return f"{found[1]}/{found[2]}"
 
 
+def _workers(value: Any) -> Any:
+    """A whole number ≥ 1 or ``auto``; the command line gives both as text."""
+    number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
+    if number is None or number == AUTO:
+        return number
+    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_WORKERS:
+        raise ValueError(f"must be {AUTO} or a whole number from 1 to {MOST_WORKERS:,}, {got(value)}")
+    return number
+
+
+def _address(text: str | None) -> str | None:
+    """Not that of a Ray client, which has no streams of results."""
+    if text is not None and ("://" in text or not text.strip()):
+        raise ValueError(f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {got(text)}")
+    return text
+
+
 class RunOptions(Checked):
     """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
     ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
@@ -40,7 +59,9 @@ class RunOptions(Checked):
         "mjx-warp where it runs and is expected to finish first, else mujoco; in Python also an engine of your own",
     )
     threads: Annotated[int | None, within(1, 4096), Flag("--threads", "N")] = Field(
-        None, ge=1, description="CPU threads of the engine mujoco; by default all that this process may use"
+        None,
+        ge=1,
+        description="CPU threads of the engine mujoco, of each worker if there are some; by default all that there are",
     )
     lanes: Annotated[int | None, within(1, 1 << 20), Flag("--lanes", "N")] = Field(
         None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
@@ -49,6 +70,16 @@ class RunOptions(Checked):
         None,
         gt=0,
         description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
+    )
+    workers: Annotated[int | str | None, BeforeValidator(_workers), Flag("--workers", "N|auto")] = Field(
+        None,
+        description="run in this many processes by Ray (extra ray): a worker has its share of the CPU threads, or a "
+        "GPU; auto: one for each GPU or, with mujoco, for each machine",
+    )
+    ray: Annotated[str | None, AfterValidator(_address), Flag("--ray", "ADDRESS")] = Field(
+        None,
+        description="run on the Ray cluster whose head is at HOST:PORT (auto: the one on this machine), with workers "
+        "auto if their number is not given; by default workers run on this machine",
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
@@ -81,6 +112,11 @@ class RunOptions(Checked):
         if self.resume and self.overwrite:
             raise complaint("contradicts overwrite: drop one of them", "resume")
         return self
+
+    @property
+    def asked_workers(self) -> int | str | None:
+        """``workers``, which is ``auto`` if only a cluster is named; None: the run is in this process."""
+        return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
         """Whether a plan is in this run's shard. That depends on its id alone, so that all its worlds stay together."""

@@ -56,6 +56,8 @@ class _Option:
     def kind(self) -> Any:
         """The type of the value: the field's if it is plain, else text, which the record checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
+        if str in kinds:
+            return str
         return next((kind for kind in kinds if kind in (int, float, bool, Path)), str)
 
     @property

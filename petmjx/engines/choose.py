@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from petmjx.checked import got
 from petmjx.engines.base import Engine
@@ -34,40 +37,67 @@ class Choice:
     seconds: float | None = None
 
 
+@contextmanager
+def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice]]:
+    """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
+    engine, choice = resolve_engine(options, work)
+    try:
+        yield engine, choice
+    finally:
+        if engine is not options.engine and hasattr(engine, "close"):
+            engine.close()
+
+
 def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tuple[Engine, Choice]:
     """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
     engine does not have.
 
     Raises:
-        InputError, EngineUnavailable: as ``make_engine``.
+        InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
     """
     asked = options.engine
     if not isinstance(asked, str):
         if isinstance(asked, type) or not isinstance(asked, Engine):
             raise InputError(f"engine must be a name or an object with a name and a method run, {got(asked)}")
+        if options.asked_workers is not None:
+            raise InputError("workers need an engine by name: each of them builds its own")
         return asked, Choice(asked.name, "given")
+    if options.asked_workers is not None:
+        # imported only here: Ray is an extra
+        from petmjx.engines.workers.resolve import resolve_workers
+
+        return resolve_workers(options, work, costs)
     threads = options.threads or cpu_threads()
     seconds = costs.seconds(work, threads)
     name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
+    return make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
+
+
+def options_of(name: str, options: RunOptions) -> dict[str, Any]:
+    """The arguments of ``make_engine`` that a run has for an engine. With ``auto`` only those that the engine has."""
     limits = {option: getattr(options, option) for option in (*OF_MUJOCO, "lanes")}
-    if asked == AUTO:
+    if options.engine == AUTO:
         for option in ("lanes",) if name == "mujoco" else OF_MUJOCO:
             del limits[option]
-    return make_engine(name, **limits), Choice(name, reason, seconds.get(name))
+    return limits
 
 
-def choose(seconds: dict[str, float], threads: int) -> tuple[str, str]:
+def choose(
+    seconds: dict[str, float], threads: int, gpus: int = 1, why_no_gpu: Callable[[], str | None] | None = None
+) -> tuple[str, str]:
     """The engine ``auto`` stands for, and why.
 
     Args:
         seconds: expected time of each engine, s.
         threads: CPU threads that ``mujoco`` would use.
+        gpus: that ``mjx-warp`` would use.
+        why_no_gpu: tells why ``mjx-warp`` cannot run; None: whether it can run on this machine.
     """
     cpu_s, gpu_s = seconds["mujoco"], seconds["mjx-warp"]
-    cpu = counted(threads, "CPU thread")
+    cpu, gpu = counted(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
     if cpu_s <= gpu_s:
-        return "mujoco", f"about {cpu_s:.0f} s on {cpu}, a GPU would need about {gpu_s:.0f} s"
-    if problem := why_no_warp():
+        return "mujoco", f"about {cpu_s:.0f} s on {cpu}, {gpu} would need about {gpu_s:.0f} s"
+    if problem := (why_no_gpu or why_no_warp)():
         return "mujoco", f"mjx-warp would be faster but cannot run: {problem}"
     return "mjx-warp", f"about {gpu_s:.0f} s, {cpu} would need about {cpu_s:.0f} s"
 
@@ -86,6 +116,18 @@ def make_engine(
         InputError: no such engine, or it does not have this option.
         EngineUnavailable: it cannot run here; the line says why.
     """
+    check_options(name, threads=threads, lanes=lanes, world_timeout_s=world_timeout_s)
+    module_name, class_name = ENGINES[name]
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
+    engine: Engine = getattr(module, class_name)(*((threads, world_timeout_s) if name == "mujoco" else (lanes,)))
+    return engine
+
+
+def check_options(name: str, *, threads: int | None, lanes: int | None, world_timeout_s: float | None) -> None:
+    """Raises InputError if there is no such engine, or it does not have one of these options."""
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
     on_cpu = name == "mujoco"
@@ -95,10 +137,3 @@ def make_engine(
         raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
     if world_timeout_s is not None and not on_cpu:
         raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
-    module_name, class_name = ENGINES[name]
-    try:
-        module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    engine: Engine = getattr(module, class_name)(*((threads, world_timeout_s) if on_cpu else (lanes,)))
-    return engine

@@ -1,0 +1,134 @@
+"""What runs in a worker's process: an engine, and how its outcomes come back. It works without Ray, too."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.choose import make_engine
+from petmjx.machine import device_name, package_versions
+from petmjx.text import one_line
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+REPORT_S = 0.2
+"""Time between two reports of a chunk: each costs the driver a millisecond."""
+
+
+@dataclass(frozen=True)
+class Hello:
+    """What a worker says when its engine is ready; ``error`` if that cannot be built here."""
+
+    pid: int
+    host: str
+    device: str
+    versions: dict[str, str]
+    error: BaseException | None = None
+
+
+@dataclass
+class Report:
+    """What is new of a chunk: outcomes, the progress since its beginning, and the exception that ended it."""
+
+    outcomes: list[Outcome]
+    progress: Progress
+    error: BaseException | None = None
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The arguments of ``make_engine``, with which each worker builds its engine."""
+
+    name: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+class Worker:
+    """Builds an engine once and runs chunks of jobs on it. Several chunks may run in threads side by side.
+
+    Everything goes as pickled bytes: what came through Ray's store of objects would be read-only, and would hold the
+    store's memory.
+    """
+
+    def __init__(self, recipe: Recipe, cache_dir: str | None, threads: int | None) -> None:
+        if cache_dir is not None:
+            os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
+        self._recipe, self._threads = recipe, threads
+
+    def hello(self) -> bytes:
+        """Build the engine."""
+        error: BaseException | None = None
+        device = ""
+        try:
+            self._engine = make_engine(self._recipe.name, **self._recipe.options)
+            device = device_name(self._recipe.name, self._threads)
+        except Exception as problem:
+            error = _sendable(problem)
+        return pickle.dumps(Hello(os.getpid(), platform.node(), device, package_versions(), error))
+
+    def simulate(self, chunk: bytes) -> Iterator[bytes]:
+        """Run a pickled (jobs, sim); yield pickled reports, whose outcomes count jobs from 0."""
+        jobs, sim = pickle.loads(chunk)
+        news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
+        progress = Progress()
+        ended: list[BaseException] = []
+        runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, ended), daemon=True)
+        runner.start()
+        going, said = True, ""
+        while going:
+            outcomes, going = _gather(news)
+            if outcomes or not going or progress.message != said:
+                said = progress.message
+                # a copy: the engine writes into it meanwhile
+                so_far = replace(progress, extra=dict(progress.extra))
+                yield pickle.dumps(Report(outcomes, so_far, ended[0] if ended else None))
+        runner.join()
+
+    def _run(
+        self,
+        jobs: list[Job],
+        sim: Simulation,
+        progress: Progress,
+        news: queue.SimpleQueue[Outcome | None],
+        ended: list[BaseException],
+    ) -> None:
+        try:
+            for outcome in self._engine.run(jobs, sim, progress):
+                news.put(outcome)
+        except BaseException as error:
+            ended.append(_sendable(error))
+        finally:
+            news.put(None)
+
+
+def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], bool]:
+    """The outcomes of the next moments, and whether there may be more."""
+    outcomes: list[Outcome] = []
+    until = time.monotonic() + REPORT_S
+    while (left := until - time.monotonic()) > 0:
+        try:
+            outcome = news.get(timeout=left)
+        except queue.Empty:
+            break
+        if outcome is None:
+            return outcomes, False
+        outcomes.append(outcome)
+    return outcomes, True
+
+
+def _sendable(error: BaseException) -> BaseException:
+    """The exception, or one with its text where it cannot be pickled."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(one_line(error))
+    return error

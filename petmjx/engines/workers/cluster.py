@@ -1,0 +1,217 @@
+"""Starts Ray on this machine or joins a cluster, and leaves the process as it was."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from petmjx.engines.workers.places import Node
+from petmjx.errors import EngineUnavailable, InputError
+from petmjx.machine import cpu_threads, cuda_devices
+from petmjx.run_options import AUTO
+from petmjx.text import one_line
+
+LONGEST_TEMPORARY = 24
+"""Longest name of a folder for temporary files, bytes. Below it Ray makes sockets, whose names may have 107."""
+
+REACH_S = 10.0
+"""Longest time to reach the head of a cluster, s."""
+
+_OF_RAY = ("RAY_", "PYTHONBREAKPOINT")
+"""Environment variables that Ray sets while it starts."""
+
+_PRINTER = "print_to_stdstream"
+
+
+def import_ray() -> Any:
+    """The package Ray.
+
+    Raises:
+        EngineUnavailable: it is not installed, or cannot be imported.
+    """
+    try:
+        with _left_as_it_was():
+            return importlib.import_module("ray")
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name == "ray"
+        why = "Ray is not installed" if missing else one_line(error)
+        raise EngineUnavailable(f"workers cannot run here: {why}: pip install 'petmjx[ray]'") from error
+
+
+@contextmanager
+def _left_as_it_was() -> Iterator[None]:
+    """Takes back what Ray changes in the process: variables, ``sys.excepthook``, the level of its logger."""
+    environment = {name: value for name, value in os.environ.items() if name.startswith(_OF_RAY)}
+    hook, logger = sys.excepthook, logging.getLogger("ray")
+    level = logger.level
+    try:
+        yield
+    finally:
+        for name in [name for name in os.environ if name.startswith(_OF_RAY)]:
+            del os.environ[name]
+        os.environ.update(environment)
+        sys.excepthook = hook
+        logger.setLevel(level)
+
+
+@dataclass
+class _Ours:
+    """A Ray that this process has started or joined.
+
+    Attributes:
+        thread: starts and ends it. In the main thread Ray would take over SIGTERM, and turn what a handler of signals
+            raises into a bare KeyboardInterrupt. The thread lives as long as Ray: with it Ray's processes die.
+        folder: its temporary files, if it runs on this machine alone.
+    """
+
+    ray: Any
+    address: str | None
+    thread: ThreadPoolExecutor
+    folder: Path | None = None
+    users: int = 0
+    _print: Any = None
+
+    def start(self) -> None:
+        """Start Ray or join the cluster; in the thread.
+
+        Raises:
+            InputError: there is no cluster.
+            EngineUnavailable: Ray does not start.
+        """
+        how: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
+        if self.address is None:
+            temporary = tempfile.gettempdir()
+            short = len(os.fsencode(temporary)) <= LONGEST_TEMPORARY
+            self.folder = Path(tempfile.mkdtemp(prefix="petmjx-ray-", dir=temporary if short else "/tmp"))
+            how |= {"address": "local", "num_cpus": cpu_threads(), "num_gpus": len(cuda_devices())}
+            how |= {"include_dashboard": False, "_temp_dir": str(self.folder)}
+        else:
+            _check_reachable(self.address)
+            how |= {"address": self.address}
+        with _left_as_it_was(), warnings.catch_warnings():
+            # JAX warns of every fork once it has started; Ray's are followed by an exec
+            warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
+            os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+            logging.getLogger("ray").setLevel(logging.CRITICAL)
+            try:
+                self.ray.init(**how)
+            except Exception as error:
+                self._remove_folder()
+                if isinstance(error, ConnectionError) and self.address is not None:
+                    hint = "a cluster that wants a token needs RAY_AUTH_MODE=token"
+                    raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error
+                raise EngineUnavailable(f"workers cannot run here: Ray does not start: {one_line(error)}") from error
+        # It prints to standard output, where only results belong, that a worker has died. There is no option for it.
+        module = self.ray._private.worker
+        self._print = getattr(module, _PRINTER, None)
+        setattr(module, _PRINTER, lambda *_, **__: None)
+
+    def end(self) -> None:
+        """Stop Ray or leave the cluster; in the thread."""
+        with _left_as_it_was():
+            self.ray.shutdown()
+        if self._print is not None:
+            setattr(self.ray._private.worker, _PRINTER, self._print)
+        self._remove_folder()
+
+    def _remove_folder(self) -> None:
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _check_reachable(address: str) -> None:
+    """Raises InputError if nobody listens there: Ray itself would ask again and again for minutes."""
+    host, _, port = address.rpartition(":")
+    if address == AUTO:
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=REACH_S).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError(f"ray: no cluster at {address} ({one_line(error)})") from error
+
+
+class Cluster:
+    """A user of the cluster of this process: Ray has one a process. The last user to close it ends it.
+
+    Where the caller's own program has started Ray, that cluster is used and stays.
+
+    Args:
+        address: of the cluster's head (HOST:PORT, or ``auto`` for the one on this machine); None: a new one of this
+            machine alone.
+
+    Raises:
+        EngineUnavailable: Ray is not installed or does not start.
+        InputError: there is no cluster, or this process uses another one.
+    """
+
+    _lock = threading.Lock()
+    _ours: _Ours | None = None
+
+    def __init__(self, address: str | None = None) -> None:
+        self.ray = import_ray()
+        cls = Cluster
+        with cls._lock:
+            if not self.ray.is_initialized():
+                cls._ours = _started(self.ray, address)
+            elif address not in (None, AUTO, self.ray.get_runtime_context().gcs_address):
+                raise InputError(f"ray: this process is in another cluster already, {address} cannot be joined")
+            self._used = cls._ours
+            if self._used is not None:
+                self._used.users += 1
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The machines of the cluster that are alive."""
+        resources = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
+        return [Node(int(each.get("CPU", 0)), int(each.get("GPU", 0))) for each in resources]
+
+    def close(self) -> None:
+        """This user needs it no more."""
+        used, self._used = self._used, None
+        if used is None:
+            return
+        with Cluster._lock:
+            used.users -= 1
+            if used.users == 0:
+                Cluster._ours = None
+                used.thread.submit(used.end).result()
+                used.thread.shutdown()
+
+
+def _started(ray: Any, address: str | None) -> _Ours:
+    ours = _Ours(ray, address, ThreadPoolExecutor(1, thread_name_prefix="petmjx-ray"))
+    starting = ours.thread.submit(ours.start)
+    try:
+        starting.result()
+    except BaseException:
+        if not starting.done():  # interrupted; the thread goes on
+            ours.thread.submit(ours.end)
+        ours.thread.shutdown(wait=False)
+        raise
+    finally:
+        _take_back_sigterm()
+    return ours
+
+
+def _take_back_sigterm() -> None:
+    """Put Python's own handler back: Ray's native code has one that ends the process with a list of addresses.
+
+    Only the main thread can do it. A program that starts runs in other threads keeps Ray's.
+    """
+    handler = signal.getsignal(signal.SIGTERM)
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)
