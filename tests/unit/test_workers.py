@@ -1,0 +1,284 @@
+"""Runs in workers: the same tables as without, also if workers die, and a process that stays as it was."""
+
+from __future__ import annotations
+
+import logging
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.command_line import TOWER, write
+from support.fake_stepper import fake_scene
+from support.kills import GRID, PLANS, SEARCH, assert_same, tables
+
+import petmjx
+from petmjx.config import Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.retry import ATTEMPTS
+from petmjx.engines.workers import pool as pool_module
+from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
+from petmjx.engines.workers.cluster import Cluster
+from petmjx.engines.workers.places import Place
+from petmjx.engines.workers.pool import WorkerPool
+from petmjx.errors import EngineUnavailable, InputError
+from petmjx.verdict import Outcome, Reason
+from petmjx.world.job import Job
+
+ray = pytest.importorskip("ray", reason="Ray is not installed (extra: ray)")
+
+SHORT = Simulation(interval_s=0.1, rest_window_s=0.1)
+MUJOCO = Recipe("mujoco", {"threads": 1})
+
+
+def process_state() -> tuple[Any, ...]:
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    return ours, signal.getsignal(signal.SIGTERM), sys.excepthook, logging.getLogger("ray").level
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cluster() -> Iterator[None]:
+    """One cluster of two CPUs for all tests, whatever this machine has; starting it leaves no trace."""
+    before = process_state()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("petmjx.engines.workers.cluster.cpu_threads", lambda: 2)
+        cluster = Cluster()
+    assert process_state() == before
+    yield
+    cluster.close()
+    assert process_state() == before
+    assert not ray.is_initialized()
+
+
+@pytest.fixture
+def pool() -> Iterator[WorkerPool]:
+    pool = WorkerPool(MUJOCO, [Place(1), Place(1)], Cluster())
+    yield pool
+    pool.close()
+
+
+class Killer:
+    """A watcher that kills a worker when some worlds are done, each time so many more are."""
+
+    def __init__(self, pool: WorkerPool, every: int) -> None:
+        self.pool, self.every, self.done, self.killed = pool, every, 0, 0
+
+    def begin(self, start: object) -> None: ...
+
+    def world_done(self, world: object) -> None:
+        self.done += 1
+        if self.done % self.every == 0 and self.pool.pids:
+            os.kill(self.pool.pids[0], signal.SIGKILL)
+            self.killed += 1
+
+
+def run(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
+    if kind == "score":
+        return petmjx.score(PLANS[:40], out=folder / "out", **options)
+    file = folder / f"{kind}.toml"
+    file.write_text({"grid": GRID, "search": SEARCH}[kind])
+    return petmjx.sweep(file, PLANS[3:7], out=folder / "out", **options)
+
+
+@pytest.mark.parametrize("kind", ["score", "grid", "search"])
+def test_tables_are_those_of_a_run_without_workers(kind: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    alone = run(kind, tmp_path_factory.mktemp("alone"), engine="mujoco", threads=1)
+    shared = run(kind, tmp_path_factory.mktemp("shared"), engine="mujoco", workers=2, threads=1)
+    assert_same(shared, tables(alone))
+    assert shared.info["config"]["engine_reason"] == "as asked for, in 2 workers"
+    assert shared.info["device"].startswith("2 workers: ")
+    assert (shared.info["config"]["workers"], shared.info["config"]["ray"]) == (2, None)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("kind", ["score", "grid", "search"])
+def test_gpu_workers_give_the_tables_of_one_process(kind: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    alone = run(kind, tmp_path_factory.mktemp("alone"), engine="mjx-warp")
+    shared = run(kind, tmp_path_factory.mktemp("shared"), engine="mjx-warp", workers="auto")
+    assert_same(shared, tables(alone))
+
+
+@pytest.mark.parametrize("kind", ["score", "grid"])
+def test_workers_that_are_killed_change_no_table(
+    kind: str, pool: WorkerPool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    alone = run(kind, tmp_path_factory.mktemp("alone"), engine=MujocoEngine(1))
+    killer = Killer(pool, every=15)
+    shared = run(kind, tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
+    assert killer.killed >= 1
+    assert_same(shared, tables(alone))
+
+
+class _Deadly:
+    """Kills the process into which it is unpickled."""
+
+    def __reduce__(self) -> Any:
+        return os._exit, (1,)
+
+
+def test_only_the_world_that_kills_its_workers_is_invalid(pool: WorkerPool) -> None:
+    jobs = [Job(fake_scene(1.0, 10.0 + k)) for k in range(12)]
+    jobs[5] = Job(jobs[5].scene, start=_Deadly())
+    progress = Progress()
+    outcomes = sorted(pool.run(jobs, SHORT, progress), key=lambda outcome: outcome.job)
+    assert [outcome.job for outcome in outcomes] == list(range(12))
+    assert [outcome.job for outcome in outcomes if outcome.reason is Reason.FAILED] == [5]
+    assert outcomes[5].message == "the worker that simulated it alone died, as others before"
+    assert progress.worlds_done == 12
+    # in its next attempt it is alone from the beginning
+    began = time.monotonic()
+    again = list(pool.run([jobs[5]], ATTEMPTS[1].apply_to_sim(SHORT)))
+    assert again[0].reason is Reason.FAILED
+    assert time.monotonic() - began < 20
+
+
+def test_a_run_that_is_left_in_the_middle_leaves_the_pool_usable(pool: WorkerPool) -> None:
+    jobs = [Job(fake_scene(1.0, 10.0 + k)) for k in range(6)]
+    begun = pool.run(jobs, SHORT)
+    next(begun)
+    with pytest.raises(RuntimeError, match="engine mujoco is in the middle of a run"):
+        next(pool.run(jobs, SHORT))
+    begun.close()
+    assert len(list(pool.run(jobs, SHORT))) == 6
+    assert list(pool.run([], SHORT)) == []
+    pids = pool.pids
+    assert pids
+    assert len(list(pool.run(jobs, SHORT))) == 6
+    assert set(pids) <= set(pool.pids)
+
+
+def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a GPU that has broken down."""
+    while len(pool.pids) < 2:
+        for hand, ref in pool._news():
+            pool._greet(hand, ref)
+    jobs = [Job(fake_scene(1.0, 10.0 + k)) for k in range(30)]
+    outcomes = pool.run(jobs, SHORT)
+    next(outcomes)
+    monkeypatch.setattr(pool, "_recipe", Recipe("none"))
+    monkeypatch.setattr(pool_module, "FALSE_STARTS", 1)
+    os.kill(pool.pids[0], signal.SIGKILL)
+    assert len(list(outcomes)) == 29
+    assert len(list(pool.run(jobs * 8, SHORT))) == 240
+    assert len(pool._places) == 1
+
+
+class _Unreadable:
+    def __reduce__(self) -> Any:
+        return int, ("no number",)
+
+
+def test_errors_in_workers_are_raised_here(pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RuntimeError, match=r"a worker failed: .*no number"):
+        list(pool.run([Job(fake_scene(1.0), start=_Unreadable())], SHORT))
+    pool.close()
+    with pytest.raises(InputError, match="unknown engine 'none'"):
+        WorkerPool(Recipe("none"), [Place(1)], Cluster())
+    monkeypatch.setattr(pool_module, "package_versions", lambda: {"mujoco": "0.1"})
+    with pytest.raises(EngineUnavailable, match=r"the worker on .* has mujoco .*, this process 0.1"):
+        WorkerPool(MUJOCO, [Place(1)], Cluster())
+
+
+class _Broken:
+    name = "broken"
+
+    def run(self, jobs: Any, sim: Any, progress: Progress) -> Iterator[Outcome]:
+        progress.message = "compiling"
+        time.sleep(0.5)
+        raise self.error
+
+    error: BaseException = KeyboardInterrupt()
+
+
+class _Unpicklable(Exception):
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def test_a_worker_reports_progress_and_errors() -> None:
+    worker = Worker(MUJOCO, None, 1)
+    hello: Hello = pickle.loads(worker.hello())
+    assert (hello.pid, hello.error) == (os.getpid(), None)
+    chunk = pickle.dumps(([Job(fake_scene(1.0))] * 2, SHORT))
+    reports: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
+    assert sorted(outcome.job for report in reports for outcome in report.outcomes) == [0, 1]
+    assert reports[-1].progress.world_steps > 0
+    broken = worker._engine = _Broken()
+    told: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
+    assert told[0].progress.message == "compiling"
+    assert isinstance(told[-1].error, KeyboardInterrupt)
+    broken.error = _Unpicklable(1, 2)
+    told = [pickle.loads(report) for report in worker.simulate(chunk)]
+    assert repr(told[-1].error) == "RuntimeError('_Unpicklable: 1 and 2')"
+
+
+def test_auto_counts_what_the_cluster_has(tmp_path: Path) -> None:
+    shared = petmjx.score(PLANS[:4], workers="auto")
+    reason = shared.info["config"]["engine_reason"]
+    assert reason.startswith("about 0 s on 2 CPU threads, a GPU would need")
+    assert reason.endswith("in 1 worker")
+    with pytest.raises(EngineUnavailable, match="mjx-warp cannot run here: there are 2 CPUs and 0 GPUs"):
+        petmjx.score(PLANS[:4], engine="mjx-warp", workers="auto")
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"workers": 3}, "workers: no room for 3 workers of 1 CPU; there are 2 CPUs and 0 GPUs"),
+        ({"workers": 0}, "workers must be auto or a whole number from 1 to 4,096, got 0"),
+        ({"workers": "many"}, "workers must be auto or a whole number from 1 to 4,096, got 'many'"),
+        ({"workers": True}, "workers must be auto"),
+        ({"workers": 1, "lanes": 16}, "lanes belong to the MJX engines"),
+        ({"ray": "ray://head:10001"}, "ray must be HOST:PORT of a cluster's head, or auto"),
+        ({"ray": "127.0.0.1:1"}, "ray: this process is in another cluster already, 127.0.0.1:1 cannot be joined"),
+        ({"workers": 1, "engine": MujocoEngine(1)}, "workers need an engine by name"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_a_folder_is_touched(
+    options: dict[str, Any], line: str, tmp_path: Path
+) -> None:
+    petmjx.score(PLANS[:2], out=tmp_path, engine="mujoco")
+    with pytest.raises(InputError) as error:
+        petmjx.score(PLANS, out=tmp_path, overwrite=True, **({"engine": "mujoco"} | options))
+    assert str(error.value).startswith(line)
+    assert len(petmjx.load_run(tmp_path).worlds) == 2
+
+
+def test_without_ray_a_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(EngineUnavailable, match=r"Ray is not installed: pip install 'petmjx\[ray\]'"):
+        petmjx.score(PLANS[:2], engine="mujoco", workers=1)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_command_with_workers_and_it_goes_on_without(
+    number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    """Ctrl-C in a terminal reaches the whole process group, Ray's processes too."""
+    plans = write(tmp_path / "plans.json", {f"p{k:03}": TOWER for k in range(150)})
+    command = [sys.executable, "-m", "petmjx", "score", str(plans), "--engine", "mujoco", "--out", str(tmp_path / "o")]
+    two = [*command, "--workers", "1", "--threads", "1"]
+    with subprocess.Popen(two, stderr=subprocess.PIPE, text=True, start_new_session=True) as child:
+        assert child.stderr is not None
+        for line in child.stderr:
+            if line.startswith("engine mujoco (as asked for, in 1 worker)"):
+                break
+        time.sleep(1)
+        os.killpg(child.pid, number)
+        stderr = child.stderr.read()
+    assert child.returncode == code, stderr
+    assert "Traceback" not in stderr
+    interrupted = petmjx.load_run(tmp_path / "o")
+    done = len(interrupted.worlds)
+    assert f"interrupted: {done} of 150 plans are done" in stderr
+    assert interrupted.info["status"] == "interrupted"
+    assert 0 < done < 150
+    whole = petmjx.score(plans, out=tmp_path / "o", engine="mujoco", resume=True)
+    assert len(whole.worlds) == 150
