@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -117,6 +117,13 @@ def read_info(folder: Path) -> dict[str, Any]:
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     _check_version(file, info["schema_version"])
     return info
+
+
+def told_apart(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """The warnings of a ``run.json``: about the whole run, and a line for each odd plan. The latter come last."""
+    warnings = list(info.get("warnings", []))
+    first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
+    return warnings[:first_odd], warnings[first_odd:]
 
 
 def _counted(folder: Path) -> Counts:

@@ -118,8 +118,8 @@ class RunWriter:
         self.schemas = schemas(self.params, dynamic)
         self.recorded = Recorded()
         self.skipped: list[Skipped] = []
-        self.warnings: list[str] = []
-        """About the whole run."""
+        self.warnings: dict[str, None] = {}
+        """About the whole run, each once."""
         self.odd_plans: list[str] = []
         """A line for each plan with overlapping, floating or outside boxes."""
         self.timings: dict[str, float] = {}
@@ -299,7 +299,7 @@ class RunWriter:
                 try:
                     for table in ("boxes", "attempts", "worlds"):
                         source = folder / table / file.name
-                        if source.exists():
+                        if table != "attempts" or source.exists():
                             copy_file(source, self.out_dir / table / part_name(number))
                 except OSError as error:
                     raise self._trouble(error) from error
@@ -312,7 +312,7 @@ class RunWriter:
 
     def warn(self, message: str) -> None:
         """Record a warning about the whole run for ``run.json``."""
-        self.warnings.append(message)
+        self.warnings[message] = None
 
     def _time_is_up(self) -> None:
         """In the timer's thread: write the part though it is not full, since no world may finish for long."""

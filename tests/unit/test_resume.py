@@ -7,13 +7,14 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
+from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
@@ -237,6 +238,50 @@ def test_a_shard_without_plans_is_a_run_without_worlds(tmp_path: Path) -> None:
         for number, folder in enumerate(folders, 1):
             simulate(kind, folder, shard=f"{number}/8", plans=PLANS[3:5], overwrite=True)
         assert len(petmjx.merge_runs(folders, tmp_path / "merged", overwrite=True).worlds.plan_id.unique()) == 2
+
+
+def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_path: Path) -> None:
+    file = tmp_path / "plans.json"
+    floating = [placement(), placement(corner=(0, 0, 900))]
+    plans = {f"plan-{number}": [placement()] for number in range(6)}
+    file.write_text(json.dumps({**plans, "odd": floating, "bad": []}))
+    whole = simulate("score", tmp_path / "whole", plans=file).info
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
+    for number, folder in enumerate(folders, 1):
+        simulate("score", folder, shard=f"{number}/2", plans=file)
+    merged = petmjx.merge_runs(folders, tmp_path / "merged").info
+    assert whole["counts"]["odd_plans"] == 1
+    assert {name: merged[name] for name in ("counts", "skipped", "warnings")} == {
+        name: whole[name] for name in ("counts", "skipped", "warnings")
+    }
+
+
+def test_shards_of_other_versions_are_noted(tmp_path: Path) -> None:
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
+    for number, folder in enumerate(folders, 1):
+        simulate("score", folder, shard=f"{number}/2")
+    edit_info(folders[1], lambda info: info["versions"].update(mujoco="2.0"))
+    merged = petmjx.merge_runs(folders, tmp_path / "merged").info
+    assert merged["warnings"] == [
+        f"shard 2/2 was simulated with mujoco 2.0, shard 1/2 with {merged['versions']['mujoco']}"
+    ]
+
+
+def test_a_shard_without_its_boxes_is_not_merged(tmp_path: Path) -> None:
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
+    for number, folder in enumerate(folders, 1):
+        simulate("score", folder, shard=f"{number}/2")
+    (folders[1] / "boxes/part-00000.parquet").unlink()
+    with pytest.raises(petmjx.InputError, match=r"shard-2/boxes/part-00000.parquet: missing"):
+        petmjx.merge_runs(folders, tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+
+
+def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
+    """Change what a folder's run.json says."""
+    info = json.loads((folder / "run.json").read_text())
+    edit(info)
+    (folder / "run.json").write_text(json.dumps(info))
 
 
 def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
