@@ -21,6 +21,7 @@ import petmjx
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.cpu.world import WorldRun
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
@@ -108,6 +109,24 @@ def killed(kind: str, kills: int, folder: Path) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def test_what_was_noted_before_stays_noted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def some_fail(self: WorldRun) -> Outcome:
+        if self._scene.n_boxes == 2:
+            raise MemoryError("no room")
+        return run(self)
+
+    run = WorldRun.run
+    monkeypatch.setattr(WorldRun, "run", some_fail)
+    with pytest.raises(KeyboardInterrupt):
+        simulate("score", tmp_path, engine=Counting(6))
+    edit_info(tmp_path, lambda info: info["versions"].update(mujoco="2.0"))
+    noted = [simulate("score", tmp_path, resume=True).info["warnings"] for _ in range(2)]
+    assert noted[0] == noted[1]
+    assert sorted(noted[0])[:2] == [f"plan plan-0{k}: failed: MemoryError: no room" for k in (1, 5)]
+    assert "worlds before were simulated with 2.0" in sorted(noted[0])[2]
+    assert len(noted[0]) == 3
 
 
 def test_leftovers_of_a_part_are_taken_away_and_numbers_go_on(tmp_path: Path) -> None:
