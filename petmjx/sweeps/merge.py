@@ -87,8 +87,8 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
         shard = run.info.get("identity", {}).get("shard")
         if shard is None:
             raise InputError(f"{run.path}: not a shard (made without --shard)")
-        if run.info["status"] != "finished":
-            raise InputError(f"{run.path}: not finished ({run.info['status']}); go on with it by --resume first")
+        if run.info.get("status") != "finished":
+            raise InputError(f"{run.path}: not finished ({run.info.get('status')}); go on with it by --resume first")
         number, total = (int(part) for part in shard.split("/"))
         of.add(total)
         if len(of) > 1:
@@ -131,14 +131,14 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
         "started": info["started"],
         "device": info["device"],
         "worlds": info["counts"]["worlds"],
-        "wall_s": info["timings"]["wall_s"],
+        "wall_s": info["timings"].get("wall_s", 0.0),
     }
 
 
 def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
     """What all shards say of the same input once, and in the order in which it comes first."""
     entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
-    skipped = (Skipped(entry["source"], entry["plan_id"] or None, entry["error"]) for entry in entries)
+    skipped = (Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", "")) for entry in entries)
     for each in dict.fromkeys(skipped):
         writer.skip(each)
     warnings = [told_apart(info) for info in infos]

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 from support.plan_files import placement
@@ -186,6 +187,26 @@ def test_a_changed_profile_of_the_same_name_is_another_sweep(tmp_path: Path) -> 
     file.write_text(text.replace("0.1, 0, 0", "0.2, 0, 0"))
     with pytest.raises(petmjx.InputError, match=r"sweep.profiles.push is"):
         petmjx.sweep(file, PLANS[:1], engine=Counting(), out=tmp_path / "run", resume=True)
+
+
+@pytest.mark.parametrize("name", ["started", "resumed", "versions", "timings", "warnings", "skipped", "params"])
+def test_what_is_missing_in_run_json_is_named(name: str, tmp_path: Path) -> None:
+    simulate("score", tmp_path / "run", shard="1/1")
+    edit_info(tmp_path / "run", lambda info: info.pop(name))
+    message = f"run.json: damaged: {name} is missing"
+    with pytest.raises(petmjx.InputError, match=message):
+        simulate("score", tmp_path / "run", shard="1/1", resume=True)
+    with pytest.raises(petmjx.InputError, match=message):
+        petmjx.merge_runs([tmp_path / "run"], tmp_path / "merged")
+
+
+@pytest.mark.parametrize("column", ["variant", "culprit"])
+def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
+    file = tmp_path / "worlds/part-00000.parquet"
+    simulate("score", tmp_path)
+    pq.write_table(pq.read_table(file).drop([column]), file)
+    with pytest.raises(petmjx.InputError, match=f"part-00000.parquet: damaged part, it has no column {column}"):
+        simulate("score", tmp_path, resume=True)
 
 
 def test_runs_of_before_cannot_be_resumed(tmp_path: Path) -> None:

@@ -332,3 +332,13 @@ def test_no_profile_makes_a_placement_stand(tmp_path: Path) -> None:
     worlds = petmjx.sweep(file, [make_plan("a", stack(2))], engine=_Forgiving(1)).worlds
     assert worlds[["verdict", "reason", "culprit"]].to_numpy().tolist() == [["unstable", "shift", 1]] * 2
     assert set(worlds["eumos_passed"]) == {False}
+
+
+def test_the_summary_is_of_petmjx_own_parts_wherever_they_lie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = write_sweep(tmp_path, "[axes]\nmass_factor = [0.9, 1.1]\n")
+    (tmp_path / "s3:here/worlds").mkdir(parents=True)
+    (tmp_path / "s3:here/worlds/notes.txt").write_text("mine")
+    results = petmjx.sweep(file, leaning("a"), engine="mujoco", threads=1, out="s3:here")
+    assert results.summary is not None
+    assert results.summary.query("scope == 'all' and axis == ''").n_worlds.tolist() == [2]
