@@ -223,6 +223,7 @@ def test_runs_of_before_cannot_be_resumed(tmp_path: Path) -> None:
         ({"resume": True, "out": "x", "overwrite": True}, "resume contradicts overwrite"),
         ({"shard": "0/4"}, "shard must be I/N with 1 ≤ I ≤ N"),
         ({"shard": "5/4"}, "shard must be I/N"),
+        ({"shard": "١/٣"}, "shard must be I/N"),
         ({"shard": "half"}, "shard must be I/N"),
     ],
 )
