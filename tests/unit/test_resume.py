@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
@@ -128,6 +129,23 @@ def test_what_was_noted_before_stays_noted_once(tmp_path: Path, monkeypatch: pyt
     assert sorted(noted[0])[:2] == [f"plan plan-0{k}: failed: MemoryError: no room" for k in (1, 5)]
     assert "worlds before were simulated with 2.0" in sorted(noted[0])[2]
     assert len(noted[0]) == 3
+
+
+def test_tests_that_failed_do_not_say_that_the_placement_fell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def weak_ones_fail(self: WorldRun) -> Outcome:
+        if self._job.drive is not None and self._job.drive.scale < 0.35:
+            raise MemoryError("no room")
+        return run(self)
+
+    run = WorldRun.run
+    monkeypatch.setattr(WorldRun, "run", weak_ones_fail)
+    (tmp_path / "search.toml").write_text(SEARCH.replace("upper = 1.0", "lower = 0.2\nupper = 0.6"))
+    options = {"engine": "mujoco", "threads": 1, "out": tmp_path / "run"}
+    before = petmjx.sweep(tmp_path / "search.toml", make_plan("a", 1), **options).summary
+    after = petmjx.sweep(tmp_path / "search.toml", make_plan("a", 1), resume=True, **options).summary
+    assert before is not None
+    assert before.stands_at_rest.all()
+    pd.testing.assert_frame_equal(after, before)
 
 
 def test_leftovers_of_a_part_are_taken_away_and_numbers_go_on(tmp_path: Path) -> None:
