@@ -6,7 +6,7 @@ import errno
 import os
 import stat
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 _BLOCK: Final = 1 << 20
 
@@ -19,10 +19,26 @@ _KINDS: Final = (
 )
 
 
+def open_regular(path: Path) -> BinaryIO:
+    """A regular file to read from. FIFOs, sockets and devices are refused and not waited for: some of them never end.
+
+    Raises:
+        OSError: it cannot be read, or is no regular file; ``strerror`` says which.
+        ValueError: a name that no file can have.
+    """
+    # a device may do something when it is opened, so it is looked at before; what is opened is looked at again
+    _check(os.stat(path))
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        _check(os.fstat(descriptor))
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
 def read_regular(path: Path, most: int) -> bytearray:
     """The bytes of a regular file. A file that changes meanwhile is read as far as it goes.
-
-    FIFOs, sockets and devices are refused and not waited for: some of them never end.
 
     Args:
         most: bytes; a larger file is refused, before it is read where its size is known.
@@ -31,27 +47,21 @@ def read_regular(path: Path, most: int) -> bytearray:
         OSError: it cannot be read, is no regular file, or is too large; ``strerror`` says which.
         ValueError: a name that no file can have.
     """
-    # a device may do something when it is opened, so it is looked at before; what is opened is looked at again
-    _check(os.stat(path), most)
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-    try:
-        _check(os.fstat(descriptor), most)
+    with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > most:
+            raise _too_large(most)
         data = bytearray()
-        while block := os.read(descriptor, _BLOCK):
+        while block := os.read(file.fileno(), _BLOCK):
             data += block
             if len(data) > most:
                 raise _too_large(most)
         return data
-    finally:
-        os.close(descriptor)
 
 
-def _check(found: os.stat_result, most: int) -> None:
+def _check(found: os.stat_result) -> None:
     for is_kind, number, text in _KINDS:
         if is_kind(found.st_mode):
             raise OSError(number, text)
-    if found.st_size > most:
-        raise _too_large(most)
 
 
 def _too_large(most: int) -> OSError:

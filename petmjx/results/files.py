@@ -58,9 +58,10 @@ def write_table(table: pa.Table, path: Path) -> None:
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write one UTF-8 text file so that it appears whole or not at all."""
+    """Write one UTF-8 text file so that it appears whole or not at all. What is no UTF-8, as names of files may be, is
+    escaped as in JSON."""
     with _replacing(path) as file:
-        file.write(text.encode())
+        file.write(text.encode(errors="backslashreplace"))
 
 
 def copy_file(source: Path, path: Path) -> None:

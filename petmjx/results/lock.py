@@ -6,6 +6,8 @@ import contextlib
 import errno
 import fcntl
 import os
+import re
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -14,6 +16,8 @@ from petmjx.errors import InputError
 
 LOCK_FILE: Final = ".lock"
 """In the run's folder while a run is on. One that a killed run has left is not locked, and is taken over."""
+
+_OURS: Final = re.compile(rb"\d*\n?")
 
 _NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
 """What file systems that have no locks answer."""
@@ -24,11 +28,12 @@ def locked(folder: Path) -> Iterator[bool]:
     """Hold a folder for one run; yields whether its file system has locks at all.
 
     Raises:
-        InputError: another run writes there.
+        InputError: another run writes there, or the lock's name is taken by something else.
         OSError: the folder cannot be written.
     """
     descriptor = _opened(folder)
     try:
+        _check_ours(descriptor, folder)
         try:
             has_locks = _take(descriptor, folder)
         except OSError as error:
@@ -48,7 +53,25 @@ def locked(folder: Path) -> Iterator[bool]:
 
 
 def _opened(folder: Path) -> int:
-    return os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    try:
+        return os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        if error.errno not in (errno.ELOOP, errno.EISDIR):
+            raise
+        raise _not_ours(folder) from None
+
+
+def _check_ours(descriptor: int, folder: Path) -> None:
+    """Refuse a file with anything but a process's number: it is to be written over, and taken away in the end."""
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode) or not _OURS.fullmatch(os.pread(descriptor, 32, 0)):
+        raise _not_ours(folder)
+
+
+def _not_ours(folder: Path) -> InputError:
+    return InputError(
+        f"{folder / LOCK_FILE}: is not of petmjx, which locks a run's folder with a file of this name; "
+        "name another folder with --out"
+    )
 
 
 def _take(descriptor: int, folder: Path) -> bool:

@@ -12,9 +12,10 @@ import pyarrow as pa
 
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
-from petmjx.results.files import part_files, part_name, write_table
+from petmjx.results.files import RUN_FILE, part_files, part_name, write_table
 from petmjx.results.plain import plain
 from petmjx.results.reader import read_part
+from petmjx.results.run_file import check_whole
 from petmjx.results.schema import plans_schema
 from petmjx.text import counted, printable, shortened, shown
 
@@ -72,16 +73,17 @@ class Manifest:
         Raises:
             InputError: it has none (of petmjx before 0.2), or it is damaged.
         """
-        identity, files = info.get("identity"), part_files(folder, "plans")
-        if not isinstance(identity, Mapping) or not files:
+        files = part_files(folder, "plans")
+        if "identity" not in info or not files:
             raise InputError(f"{folder}: the run does not say what it is of (written by petmjx before 0.2)")
-        tables = [read_part(file).to_pydict() for file in files]
+        check_whole(info, folder / RUN_FILE)
+        tables = [read_part(file, plans_schema().names).to_pydict() for file in files]
         plans = {
             plan_id: (digest, source)
             for table in tables
             for plan_id, digest, source in zip(table["plan_id"], table["digest"], table["source"], strict=True)
         }
-        return cls({name: value for name, value in identity.items() if name != "plans"}, plans)
+        return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
         """What differs from another manifest, in a line; empty where nothing does.

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from petmjx.bounded import open_regular, read_regular
 from petmjx.errors import InputError
 from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import RUN_FILE, part_files
+from petmjx.results.run_file import check_run_file
 from petmjx.results.schema import SCHEMA_VERSION, schema_version_of, schemas
 from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
+
+MOST_RUN_FILE_BYTES: Final = 1 << 30
+"""A million lines about skipped plans take 200 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,20 +109,29 @@ def read_info(folder: Path) -> dict[str, Any]:
     """``run.json`` as it stands there.
 
     Raises:
-        InputError: no run there, an unreadable ``run.json``, or results of a newer petmjx.
+        InputError: no run there, an unreadable or damaged ``run.json``, or results of a newer petmjx.
     """
     file = folder / RUN_FILE
     try:
-        info = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        there = "no run of petmjx there (it has no run.json)" if folder.is_dir() else "no such folder"
+        info = json.loads(read_regular(file, MOST_RUN_FILE_BYTES).decode())
+    except (FileNotFoundError, NotADirectoryError):
+        there = "not a folder" if folder.exists() else "no such folder"
+        there = "no run of petmjx there (it has no run.json)" if folder.is_dir() else there
         raise InputError(f"{folder}: {there}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: cannot be read: {one_line(error)}") from error
     if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     _check_version(file, info["schema_version"])
+    check_run_file(info, file)
     return info
+
+
+def told_apart(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """The warnings of a ``run.json``: about the whole run, and a line for each odd plan. The latter come last."""
+    warnings = list(info.get("warnings", []))
+    first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
+    return warnings[:first_odd], warnings[first_odd:]
 
 
 def _counted(folder: Path) -> Counts:
@@ -129,10 +144,8 @@ def _counted(folder: Path) -> Counts:
 
 def _rows(file: Path) -> int:
     """How many worlds a part has, without reading them."""
-    try:
-        rows: int = pq.read_metadata(file).num_rows
-    except (pa.ArrowException, OSError):
-        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from None
+    with _opened(file) as parquet:
+        rows: int = parquet.metadata.num_rows
     return rows
 
 
@@ -140,18 +153,33 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """One Parquet file, or some of its columns.
 
     Raises:
-        InputError: missing, damaged, or of a newer petmjx.
+        InputError: missing, damaged, without one of the columns, or of a newer petmjx.
     """
-    # ParquetFile and not read_table, which would read "a=1" in a folder's name as a column
+    with _opened(file) as parquet:
+        table = parquet.read(None if columns is None else list(columns))
+    _check_version(file, schema_version_of(table.schema.metadata))
+    for name in columns or ():
+        if name not in table.column_names:
+            raise InputError(f"{file}: damaged part, it has no column {name}")
+    return table
+
+
+@contextlib.contextmanager
+def _opened(file: Path) -> Iterator[pq.ParquetFile]:
+    """A part, in whatever folder.
+
+    Raises:
+        InputError: missing, or not a whole Parquet file.
+    """
+    # Python opens the file: Arrow waits for FIFOs, reads "s3:" as a scheme, "a=1" in a folder's name as a column, and
+    # knows no names that are not UTF-8
     try:
-        with pq.ParquetFile(file) as parquet:
-            table = parquet.read(None if columns is None else list(columns))
+        with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
+            yield parquet
     except FileNotFoundError:
         raise InputError(f"{file}: missing, though the worlds of this part are there") from None
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error
-    _check_version(file, schema_version_of(table.schema.metadata))
-    return table
 
 
 def _check_version(file: Path, version: int) -> None:

@@ -38,7 +38,7 @@ from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.parts import Part, Row
 from petmjx.results.plain import plain
-from petmjx.results.reader import read_info, read_part
+from petmjx.results.reader import read_info, read_part, told_apart
 from petmjx.results.recorded import Recorded
 from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_schema
 from petmjx.results.shield import shielded
@@ -118,8 +118,8 @@ class RunWriter:
         self.schemas = schemas(self.params, dynamic)
         self.recorded = Recorded()
         self.skipped: list[Skipped] = []
-        self.warnings: list[str] = []
-        """About the whole run."""
+        self.warnings: dict[str, None] = {}
+        """About the whole run, each once."""
         self.odd_plans: list[str] = []
         """A line for each plan with overlapping, floating or outside boxes."""
         self.timings: dict[str, float] = {}
@@ -174,6 +174,7 @@ class RunWriter:
         differs = self._manifest.difference_from(Manifest.read(self.out_dir, info))
         if differs:
             raise InputError(f"{self.out_dir}: cannot be resumed, it is another run ({differs})")
+        self.warnings |= dict.fromkeys(told_apart(info)[0])  # of worlds that are not simulated again
         for name, version in self._head["versions"].items():
             before = info["versions"].get(name)
             if before != version:
@@ -206,8 +207,9 @@ class RunWriter:
                     with contextlib.suppress(PetmjxError):
                         self._write_info()
                     raise
-                # the error that ended the body is the one to tell; this one is kept beside it
-                self.warn(f"the last part could not be written: {one_line(trouble)}")
+                # the error that ended the body is the one to tell; this one is kept beside it, until the run goes on
+                also = f"the last part could not be written: {one_line(trouble)}"
+                self._error = f"{self._error}; {also}" if self._error else also
             try:
                 self._write_info()
             except PetmjxError:
@@ -299,7 +301,7 @@ class RunWriter:
                 try:
                     for table in ("boxes", "attempts", "worlds"):
                         source = folder / table / file.name
-                        if source.exists():
+                        if table != "attempts" or source.exists():
                             copy_file(source, self.out_dir / table / part_name(number))
                 except OSError as error:
                     raise self._trouble(error) from error
@@ -312,7 +314,7 @@ class RunWriter:
 
     def warn(self, message: str) -> None:
         """Record a warning about the whole run for ``run.json``."""
-        self.warnings.append(message)
+        self.warnings[message] = None
 
     def _time_is_up(self) -> None:
         """In the timer's thread: write the part though it is not full, since no world may finish for long."""

@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.results.reader import RunResults
+from petmjx.results.reader import RunResults, told_apart
 from petmjx.show.layout import Column, FittedTable, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS, sweep_tables
 from petmjx.sweeps.search import MODES
@@ -44,15 +44,16 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
     """Lines on the first ``SHOWN_SKIPPED`` skipped plans, the number of plans with warnings, and other warnings."""
-    skipped, warnings = info["skipped"], info["warnings"]
-    odd = info.get("counts", {}).get("odd_plans", len(warnings))
+    skipped = info["skipped"]
+    warnings, odd = told_apart(info)
     for entry in skipped[:SHOWN_SKIPPED]:
         yield line(f"skipped: {entry['error']}", style="yellow")
     if len(skipped) > SHOWN_SKIPPED:
         yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
     if odd:
-        yield line(f"{counted(odd, 'plan')} with overlapping, floating or outside boxes, in run.json", style="yellow")
-    for warning in warnings[: len(warnings) - odd]:  # those about plans come last
+        plans = counted(len(odd), "plan")
+        yield line(f"{plans} with overlapping, floating or outside boxes, in run.json", style="yellow")
+    for warning in warnings:
         yield line(f"note: {warning}", style="yellow")
 
 

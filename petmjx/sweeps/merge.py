@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Skipped
 from petmjx.results.files import part_files, part_name, write_table
 from petmjx.results.manifest import Manifest
-from petmjx.results.reader import RunResults, load_run, read_part
+from petmjx.results.reader import RunResults, load_run, read_part, told_apart
 from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter, write_summary
 from petmjx.sweeps.summary import ShareColumns, summarise_shares
@@ -66,10 +67,9 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
             writer.adopt(run.path)
             seconds.update(run.info["timings"])
         writer.earlier_s = dict(seconds)
-        for entry in _distinct(run.info["skipped"] for run in runs):
-            writer.skip(Skipped(entry["source"], entry["plan_id"] or None, entry["error"]))
-        for warning in _distinct(run.info["warnings"] for run in runs):
-            writer.warn(warning)
+        _note_input(writer, [run.info for run in runs])
+        for note in _other_versions(runs):
+            writer.warn(note)
         if whole.settings["command"] == "sweep":
             _write_summary(out, runs)
     return load_run(out)
@@ -87,8 +87,8 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
         shard = run.info.get("identity", {}).get("shard")
         if shard is None:
             raise InputError(f"{run.path}: not a shard (made without --shard)")
-        if run.info["status"] != "finished":
-            raise InputError(f"{run.path}: not finished ({run.info['status']}); go on with it by --resume first")
+        if run.info.get("status") != "finished":
+            raise InputError(f"{run.path}: not finished ({run.info.get('status')}); go on with it by --resume first")
         number, total = (int(part) for part in shard.split("/"))
         of.add(total)
         if len(of) > 1:
@@ -106,10 +106,11 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
 
 
 def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
-    """Raises InputError where two shards have the same world, or none has any of a plan."""
+    """Raises InputError where two shards have the same world, none has any of a plan, or boxes are missing."""
     home: dict[tuple[str, int], Path] = {}
     for run in runs:
         for file in part_files(run.path, "worlds"):
+            read_part(run.path / "boxes" / file.name, ())
             keys = read_part(file, ("plan_id", "variant"))
             for key in zip(keys["plan_id"].to_pylist(), keys["variant"].to_pylist(), strict=True):
                 if key in home:
@@ -130,8 +131,32 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
         "started": info["started"],
         "device": info["device"],
         "worlds": info["counts"]["worlds"],
-        "wall_s": info["timings"]["wall_s"],
+        "wall_s": info["timings"].get("wall_s", 0.0),
     }
+
+
+def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
+    """What all shards say of the same input once, and in the order in which it comes first."""
+    entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
+    skipped = (Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", "")) for entry in entries)
+    for each in dict.fromkeys(skipped):
+        writer.skip(each)
+    warnings = [told_apart(info) for info in infos]
+    for warning in itertools.chain.from_iterable(about_run for about_run, _ in warnings):
+        writer.warn(warning)
+    writer.odd_plans += dict.fromkeys(itertools.chain.from_iterable(about_plans for _, about_plans in warnings))
+
+
+def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
+    """A line for each package that shards had in other versions than the first: results may depend on it."""
+    first = runs[0].info["versions"]
+    for run in runs[1:]:
+        versions = run.info["versions"]
+        for name in sorted({*first, *versions}):
+            if first.get(name) != versions.get(name):
+                had, others = (each.get(name) or "none" for each in (versions, first))
+                shard, other = (each.info["identity"]["shard"] for each in (run, runs[0]))
+                yield f"shard {shard} was simulated with {name} {had}, shard {other} with {others}"
 
 
 def _write_summary(out: Path, runs: Sequence[RunResults]) -> None:
@@ -147,14 +172,6 @@ def _write_summary(out: Path, runs: Sequence[RunResults]) -> None:
     units = {name: entry.get(b"unit", b"").decode() for name, entry in metadata.items()}
     texts = {name: entry.get(b"description", b"").decode() for name, entry in metadata.items()}
     write_summary(out, summarise_shares(out, columns), units, texts)
-
-
-def _distinct(lists: Iterable[Sequence[Any]]) -> list[Any]:
-    """All entries once, in the order in which they come first."""
-    found: list[Any] = []
-    for entries in lists:
-        found += [entry for entry in entries if entry not in found]
-    return found
 
 
 def _listed(names: Sequence[str]) -> str:

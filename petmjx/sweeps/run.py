@@ -349,9 +349,14 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """What a placement came to, as far as records say: one that did not stand has a world without steps."""
+        """What a placement came to, as far as records say: one that did not stand has one world, without steps.
+
+        A test that failed has no steps either, but a search that tests also has its first round.
+        """
         row = self._row(group, number, 0)
-        fell = row is not None and row["n_steps"] == 0
+        first_round = self._bisection([Probe(Verdict.STABLE)]).next_tests()
+        tested = any(self._row(group, number, level) is not None for _, level in first_round if level > 0)
+        fell = row is not None and row["n_steps"] == 0 and not tested
         return Probe.from_row(row) if fell and row is not None else Probe(Verdict.STABLE)
 
     def _recorded_test(self, group: PlacementGroup, number: int, level: int) -> Probe | None:

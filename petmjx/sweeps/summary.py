@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow.dataset as ds
+import pyarrow as pa
 
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
+from petmjx.results.files import part_files
+from petmjx.results.reader import read_part
 from petmjx.results.schema import Param
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
@@ -152,7 +154,8 @@ def summarise_shares(folder: Path, columns: ShareColumns) -> pd.DataFrame:
     extra = ["eumos_passed"] if columns.eumos else []
     extra += [FAIL_ANGLE.name] if columns.tilt else []
     wanted = ["plan_id", "variant", "verdict", *axes, *extra]
-    worlds = ds.dataset(folder / "worlds", format="parquet").to_table(columns=wanted).to_pandas()
+    parts = [read_part(file, wanted) for file in part_files(folder, "worlds")]
+    worlds = pa.concat_tables(parts).to_pandas()
     for name, (low, high) in columns.ranges.items():
         worlds[name] = _binned(worlds[name], low, high)
     worlds["draw"] = _draws(worlds, columns)

@@ -137,6 +137,21 @@ def test_links_are_refused(name: str, tmp_path: Path) -> None:
     assert (elsewhere / "part-00000.parquet").read_text() == "mine"
 
 
+@pytest.mark.parametrize("kind", ["file", "hard link", "link", "folder", "fifo"])
+def test_what_has_the_name_of_the_lock_is_neither_written_nor_taken_away(kind: str, tmp_path: Path) -> None:
+    mine, lock = tmp_path / "mine", tmp_path / "run/.lock"
+    mine.write_text("mine")
+    lock.parent.mkdir()
+    make = {"file": lambda: lock.write_text("mine"), "hard link": lambda: lock.hardlink_to(mine)}
+    make |= {"link": lambda: lock.symlink_to(mine), "folder": lock.mkdir, "fifo": lambda: os.mkfifo(lock)}
+    make[kind]()
+    with pytest.raises(InputError, match=r"run/\.lock: is not of petmjx"), RunWriter(lock.parent, {}):
+        pass
+    assert mine.read_text() == "mine"
+    assert [file.name for file in lock.parent.iterdir()] == [".lock"]
+    assert kind not in ("file", "hard link") or lock.read_text() == "mine"
+
+
 def test_overwriting_takes_away_nothing_of_others(tmp_path: Path) -> None:
     write_run(tmp_path, "a", "b", worlds_per_part=1)
     others = [tmp_path / "notes.txt", tmp_path / "worlds/part-of-mine.parquet", tmp_path / "worlds/.part.tmp"]

@@ -360,6 +360,13 @@ def test_a_run_without_worlds_has_its_columns(tmp_path: Path) -> None:
         (lambda run: (run / "run.json").write_bytes(b"\xff\xfe"), "run.json: cannot be read"),
         (lambda run: (run / "run.json").write_text("[]"), "not written by petmjx"),
         (lambda run: (run / "run.json").write_text('{"schema_version": 99}'), "newer petmjx"),
+        (lambda run: _edit(run, counts=[]), "run.json: damaged: counts must be a table"),
+        (lambda run: _edit(run, counts={"worlds": "2"}), "run.json: damaged: counts.worlds must be a whole number"),
+        (lambda run: _edit(run, params=[1]), r"run.json: damaged: params\[0\] must be a table"),
+        (lambda run: _edit(run, versions={"numpy": 2}), "run.json: damaged: versions.numpy must be text"),
+        (lambda run: (run / "run.json").write_text("[" * 1_000_000), "run.json: cannot be read"),
+        (lambda run: _fifo(run / "run.json"), "run.json: cannot be read"),
+        (lambda run: _fifo(run / "worlds/part-00001.parquet"), "worlds/part-00001.parquet: damaged"),
         (lambda run: (run / "worlds/part-00000.parquet").write_bytes(b"PAR1"), "worlds/part-00000.parquet: damaged"),
         (lambda run: _truncate(run / "boxes/part-00000.parquet"), "boxes/part-00000.parquet: damaged"),
         (lambda run: (run / "boxes/part-00000.parquet").unlink(), "boxes/part-00000.parquet: missing"),
@@ -373,8 +380,24 @@ def test_damaged_runs_get_one_clear_line(tmp_path: Path, damage: Any, message: s
     assert "\n" not in str(caught.value)
 
 
+def _edit(run: Path, **values: Any) -> None:
+    info = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(info | values))
+
+
+def _fifo(file: Path) -> None:
+    file.unlink(missing_ok=True)
+    os.mkfifo(file)
+
+
 def _truncate(file: Path) -> None:
     file.write_bytes(file.read_bytes()[:-100])
+
+
+def test_a_folder_may_have_any_name(tmp_path: Path) -> None:
+    for name in ("a=1", "s3:bucket", "_x", os.fsdecode(b"\xff")):
+        write_run(tmp_path / name)
+        assert all(len(table) for table in read_all(tmp_path / name))
 
 
 def test_no_such_folder(tmp_path: Path) -> None:

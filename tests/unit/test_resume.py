@@ -7,19 +7,23 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
+from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.cpu.world import WorldRun
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
@@ -109,6 +113,41 @@ def killed(kind: str, kills: int, folder: Path) -> str:
     return done.stdout
 
 
+def test_what_was_noted_before_stays_noted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def some_fail(self: WorldRun) -> Outcome:
+        if self._scene.n_boxes == 2:
+            raise MemoryError("no room")
+        return run(self)
+
+    run = WorldRun.run
+    monkeypatch.setattr(WorldRun, "run", some_fail)
+    with pytest.raises(KeyboardInterrupt):
+        simulate("score", tmp_path, engine=Counting(6))
+    edit_info(tmp_path, lambda info: info["versions"].update(mujoco="2.0"))
+    noted = [simulate("score", tmp_path, resume=True).info["warnings"] for _ in range(2)]
+    assert noted[0] == noted[1]
+    assert sorted(noted[0])[:2] == [f"plan plan-0{k}: failed: MemoryError: no room" for k in (1, 5)]
+    assert "worlds before were simulated with 2.0" in sorted(noted[0])[2]
+    assert len(noted[0]) == 3
+
+
+def test_tests_that_failed_do_not_say_that_the_placement_fell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def weak_ones_fail(self: WorldRun) -> Outcome:
+        if self._job.drive is not None and self._job.drive.scale < 0.35:
+            raise MemoryError("no room")
+        return run(self)
+
+    run = WorldRun.run
+    monkeypatch.setattr(WorldRun, "run", weak_ones_fail)
+    (tmp_path / "search.toml").write_text(SEARCH.replace("upper = 1.0", "lower = 0.2\nupper = 0.6"))
+    options = {"engine": "mujoco", "threads": 1, "out": tmp_path / "run"}
+    before = petmjx.sweep(tmp_path / "search.toml", make_plan("a", 1), **options).summary
+    after = petmjx.sweep(tmp_path / "search.toml", make_plan("a", 1), resume=True, **options).summary
+    assert before is not None
+    assert before.stands_at_rest.all()
+    pd.testing.assert_frame_equal(after, before)
+
+
 def test_leftovers_of_a_part_are_taken_away_and_numbers_go_on(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         simulate("score", tmp_path, engine=Counting(3))
@@ -168,6 +207,26 @@ def test_a_changed_profile_of_the_same_name_is_another_sweep(tmp_path: Path) -> 
         petmjx.sweep(file, PLANS[:1], engine=Counting(), out=tmp_path / "run", resume=True)
 
 
+@pytest.mark.parametrize("name", ["started", "resumed", "versions", "timings", "warnings", "skipped", "params"])
+def test_what_is_missing_in_run_json_is_named(name: str, tmp_path: Path) -> None:
+    simulate("score", tmp_path / "run", shard="1/1")
+    edit_info(tmp_path / "run", lambda info: info.pop(name))
+    message = f"run.json: damaged: {name} is missing"
+    with pytest.raises(petmjx.InputError, match=message):
+        simulate("score", tmp_path / "run", shard="1/1", resume=True)
+    with pytest.raises(petmjx.InputError, match=message):
+        petmjx.merge_runs([tmp_path / "run"], tmp_path / "merged")
+
+
+@pytest.mark.parametrize("column", ["variant", "culprit"])
+def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
+    file = tmp_path / "worlds/part-00000.parquet"
+    simulate("score", tmp_path)
+    pq.write_table(pq.read_table(file).drop([column]), file)
+    with pytest.raises(petmjx.InputError, match=f"part-00000.parquet: damaged part, it has no column {column}"):
+        simulate("score", tmp_path, resume=True)
+
+
 def test_runs_of_before_cannot_be_resumed(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}):
         pass
@@ -182,6 +241,7 @@ def test_runs_of_before_cannot_be_resumed(tmp_path: Path) -> None:
         ({"resume": True, "out": "x", "overwrite": True}, "resume contradicts overwrite"),
         ({"shard": "0/4"}, "shard must be I/N with 1 ≤ I ≤ N"),
         ({"shard": "5/4"}, "shard must be I/N"),
+        ({"shard": "١/٣"}, "shard must be I/N"),
         ({"shard": "half"}, "shard must be I/N"),
     ],
 )
@@ -237,6 +297,50 @@ def test_a_shard_without_plans_is_a_run_without_worlds(tmp_path: Path) -> None:
         for number, folder in enumerate(folders, 1):
             simulate(kind, folder, shard=f"{number}/8", plans=PLANS[3:5], overwrite=True)
         assert len(petmjx.merge_runs(folders, tmp_path / "merged", overwrite=True).worlds.plan_id.unique()) == 2
+
+
+def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_path: Path) -> None:
+    file = tmp_path / "plans.json"
+    floating = [placement(), placement(corner=(0, 0, 900))]
+    plans = {f"plan-{number}": [placement()] for number in range(6)}
+    file.write_text(json.dumps({**plans, "odd": floating, "bad": []}))
+    whole = simulate("score", tmp_path / "whole", plans=file).info
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
+    for number, folder in enumerate(folders, 1):
+        simulate("score", folder, shard=f"{number}/2", plans=file)
+    merged = petmjx.merge_runs(folders, tmp_path / "merged").info
+    assert whole["counts"]["odd_plans"] == 1
+    assert {name: merged[name] for name in ("counts", "skipped", "warnings")} == {
+        name: whole[name] for name in ("counts", "skipped", "warnings")
+    }
+
+
+def test_shards_of_other_versions_are_noted(tmp_path: Path) -> None:
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
+    for number, folder in enumerate(folders, 1):
+        simulate("score", folder, shard=f"{number}/2")
+    edit_info(folders[1], lambda info: info["versions"].update(mujoco="2.0"))
+    merged = petmjx.merge_runs(folders, tmp_path / "merged").info
+    assert merged["warnings"] == [
+        f"shard 2/2 was simulated with mujoco 2.0, shard 1/2 with {merged['versions']['mujoco']}"
+    ]
+
+
+def test_a_shard_without_its_boxes_is_not_merged(tmp_path: Path) -> None:
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
+    for number, folder in enumerate(folders, 1):
+        simulate("score", folder, shard=f"{number}/2")
+    (folders[1] / "boxes/part-00000.parquet").unlink()
+    with pytest.raises(petmjx.InputError, match=r"shard-2/boxes/part-00000.parquet: missing"):
+        petmjx.merge_runs(folders, tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+
+
+def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
+    """Change what a folder's run.json says."""
+    info = json.loads((folder / "run.json").read_text())
+    edit(info)
+    (folder / "run.json").write_text(json.dumps(info))
 
 
 def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:

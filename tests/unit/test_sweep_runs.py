@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.command_line import write
+from support.plan_files import placement
 from support.plans import make_plan, make_scene, stack
 
 import petmjx
@@ -332,3 +335,23 @@ def test_no_profile_makes_a_placement_stand(tmp_path: Path) -> None:
     worlds = petmjx.sweep(file, [make_plan("a", stack(2))], engine=_Forgiving(1)).worlds
     assert worlds[["verdict", "reason", "culprit"]].to_numpy().tolist() == [["unstable", "shift", 1]] * 2
     assert set(worlds["eumos_passed"]) == {False}
+
+
+def test_the_summary_is_of_petmjx_own_parts_wherever_they_lie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = write_sweep(tmp_path, "[axes]\nmass_factor = [0.9, 1.1]\n")
+    (tmp_path / "s3:here/worlds").mkdir(parents=True)
+    (tmp_path / "s3:here/worlds/notes.txt").write_text("mine")
+    results = petmjx.sweep(file, leaning("a"), engine="mujoco", threads=1, out="s3:here")
+    assert results.summary is not None
+    assert results.summary.query("scope == 'all' and axis == ''").n_worlds.tolist() == [2]
+
+
+def test_plans_may_lie_in_a_folder_of_any_name(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"\xff")
+    folder.mkdir()
+    (folder / "plans.json").write_text(json.dumps({"a": [placement()]}))
+    file = write_sweep(folder, 'plans = "plans.json"\n[axes]\nmass_factor = 1.1\n')
+    results = petmjx.sweep(file, engine="mujoco", threads=1, out=tmp_path / "out")
+    assert results.worlds.plan_id.tolist() == ["a"]
+    assert results.info["config"]["sweep"]["plans"] == [str(folder / "plans.json")]

@@ -1,0 +1,83 @@
+"""What ``run.json`` must look like for petmjx to go on from it. It may have been edited, or come from elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from petmjx.checked import describe
+from petmjx.errors import InputError
+
+Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
+
+
+class _Read(BaseModel):
+    """A table of which only some entries are read."""
+
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+
+class _Counts(_Read):
+    worlds: int
+    odd_plans: int = 0
+
+
+class _Param(_Read):
+    name: str
+    unit: str
+    description: str
+
+
+class _Skipped(_Read):
+    source: str
+    plan_id: str | None = None
+    error: str = ""
+
+
+class _Identity(_Read):
+    command: str
+    shard: Share | None = None
+
+
+class RunFile(_Read):
+    """The entries that petmjx itself reads. All are there since 0.2; runs of before lack some."""
+
+    status: str = ""
+    started: str = ""
+    resumed: list[str] = []
+    config: dict[str, Any] = {}
+    identity: _Identity = Field(default=_Identity(command=""))
+    versions: dict[str, str] = {}
+    device: str = ""
+    expected_worlds: int | None = None
+    params: list[_Param] = []
+    counts: _Counts = Field(default=_Counts(worlds=0))
+    timings: dict[str, float | int] = {}
+    skipped: list[_Skipped] = []
+    warnings: list[str] = []
+
+
+def check_run_file(info: Mapping[str, Any], file: Path) -> None:
+    """Check the entries that are there.
+
+    Raises:
+        InputError: "DIR/run.json: counts.worlds must be a whole number, got None".
+    """
+    try:
+        RunFile.model_validate(info)
+    except ValidationError as error:
+        raise InputError(f"{file}: damaged: {describe(error)}") from None
+
+
+def check_whole(info: Mapping[str, Any], file: Path) -> None:
+    """Check that no entry is missing, for a run that is resumed or merged.
+
+    Raises:
+        InputError: "DIR/run.json: damaged: timings is missing".
+    """
+    for name in RunFile.model_fields:
+        if name not in info:
+            raise InputError(f"{file}: damaged: {name} is missing")
