@@ -80,7 +80,6 @@ _DECLARED: tuple[Case, ...] = (
         for n in (8, 16, 24, 32, 40, 48, 64)
     ),
     _w("W-adaptive", "adaptive schedule"),
-    _w("W-brisk", "brisk schedule: creep holds nothing up", schedule="brisk"),
     _w("W-adaptive-reference", "adaptive, physics reference", physics="reference"),
     _w("W-fixed", "fixed schedule", schedule="fixed"),
     *(Case(f"scale-{n}", "scale", f"{n} plans, adaptive: time a plan", count=n) for n in (500, 1000, 2000, 4000, 8000)),

@@ -58,7 +58,6 @@ class Schedule(StrEnum):
 
     FIXED = "fixed"
     ADAPTIVE = "adaptive"
-    BRISK = "brisk"
 
 
 class Cone(StrEnum):
@@ -157,10 +156,13 @@ class Physics(Checked):
     timestep_s: Annotated[float, within(SHORTEST_TIMESTEP_S, 0.02)] = Field(0.002, gt=0, description="length of a step")
     gravity_m_s2: Annotated[float, within(0.001, 100)] = Field(9.81, gt=0, description="gravity, downwards")
     solref: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
-        (0.02, 1.0), description="MuJoCo's time constant and damping ratio of contacts"
+        (0.02, 1.25), description="MuJoCo's time constant and damping ratio of contacts"
     )
     solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
-        (0.99, 0.99, 0.01), description="MuJoCo's impedances of contacts and their width, m"
+        (0.1, 0.999, 0.0001), description="MuJoCo's impedances of contacts and their width, m"
+    )
+    impratio: Annotated[float, within(1, 10_000)] = Field(
+        20.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
     )
 
     @computed_field(description="the preset that these values are, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
@@ -187,7 +189,13 @@ class Physics(Checked):
 
 PHYSICS: dict[str, Physics] = {}
 PHYSICS["pallet"] = Physics()
-PHYSICS["reference"] = Physics(cone=Cone.PYRAMIDAL, carrier_friction=(3.0, 0.005, 0.0001))
+PHYSICS["reference"] = Physics(
+    cone=Cone.PYRAMIDAL,
+    carrier_friction=(3.0, 0.005, 0.0001),
+    solref=(0.02, 1.0),
+    solimp=(0.99, 0.99, 0.01),
+    impratio=1.0,
+)
 """The presets. ``reference`` is PET-Physics; ``pallet`` has elliptic cones, which creep less, and the friction of
 cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 
@@ -256,7 +264,7 @@ class Simulation(Checked):
     schedule: Annotated[Schedule, Flag("--schedule")] = Field(
         Schedule.ADAPTIVE,
         description="when the next box is placed: adaptive: as soon as the pallet is quiet and nothing creeps; "
-        "brisk: as soon as it is quiet, creeping or not; fixed: every interval",
+        "fixed: every interval",
     )
     physics: Annotated[Physics, Flag("--physics")] = Field(
         PHYSICS["pallet"],

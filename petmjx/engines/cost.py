@@ -14,11 +14,11 @@ from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.world.job import Job
 
-STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.25, Schedule.BRISK: 0.2}
+STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.21}
 """Steps of a schedule as a share of the fixed schedule's. Measured on 2,000 generated plans, physics ``pallet``
 (benchmarks/README.md); physics ``reference`` takes twice as many."""
 
-COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4, Schedule.BRISK: 0.34}
+COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The same for the cost. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
 
 GROWING_SHARE = 1 / 3

@@ -1,12 +1,14 @@
 """How far boxes sink into what bears them because contacts are soft, as no carton is.
 
-MuJoCo's contacts are springs. At rest (its documentation, chapter Computation, solver parameters) one contact of
-impedance d, time constant τ and damping ratio ζ under the force f is
+MuJoCo's contacts are springs. At rest (its documentation, chapter Computation, solver parameters) a contact of
+stiffness k and impedance d(x) under the force f is x deep, with
 
-    (1 − d) · τ² · ζ² · A · f
+    k · d(x)² · x / (1 − d(x)) = A · f,   k = 1 / (d₁ · τ · ζ)²
 
-deep, with A the sum of the partners' inverse masses. So a light box gives way under a heavy load, however stiff it is
-meant to be: by 0.02 mm × load / own mass with the presets' values and four contacts a face.
+and A the sum of the partners' inverse masses, d₁ the impedance beyond the width, τ the time constant and ζ the damping
+ratio. Beyond the width that is x = (1 − d₁) · τ² · ζ² · A · f. So a light box gives way under a heavy load, however
+stiff it is meant to be: with four contacts a face by 0.02 mm × load / own mass in the physics ``reference``, and by a
+tenth of that in ``pallet``.
 
 What is needed for it is known on the host for every engine: plans, masses and the largest force on each box. It is not
 read from final poses, since a column that stood on a box which gave way may have fallen.
@@ -15,11 +17,12 @@ read from final poses, since a column that stood on a box which gave way may hav
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, Physics, Simulation
+from petmjx.config import Cone, Physics, Simulation, Triple
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.scene import Scene
@@ -31,8 +34,8 @@ BOUND_SHARE = 0.25
 """A box may sink by this share of the threshold of shift: 5 mm of 20 mm. Ten equal boxes on top of each other sink by
 1 mm, thirty by 9 mm."""
 
-STIFF_IMPEDANCE = 0.9999
-"""The largest that MuJoCo takes (mjMAXIMP): contacts 100 times as stiff as with 0.99."""
+MOST_IMPEDANCE = 0.9999
+"""The largest that MuJoCo takes (mjMAXIMP): contacts 10 times as stiff as with 0.999."""
 
 STIFF_TIME_CONSTANT = 0.5
 """Share of the time constant that stiff contacts have: 4 times as stiff."""
@@ -42,9 +45,9 @@ LEAST_TIME_CONSTANT_STEPS = 4
 
 
 def stiffened(physics: Physics) -> Physics:
-    """The same physics with contacts that bear light boxes under heavy ones: 400 times as stiff as in the presets."""
-    width = physics.solimp[2]
-    solimp = (max(physics.solimp[0], STIFF_IMPEDANCE), max(physics.solimp[1], STIFF_IMPEDANCE), width)
+    """The same physics with contacts that bear light boxes under heavy ones: 40 times as stiff as in ``pallet``."""
+    low, high, width = physics.solimp
+    solimp = (low if low < high else MOST_IMPEDANCE, MOST_IMPEDANCE, width)
     time_s, damping = physics.solref
     if time_s > 0:
         least_s = LEAST_TIME_CONSTANT_STEPS * physics.timestep_s
@@ -52,12 +55,27 @@ def stiffened(physics: Physics) -> Physics:
     return physics.changed(solimp=solimp, solref=(time_s, damping))
 
 
-def _give_s2(physics: Physics) -> float:
-    """Depth of one contact in m for each m/s² of A · f."""
-    time_s, damping = physics.solref
+DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
+"""Depths for which the force is worked out; between them it is interpolated, to 0.02 %."""
+
+
+@lru_cache(maxsize=16)
+def _pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -> FloatArray:
+    """A · f, m/s², at which a contact is as deep as each of ``DEPTHS_M``."""
+    time_s, damping = solref
+    low, high = np.minimum(solimp[:2], MOST_IMPEDANCE)
+    x = np.minimum(DEPTHS_M / solimp[2], 1.0)
+    impedance = low + (high - low) * np.where(x < 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
     # negative values are stiffness and damping themselves
-    stiffness = -time_s if time_s < 0 else 1 / (max(time_s, 2 * physics.timestep_s) * damping) ** 2
-    return (1 - min(physics.solimp[:2])) / stiffness
+    stiffness = -time_s if time_s < 0 else 1 / (max(time_s, 2 * timestep_s) * damping) ** 2
+    pulls: FloatArray = stiffness / high**2 * impedance**2 * DEPTHS_M / (1 - impedance)
+    return np.maximum.accumulate(pulls)
+
+
+def _depth_m(physics: Physics, pull_m_s2: FloatArray | float) -> FloatArray:
+    """Depth of one contact at rest, m, for each A · f in m/s², ≥ 0."""
+    pulls = _pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s)
+    return np.asarray(np.interp(pull_m_s2, pulls, DEPTHS_M, left=0.0))
 
 
 def _cone_factor(physics: Physics, *frictions: float) -> float:
@@ -80,29 +98,30 @@ def sinking_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m:
         enough_m: where no box can sink by more than this, zeros are returned and nothing is looked at closely.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier_mass
-    unit = _give_s2(physics) / CONTACTS_PER_FACE
     box, plate, floor = scene.box_friction[0], scene.carrier_friction[0], scene.floor_friction[0]
     of_boxes, of_carrier = _cone_factor(physics, box), _cone_factor(physics, box, plate)
     low = scene.target - scene.half_size
     stands_on_carrier = low[:, 2] < ON_CARRIER_M
-    give = unit * np.where(stands_on_carrier, of_carrier * (1 / mass + 1 / carrier), of_boxes / mass)
-    base = unit * _cone_factor(physics, plate, floor) * scene.total_mass * gravity / carrier
+    own_per_kg = np.where(stands_on_carrier, of_carrier * (1 / mass + 1 / carrier), of_boxes / mass) / CONTACTS_PER_FACE
+    on_floor = _cone_factor(physics, plate, floor) * scene.total_mass * gravity / carrier / CONTACTS_PER_FACE
+    base = float(_depth_m(physics, on_floor))
 
-    def gives_way(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) each: by how much what is on a box comes closer to it, and it to what bears it, m."""
-        return unit * of_boxes * top_n / mass, give * (top_n + mass * gravity)
+    def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) each: a box's part in A · f of a contact on its top, and of one below it, m/s²."""
+        return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
-    above, below = gives_way(top_force_n)
-    if base + above.sum() + below.sum() <= enough_m:
+    # the depth grows less than in proportion to A · f, so that the parts' depths are a bound
+    if base + sum(_depth_m(physics, part).sum() for part in pulls(top_force_n)) <= enough_m:
         return np.zeros(len(mass))
     high = scene.target + scene.half_size
     over = _overlap(low[:, 0], high[:, 0]) & _overlap(low[:, 1], high[:, 1])
     order = np.argsort(scene.target[:, 2], kind="stable")
-    above, below = gives_way(np.minimum(top_force_n, _weight_above_n(mass * gravity, over, order)))
+    above, below = pulls(np.minimum(top_force_n, _weight_above_n(mass * gravity, over, order)))
     sinking = np.zeros(len(mass))
     for place, number in enumerate(order):
         under = order[:place][over[number, order[:place]]]
-        sinking[number] = below[number] + (sinking[under] + above[under]).max(initial=base)
+        alone = base + _depth_m(physics, below[number])
+        sinking[number] = (sinking[under] + _depth_m(physics, below[number] + above[under])).max(initial=alone)
     return sinking
 
 

@@ -113,6 +113,7 @@ def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.cone = _CONE[physics.cone]
+    option.impratio = physics.impratio
     option.gravity = np.array([0.0, 0.0, -physics.gravity_m_s2])
 
 

@@ -41,7 +41,7 @@ def score(boxes: Sequence[Box], sim: Simulation) -> WorldResult:
     return result
 
 
-@pytest.mark.parametrize("boxes", [one_on_another(0.3, 300.0), column(0.1, 20.0, 8), column(0.05, 60.0, 3)])
+@pytest.mark.parametrize("boxes", [one_on_another(0.02, 300.0), column(0.01, 20.0, 8), column(0.005, 60.0, 3)])
 def test_a_light_box_bears_a_heavy_load(boxes: Sequence[Box]) -> None:
     assert simulate(boxes, Simulation()).verdict is Verdict.UNSTABLE  # as the contacts have it
     result = score(boxes, Simulation())
@@ -52,7 +52,7 @@ def test_a_light_box_bears_a_heavy_load(boxes: Sequence[Box]) -> None:
     assert result.attempts[0].flags & Flag.SINKING
     assert not result.outcome.flags & Flag.SINKING
     below_mm = -result.outcome.boxes.shift_m[:, 2] / MM
-    assert below_mm.max() < 1.0
+    assert below_mm.max() < 4.0  # 47 to 110 mm in the soft contacts
     load_n = 9.81 * (sum(kg for *_, kg in boxes) - boxes[0][2])
     assert result.outcome.boxes.rest_top_force_n[0] == pytest.approx(load_n, rel=0.01)
 
@@ -60,7 +60,7 @@ def test_a_light_box_bears_a_heavy_load(boxes: Sequence[Box]) -> None:
 def test_a_support_that_gives_way_does_not_tilt_what_it_bears() -> None:
     """One support is light and one is heavy: the beam would slope by 2.7°, and slide."""
     boxes: tuple[Box, ...] = (
-        ((200, 300, 200), (0, 0, 0), 0.1),
+        ((200, 300, 200), (0, 0, 0), 0.01),
         ((200, 300, 200), (400, 0, 0), 10.0),
         ((600, 300, 400), (0, 0, 200), 200.0),
     )
@@ -71,15 +71,15 @@ def test_a_support_that_gives_way_does_not_tilt_what_it_bears() -> None:
 
 
 def test_a_box_that_tips_is_unstable_in_stiff_contacts_too() -> None:
-    boxes = (*one_on_another(0.3, 300.0), ((400, 300, 200), (220, 0, 400), 5.0))
+    boxes = (*one_on_another(0.02, 300.0), ((400, 300, 200), (220, 0, 400), 5.0))
     result = score(boxes, Simulation())
     assert [a.attempt for a in result.attempts] == [1, 6]
     assert (result.outcome.verdict, result.outcome.culprit) == (Verdict.UNSTABLE, 2)
 
 
 def test_contacts_that_still_give_way_leave_no_verdict() -> None:
-    """A tenth of a gram bears half a ton: a ratio of five million."""
-    result = score(one_on_another(0.0001, 500.0), Simulation())
+    """A hundredth of a gram bears half a ton: a ratio of fifty million."""
+    result = score(one_on_another(0.00001, 500.0), Simulation())
     assert [a.attempt for a in result.attempts] == [1, 6]
     assert (result.outcome.verdict, result.outcome.reason) == (Verdict.INVALID, Reason.SINKING)
 
@@ -121,7 +121,7 @@ def test_the_estimate_of_the_reference() -> None:
 
 def test_a_shift_that_is_sinking_alone_is_no_verdict() -> None:
     """Three millimetres of sinking make 18.5 mm that a box fell 21.5 mm."""
-    boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 1.0), ((400, 300, 200), (0, 0, 218.5), 140.0))
+    boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 0.15), ((400, 300, 200), (0, 0, 218.5), 140.0))
     soft = simulate(boxes, Simulation())
     assert (soft.verdict, soft.reason) == (Verdict.UNSTABLE, Reason.SHIFT)
     assert score(boxes, Simulation()).outcome.verdict is Verdict.STABLE

@@ -119,8 +119,10 @@ def test_runs_are_kept_and_compared(measured: Path) -> None:
 
 def test_flips_are_listed_with_their_margins(plans: Path, tmp_path: Path) -> None:
     results = [
-        petmjx.score(plans, engine="mujoco", threads=1, early_stop=False, out=tmp_path / name, thresholds=limits)
-        for name, limits in (("a", {}), ("b", {"shift_m": 1e-4, "shift_floor_m": 0}))
+        petmjx.score(
+            plans, engine="mujoco", threads=1, physics="reference", early_stop=False, out=tmp_path / name, **options
+        )
+        for name, options in (("a", {}), ("b", {"thresholds": {"shift_m": 1e-4, "shift_floor_m": 0}}))
     ]
     found = agreement([results[0].path], [results[1].path])
     assert (found["common"], found["same"]) == (3, 1)

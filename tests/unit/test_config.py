@@ -36,7 +36,7 @@ from petmjx.run_options import sorted_options
         (Simulation, {"interval_s": 0.001}, "interval_s must be at least the timestep of 0.002 s, got 0.001"),
         (Simulation, {"duration_s": math.inf}, "duration_s must be a finite number, got inf"),
         (Simulation, {"check": "dynamic"}, "check must be 'one-by-one' or 'static', got 'dynamic'"),
-        (Simulation, {"schedule": "slow"}, "schedule must be 'fixed', 'adaptive' or 'brisk', got 'slow'"),
+        (Simulation, {"schedule": "slow"}, "schedule must be 'fixed' or 'adaptive', got 'slow'"),
         (Simulation, {"total_time_factor": 2.0}, "total_time_factor needs check one-by-one and schedule fixed"),
         (
             Simulation,
@@ -94,7 +94,9 @@ def test_a_changed_preset_loses_its_name() -> None:
     assert (fine.name, fine.cone, fine.carrier_friction[0]) == ("custom", Cone.PYRAMIDAL, 3.0)
     assert fine.changed(timestep_s=0.002).name == "reference"
     assert Physics(timestep_s=0.001).cone is PHYSICS["pallet"].cone
-    assert Physics(cone="pyramidal", carrier_friction=(3.0, 0.005, 0.0001)).name == "reference"
+    values = PHYSICS["reference"].model_dump(exclude={"name"})
+    assert Physics(**values).name == "reference"
+    assert Physics(**values | {"impratio": 2.0}).name == "custom"
 
 
 @pytest.mark.parametrize(
@@ -143,4 +145,4 @@ def test_changes_are_checked(changes: dict[str, Any], line: str) -> None:
 def test_creep_is_waited_for_with_elliptic_cones_only() -> None:
     assert Simulation().waits_for_creep
     assert not Simulation(physics="reference").waits_for_creep
-    assert not Simulation(schedule="brisk").waits_for_creep
+    assert not Simulation(schedule="fixed").waits_for_creep

@@ -58,6 +58,7 @@ def padded_template(
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON if solver is Solver.NEWTON else mujoco.mjtSolver.mjSOL_CG
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if physics.cone is Cone.ELLIPTIC else mujoco.mjtCone.mjCONE_PYRAMIDAL
+    option.impratio = physics.impratio
     option.gravity = (0.0, 0.0, -physics.gravity_m_s2)
     option.tolerance = tolerance
     option.iterations = iterations

@@ -1,7 +1,7 @@
 // One contact's part in the solver: its rows of J, and the force and curvature of its cone's cost.
 //
 // `contact` points to the contact's numbers as the kernel make_rows writes them: frame (9), moment arms of both bodies
-// (9 + 9), reference accelerations (3), stiffness of a row (1), friction (1).
+// (9 + 9), reference accelerations (3), stiffness of the normal's row (1), friction (1).
 
 #ifndef PETMJX_CONTACT_CUH
 #define PETMJX_CONTACT_CUH
@@ -23,8 +23,10 @@ inline CUDA_CALLABLE void relative(const float* contact, const int* block, const
 
 // Force (3,) and curvature (6: the upper triangle, row by row) of a contact's cost at residual j = J·a − r, in its
 // frame. The formulas are those of mj_constraintUpdate (MuJoCo, engine_core_constraint.c); both tangents have the same
-// friction here.
-inline CUDA_CALLABLE void respond(int pyramidal, const double* j, const float* contact, double* push, double* bend) {
+// friction here. `slack`: 1 / √impratio, which makes the rows of an elliptic cone's tangents impratio times as stiff.
+inline CUDA_CALLABLE void respond(
+    int pyramidal, double slack, const double* j, const float* contact, double* push, double* bend
+) {
     const double D = contact[30], mu = contact[31];
     for (int i = 0; i < 3; ++i) push[i] = 0.0;
     for (int i = 0; i < 6; ++i) bend[i] = 0.0;
@@ -43,22 +45,27 @@ inline CUDA_CALLABLE void respond(int pyramidal, const double* j, const float* c
         return;
     }
     const double tangent = sqrt(j[1] * j[1] + j[2] * j[2]);
-    const double N = mu * j[0], T = mu * tangent;
-    if (N >= mu * T) return;
-    if (mu * N + T <= 0.0) {
-        for (int i = 0; i < 3; ++i) push[i] = -D * j[i];
-        bend[0] = bend[3] = bend[5] = D;
+    const double m = mu * slack;
+    const double N = m * j[0], T = mu * tangent;
+    if (N >= m * T) return;
+    if (m * N + T <= 0.0) {
+        const double Dt = D / (slack * slack);
+        push[0] = -D * j[0];
+        push[1] = -Dt * j[1];
+        push[2] = -Dt * j[2];
+        bend[0] = D;
+        bend[3] = bend[5] = Dt;
         return;
     }
-    const double Dm = D / (mu * mu * (1.0 + mu * mu)), gap = N - mu * T;
+    const double Dm = D / (m * m * (1.0 + m * m)), gap = N - m * T;
     const double x = j[1] / tangent, y = j[2] / tangent;
-    push[0] = -Dm * gap * mu;
+    push[0] = -Dm * gap * m;
     push[1] = -push[0] * mu * x;
     push[2] = -push[0] * mu * y;
-    const double along = Dm * mu * mu * mu * mu, across = -Dm * gap * mu * mu * mu / T * mu;
-    bend[0] = Dm * mu * mu;
-    bend[1] = -Dm * mu * mu * mu * x;
-    bend[2] = -Dm * mu * mu * mu * y;
+    const double along = Dm * m * m * mu * mu, across = -Dm * gap * m * mu / tangent;
+    bend[0] = Dm * m * m;
+    bend[1] = -Dm * m * m * mu * x;
+    bend[2] = -Dm * m * m * mu * y;
     bend[3] = along * x * x + across * y * y;
     bend[4] = (along - across) * x * y;
     bend[5] = along * y * y + across * x * x;

@@ -235,7 +235,7 @@ inline CUDA_CALLABLE void newton(
     for (int iteration = 0;; ++iteration) {
         for (int k = thread; k < contacts; k += threads) {
             double push[3], bend[6];
-            respond(pyramidal, jar + 3 * k, row + ROW * k, push, bend);
+            respond(pyramidal, model.slack, jar + 3 * k, row + ROW * k, push, bend);
             for (int i = 0; i < 3; ++i) world.f[3 * k + i] = push[i];
             for (int i = 0; i < 6; ++i) world.curve[6 * k + i] = (float)bend[i];
         }
@@ -270,7 +270,7 @@ inline CUDA_CALLABLE void newton(
                 const double* v = jv + 3 * k;
                 double j[3], push[3], bend[6];
                 for (int r = 0; r < 3; ++r) j[r] = jar[3 * k + r] + length * v[r];
-                respond(pyramidal, j, row + ROW * k, push, bend);
+                respond(pyramidal, model.slack, j, row + ROW * k, push, bend);
                 first -= push[0] * v[0] + push[1] * v[1] + push[2] * v[2];
                 second += bend[0] * v[0] * v[0] + bend[3] * v[1] * v[1] + bend[5] * v[2] * v[2]
                         + 2.0 * (bend[1] * v[0] * v[1] + bend[2] * v[0] * v[2] + bend[4] * v[1] * v[2]);

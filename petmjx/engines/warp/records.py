@@ -57,6 +57,7 @@ class Model:
     limit: int  # most iterations of the solver
     trials: int  # most iterations of its line search
     tolerance: wp.float64  # of the solver, as MuJoCo's
+    slack: wp.float64  # 1 / √impratio
 
     body_mass: Annotated[wp.array2d[float], "world body"]
     body_inertia: Annotated[wp.array3d[float], "world body 3"]

@@ -78,6 +78,7 @@ class PalletStepper:
         self.n_geoms, self.floor_z = template.ngeom, float(template.geom_pos[0, 2])
         self.timestep, self.tolerance = float(template.opt.timestep), float(template.opt.tolerance)
         self.limit, self.trials = int(template.opt.iterations), int(template.opt.ls_iterations)
+        self.slack = float(template.opt.impratio) ** -0.5
         # template.override_fields makes per-world fields from these; the shapes are those of MJX-Warp.
         self.model = SimpleNamespace(
             geom_size=jnp.asarray(template.geom_size, jnp.float32),
