@@ -63,7 +63,7 @@ def test_the_model_has_the_bodies_masses_and_frictions_of_the_scene() -> None:
     np.testing.assert_allclose(model.body_mass[1:], [25.0, *scene.mass])
     np.testing.assert_allclose(model.geom("carrier").friction, [3.0, 0.005, 0.0001])
     np.testing.assert_allclose(model.geom("box_1").size, scene.half_size[1])
-    np.testing.assert_allclose(model.geom_solimp[:, :3], np.tile(physics.solimp, (model.ngeom, 1)))
+    np.testing.assert_allclose(model.geom_solimp[:, :3], np.tile([0.99, 0.99, 0.01], (model.ngeom, 1)))
     assert model.opt.timestep == 0.002
     assert model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
 
