@@ -1,4 +1,4 @@
-"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table``."""
+"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift``."""
 
 from __future__ import annotations
 
@@ -38,6 +38,33 @@ def list_cases() -> None:
         print(group)
         for case in cases:
             print(f"    {case.name:<28}{case.text}")
+
+
+@app.command()
+@opt.takes("limit", "threads")
+def drift(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    variant: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this variant; repeatable.")] = None,
+    begin: Annotated[float, typer.Option(metavar="S", help="After settling.")] = 10.0,
+    end: Annotated[float, typer.Option(metavar="S", help="After settling.")] = 60.0,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps a Parquet table of all boxes.")] = None,
+    **options: Any,
+) -> None:
+    """How fast the boxes of resting pallets drift, and why."""
+    from benchmarks.drift import VARIANTS, Window, describe, summaries
+    from petmjx.machine import cpu_threads
+    from petmjx.plans.read import load_plans
+
+    chosen = variant or list(VARIANTS)
+    if unknown := [name for name in chosen if name not in VARIANTS]:
+        raise InputError(f"no variant {unknown[0]!r}; there are: {'; '.join(VARIANTS)}")
+    found = load_plans(plans).plans[: options.get("limit")]
+    threads = options.get("threads") or cpu_threads()
+    for name, check, table in summaries(found, chosen, Window(begin, end), threads):
+        print(f"{name}, {check}: {describe(table)}", flush=True)
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            table.to_parquet(out / f"{list(VARIANTS).index(name):02}-{check}.parquet")
 
 
 @app.command()
