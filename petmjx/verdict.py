@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
 from typing import Any, Final
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
+from petmjx.metrics.motion_np import excess
 from petmjx.units import FloatArray
 
 
@@ -96,6 +98,8 @@ class Outcome:
     attempt: int = 1
     state: Any = None
     """The settled state, if the job asked for it. Only the engine that made it can use it."""
+    margin: float = math.nan
+    """See :func:`margin_of`; filled in for all engines where their outcomes arrive (petmjx.engines.retry)."""
     message: str = ""
     """Why there is no result, in one line, if ``reason`` is ``failed``."""
 
@@ -129,6 +133,31 @@ def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds)
     if (np.abs(boxes.shift_m[placed]) > thresholds.shift_m).any():
         return Verdict.UNSTABLE, Reason.SHIFT
     return Verdict.STABLE, Reason.NONE
+
+
+DROPPED_EXCESS: Final = 2.0
+"""Least excess of a box that dropped, so that its margin is -1 at most: where it lies in the end may be near its place,
+but a drop is always beyond."""
+
+
+_EPSILON: Final = float(np.finfo(np.float64).eps)
+
+
+def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
+    """How far a world is from the nearest threshold, as a share of it: 1 − the largest excess of a placed box.
+
+    1: nothing moved; 0: on the threshold; negative: beyond it, -1 at most where a box dropped. It is never negative in
+    a stable world and always in an unstable one. NaN for invalid worlds. More: docs/metrics.md, section "Margin".
+    """
+    if verdict is Verdict.INVALID or n_placed == 0:
+        return math.nan
+    placed = slice(n_placed)
+    dropped = boxes.dropped[placed]
+    shift, tilt = (np.asarray(values[placed], dtype=np.float64) for values in (boxes.shift_m, boxes.max_tilt_deg))
+    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped).max()
+    margin = float(1.0 - largest)
+    # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
+    return max(margin, 0.0) if verdict is Verdict.STABLE else min(margin, -_EPSILON)
 
 
 @dataclass(frozen=True)

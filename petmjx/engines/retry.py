@@ -19,7 +19,7 @@ from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.sinking import note_sinking, stiffened
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Attempt, Outcome, Reason, Verdict
+from petmjx.verdict import Attempt, Outcome, Reason, Verdict, margin_of
 from petmjx.world.job import Excitation, Job
 
 CAREFUL_ITERATIONS = 400
@@ -185,6 +185,7 @@ def _run_attempt(
         outcome = note_sinking(answer, world.job.scene, attempt_sim)
         outcome.attempt = attempt.number
         outcome.solver = attempt_sim.solver.value
+        outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, attempt_sim.thresholds)
         yield world, outcome, (*records, Attempt.of(outcome, attempt_sim.physics.timestep_s))
     if unanswered:
         raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")

@@ -131,6 +131,11 @@ def _largest(
 
 
 METRICS: tuple[BoxMetric | WorldMetric, ...] = (
+    WorldMetric(
+        "margin", DIMENSIONLESS,
+        "distance to the nearest threshold as a share of it: 1 nothing moved, 0 on it, < 0 beyond; null if invalid",
+        When.SAMPLES_AND_END,
+    ),
     WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.SAMPLES_AND_END),
     BoxMetric(
         "shift_m", "m",

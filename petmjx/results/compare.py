@@ -48,7 +48,8 @@ class Comparison:
         n_common: worlds that are in both runs.
         confusion: (3, 3) number of worlds by verdict in a (rows) and in b (columns).
         flips: worlds with different verdicts: verdict, reason and culprit in both runs, and their margins to the
-            thresholds of shift, tilt and acceleration (positive: over the threshold).
+            thresholds of shift, tilt and acceleration (positive: over the threshold); ``margin``, the column of
+            ``worlds``, has the other sign. Null in runs of before it.
         worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
             ``median``, ``p95``, ``largest``; and where the largest one is: ``plan_id``, ``variant`` (``box``), with
             the two values ``a`` and ``b``. Null if a group has no value of the metric.
@@ -81,6 +82,12 @@ class Comparison:
         return self.n_common - len(self.flips)
 
     @property
+    def flips_within(self) -> float | None:
+        """The smallest x for which each flip has a ``margin`` within ±x in one of the runs; None where none has any."""
+        nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
+        return None if pd.isna(nearer) else float(nearer)
+
+    @property
     def agreement(self) -> float | None:
         """Share of the common worlds with the same verdict; None if there is no common world."""
         return self.n_agree / self.n_common if self.n_common else None
@@ -88,7 +95,7 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain JSON values; missing numbers are None."""
         confusion = {row: dict(counts) for row, counts in self.confusion.iterrows()}
-        shares = {"n_agree": self.n_agree, "agreement": self.agreement}
+        shares = {"n_agree": self.n_agree, "agreement": self.agreement, "flips_within": self.flips_within}
         return dict(plain(shares | vars(self) | {"confusion": confusion}))
 
 
@@ -150,7 +157,9 @@ def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.Data
         flips[f"tilt_margin_deg_{side}"] = flips[f"max_tilt_deg_{side}"] - limits.tilt_deg
         flips[f"lin_acc_margin_m_s2_{side}"] = flips[f"max_lin_acc_{side}"] - limits.lin_acc_m_s2
         flips[f"ang_acc_margin_rad_s2_{side}"] = flips[f"max_ang_acc_{side}"] - limits.ang_acc_rad_s2
-        names = ("verdict", "reason", "culprit", "first_sign_s", "n_dropped", "flags")
+        if f"margin_{side}" not in flips:
+            flips[f"margin_{side}"] = np.nan
+        names = ("verdict", "reason", "margin", "culprit", "first_sign_s", "n_dropped", "flags")
         margins = ("shift_margin_m", "tilt_margin_deg", "lin_acc_margin_m_s2", "ang_acc_margin_rad_s2")
         columns += [f"{name}_{side}" for name in (*names, *margins)]
     return flips[columns].reset_index(drop=True)

@@ -11,7 +11,7 @@ from rich.console import RenderableType
 
 from petmjx.results.compare import BOX_KEY, FORCE_FLOOR_N, Comparison
 from petmjx.show.layout import Column, FittedTable, line, number
-from petmjx.text import counted
+from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
 
@@ -34,6 +34,10 @@ def comparison_tables(found: Comparison, max_rows: int = 40) -> Iterator[Rendera
     if len(found.flips):
         yield ""
         yield _flips_table(found.flips, max_rows)
+        if found.flips_within is not None:
+            yield line(
+                f"each has a margin within ±{three_digits(found.flips_within)} of a threshold in one of the runs"
+            )
     for what, differences in (("worlds", found.worlds), ("boxes", found.boxes)):
         for table in _differences_tables(what, differences):
             yield ""

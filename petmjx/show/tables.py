@@ -134,15 +134,16 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
     """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics."""
     table = FittedTable(
-        Column("plan", "left", least=24, middle=True),
-        Column("boxes", spare=2),
+        Column("plan", "left", least=20, middle=True),
+        Column("boxes", spare=3),
         Column("verdict", "left"),
         Column("reason", "left"),
-        Column("first box", "left", least=8, spare=1),
-        Column("at\ns", spare=3),
+        Column("margin", spare=1),
+        Column("first box", "left", least=8, spare=2),
+        Column("at\ns", spare=4),
         Column("shift\nmm"),
         Column("tilt\n°"),
-        Column("rest\nforce N", spare=4),
+        Column("rest\nforce N", spare=5),
     )
     articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
     for row in worlds.to_dict("records"):
@@ -154,6 +155,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
             f"{placed}{row['n_boxes']}",
             Text(verdict, style=_STYLES.get(verdict, "")),
             str(row["reason"]),
+            number(row.get("margin"), ".2f"),
             first,
             number(row["first_sign_s"], ".2f"),
             number(row["max_shift_m"], ".1f", factor=1000.0),

@@ -379,7 +379,8 @@ def _as_placed(outcome: Outcome, placed: Outcome) -> Outcome:
     if outcome.verdict is not Verdict.STABLE or placed.verdict is Verdict.STABLE:
         return outcome
     kept = ("verdict", "reason", "culprit", "first_sign_s")
-    return replace(outcome, **{name: getattr(placed, name) for name in kept})
+    margin = min(outcome.margin, placed.margin)
+    return replace(outcome, margin=margin, **{name: getattr(placed, name) for name in kept})
 
 
 def _undriven(start: Settled, variant: Variant) -> SweptWorld:

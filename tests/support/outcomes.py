@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.config import Thresholds
 from petmjx.plans.plan import Plan
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict, margin_of
 from support import plans
 
 
@@ -53,7 +54,9 @@ def make_outcome(
         "flags": Flag.NONE,
         "boxes": make_boxes(n, **of_boxes),
     }
-    return Outcome(**values | changes)
+    outcome = Outcome(**values | changes)
+    outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, Thresholds())
+    return outcome
 
 
 def dropped_outcome() -> Outcome:

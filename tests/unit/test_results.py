@@ -28,9 +28,9 @@ from petmjx.results.writer import RunWriter, write_summary
 from petmjx.verdict import Attempt, Flag, Reason, Verdict
 
 SPEC_WORLDS = (
-    "plan_id variant engine solver attempt schedule n_boxes n_placed verdict reason culprit first_sign_s max_shift_m "
-    "max_tilt_deg n_dropped first_drop_s max_lin_acc max_ang_acc max_top_force_n rest_top_force_n sim_time_s n_steps "
-    "flags"
+    "plan_id variant engine solver attempt schedule n_boxes n_placed verdict reason culprit margin first_sign_s "
+    "max_shift_m max_tilt_deg n_dropped first_drop_s max_lin_acc max_ang_acc max_top_force_n rest_top_force_n "
+    "sim_time_s n_steps flags"
 )
 SPEC_BOXES = (
     "plan_id variant box item_id article sequence shift_x_m shift_y_m shift_z_m max_tilt_deg dropped drop_s "

@@ -151,8 +151,8 @@ def test_summary_table_of_an_empty_run() -> None:
 def test_worlds_table(tmp_path: Path) -> None:
     run = load_run(written(tmp_path, {"[x]a": make_outcome(), "b": dropped_outcome()}))
     lines = words_of(worlds_table(run.worlds, run.boxes))
-    assert "[x]a 3 stable - 6.0 3.0 150.0" in lines
-    assert "b 2 of 3 unstable drop 1 article-1 0.40 4.0 2.0 -" in lines
+    assert "[x]a 3 stable 0.70 - 6.0 3.0 150.0" in lines
+    assert "b 2 of 3 unstable drop -1.00 1 article-1 0.40 4.0 2.0 -" in lines
 
 
 @pytest.mark.parametrize("width", [80, 120])
@@ -162,8 +162,8 @@ def test_a_long_id_ruins_no_table(width: int, tmp_path: Path) -> None:
     lines = lines_of([worlds_table(run.worlds, run.boxes)], width)
     assert max(cell_len(line) for line in lines) <= width
     [row] = [line.split() for line in lines if "xend" in line]
-    assert row[1:7] == ["2", "of", "3", "unstable", "drop", "1"]
-    assert row[8:11] == ["0.40", "4.0", "2.0"]
+    assert row[1:7] == ["2", "of", "3", "unstable", "drop", "-1.00"]
+    assert row[9:12] == ["0.40", "4.0", "2.0"]
     other = written(tmp_path / "b", {LONG: make_outcome(), CHINESE: dropped_outcome()})
     tables = [each for each in comparison_tables(compare_runs(path, other)) if isinstance(each, FittedTable)]
     lines = lines_of(tables, width)
@@ -204,6 +204,7 @@ def test_comparison(tmp_path: Path) -> None:
     assert "stable 1 1 0" in lines
     assert any(line.startswith("d 0 a stable - ") for line in lines)
     assert any(line.startswith("b unstable drop 1 ") for line in lines)
+    assert "each has a margin within ±0.7 of a threshold in one of the runs" in lines
     assert "differences |b - a| of boxes, both stable" in lines
     assert any(line.startswith("shift_x_m 3 0 0.0036 0.004 [bold]s/0/2 ") for line in lines)
     assert any(line.startswith("max_lin_acc m/s² ") for line in lines)
