@@ -34,7 +34,7 @@ MIN_MASS_FACTOR: Final = 0.001
 MAX_ERROR: Final = 10_000.0
 """Largest error of a place, mm."""
 MAX_SIZE_ERROR_MM: Final = 1000.0
-MAX_SIZE_ERROR: Final = 1.0
+MAX_RELATIVE_ERROR: Final = 1.0
 MAX_YAW_ERROR_DEG: Final = 360.0
 
 DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
@@ -236,7 +236,7 @@ def _up_to(largest: float) -> AfterValidator:
 
 
 SizeErrors = Annotated[Errors, _up_to(MAX_SIZE_ERROR_MM)]
-RelativeErrors = Annotated[Errors, _up_to(MAX_SIZE_ERROR)]
+RelativeErrors = Annotated[Errors, _up_to(MAX_RELATIVE_ERROR)]
 YawErrors = Annotated[Errors, _up_to(MAX_YAW_ERROR_DEG)]
 
 
@@ -284,7 +284,15 @@ AXIS_KINDS: Final = {
         AxisKind("friction_factor", "1", Frictions, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),
         AxisKind(_BOX, "1", Frictions, "factor on the friction of boxes alone", (_BOX,)),
         AxisKind(_CARRIER, "1", Frictions, "factor on the friction of the carrier alone", (_CARRIER,)),
+        AxisKind(
+            "friction_tolerance_rel",
+            "1",
+            RelativeErrors,
+            "error of the friction of boxes and carrier as a share, one for a whole world",
+            ("friction_rel",),
+        ),
         AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
+        AxisKind("mass_tolerance_rel", "1", RelativeErrors, "error of each box's mass as a share", ("mass_rel",)),
         AxisKind("size_tolerance_mm", "mm", SizeErrors, "error of each dimension of each box", ("size_mm",)),
         AxisKind("size_tolerance_rel", "1", RelativeErrors, "the same as a share of the dimension", ("size_rel",)),
         AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),

@@ -13,9 +13,13 @@ from petmjx.sweeps.file import Sweep
 from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import ACCELERATION
 from petmjx.world.profiles.acceleration import Tilt
+from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, Shape
 
 RANGE_POINTS = 9
 """Values looked at on an axis whose values are drawn from a range."""
+
+LARGEST_SD = 4.0
+"""Standard deviations above the mean up to which a normal error is looked at: one draw in 30,000 is larger."""
 
 
 def slide_m(
@@ -83,7 +87,10 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
     # MuJoCo takes the larger coefficient of two partners
     friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], sim.physics.carrier_friction[0] * carrier[-1])
-    up_to = "up to " if any(len(factors) > 1 for factors in (both, box, carrier)) else ""
+    errors = _friction_errors(sweep)
+    friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
+    varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(each.random for each in errors)
+    up_to = "up to " if varies else ""
     lines = []
     for name, profile in sweep.profiles.items():
         if profile.kind != ACCELERATION or profile.random:
@@ -99,6 +106,16 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         why = f"with friction {up_to}{friction:.3g} no unsecured load stays in place"
         lines.append(f"{name} reaches {peak}{since}: {why}")
     return lines
+
+
+def _friction_errors(sweep: Sweep) -> list[Distribution]:
+    axis = sweep.axes.get("friction_tolerance_rel")
+    return [value for value in axis.values if isinstance(value, Distribution)] if axis else []
+
+
+def _largest(error: Distribution) -> float:
+    """The largest error that is looked at."""
+    return error.centre + (LARGEST_SD if error.shape is Shape.NORMAL else 1.0) * error.spread
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:

@@ -26,6 +26,12 @@ MIN_SIZE_FRACTION = 0.1
 LARGEST_SIZE_M = 7.0
 """Nor does any exceed this: boxes that wait for their turn hang 8 m apart."""
 
+MIN_MASS_FRACTION = 0.1
+"""Smallest mass that can be drawn, as a fraction of the nominal one: MuJoCo refuses bodies without mass."""
+
+MIN_FRICTION_FRACTION = 0.1
+"""Smallest friction that can be drawn, as a fraction of the nominal one: it must stay positive."""
+
 STEP_TOLERANCE_M = 0.01
 """Of two boxes that overlap horizontally, one carries the other if its planned top is at most this far above the
 other's planned bottom: the other one is then set down on it. A box that is higher counts as a wall beside it."""
@@ -92,6 +98,9 @@ class PlacementChange:
         box_friction_factor, carrier_friction_factor: on all three friction coefficients. MuJoCo takes the
             larger coefficient of two touching geoms, so a lower value on one side alone changes little.
         mass_factor: on the mass of every box; the carrier's mass does not change.
+        friction_rel: relative change of the friction of boxes and carrier, on top of the factors (0.1 = 10 % more). One
+            draw for the whole world: all cartons are of one board, on a day of one humidity.
+        mass_rel: relative change of each box's mass, on top of the factor.
         size_mm: added to each dimension of each box, mm.
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
@@ -102,6 +111,8 @@ class PlacementChange:
     box_friction_factor: float = 1.0
     carrier_friction_factor: float = 1.0
     mass_factor: float = 1.0
+    friction_rel: Distribution = ZERO
+    mass_rel: Distribution = ZERO
     size_mm: Distribution = ZERO
     size_rel: Distribution = ZERO
     x_mm: Distribution = ZERO
@@ -186,15 +197,18 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
         target = start_pos.copy()
     drop_height_mm = change.drop_height_mm.draw(key.rng("drop"), (n_boxes,))
     start_pos[:, 2] += mm_to_m(np.maximum(drop_height_mm, 0.0))
+    mass_share = 1.0 + change.mass_rel.draw(key.rng("mass-rel"), (n_boxes,))
+    (friction_share,) = 1.0 + change.friction_rel.draw(key.rng("friction-rel"), (1,))
+    friction = max(float(friction_share), MIN_FRICTION_FRACTION)
     return replace(
         scene,
         half_size=half_size,
-        mass=scene.mass * change.mass_factor,
+        mass=scene.mass * change.mass_factor * np.maximum(mass_share, MIN_MASS_FRACTION),
         target=target,
         start_pos=start_pos,
         start_quat=_turned(scene.start_quat, yaw),
-        box_friction=_scaled(scene.box_friction, change.box_friction_factor),
-        carrier_friction=_scaled(scene.carrier_friction, change.carrier_friction_factor),
+        box_friction=_scaled(scene.box_friction, change.box_friction_factor * friction),
+        carrier_friction=_scaled(scene.carrier_friction, change.carrier_friction_factor * friction),
     )
 
 
