@@ -23,7 +23,8 @@ from petmjx.plans.plan import PlanSet
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.writer import RunWriter, write_summary
-from petmjx.run_options import RunOptions, sorted_options
+from petmjx.run_options import Confidence, RunOptions, sorted_options
+from petmjx.sweeps.confidence import confidence_sweep, write_confidence
 from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
@@ -48,7 +49,7 @@ class RunStart:
     """What is known when a run begins.
 
     Attributes:
-        what: the user's word for a world: "plan", or "world" in sweeps.
+        what: the user's word for a world: "plan", or "world" where plans have several.
         total: number of worlds; None if it is not known (searches).
         size: one line with the number of worlds and steps, and the estimated time.
         choice: which engine, and why.
@@ -93,27 +94,31 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
     return decorate
 
 
-@_takes_options(Simulation, RunOptions)
+@_takes_options(Simulation, Confidence, RunOptions)
 def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **options: Any) -> RunResults:
-    """Simulate each plan and say whether it stands.
+    """Simulate each plan and say whether it stands, and with ``confidence`` how sure that is.
 
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
         plans: a file, a folder, several of them, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
         watcher: follows the run.
-        options: fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
+        options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
 
     Returns:
-        The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames and ``.info``.
+        The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames and ``.info``. With ``confidence``
+        also ``.summary``, and ``.worlds`` has more than one row a plan: variant 0 is the one without errors.
 
     Raises:
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    of_simulation, of_run = sorted_options(options)
-    sim, run = Simulation(**of_simulation), RunOptions(**of_run)
-    return _simulate("score", nominal_sweep(sim), plans, run, watcher, Batching())
+    of_simulation, of_run, of_confidence = sorted_options(options, Confidence)
+    run, sure = RunOptions(**of_run), Confidence(**of_confidence)
+    if sure.confidence is None:
+        return _simulate("score", nominal_sweep(Simulation(**of_simulation)), plans, run, watcher, Batching())
+    asked = confidence_sweep(sure.confidence, sure.errors, of_simulation)
+    return _simulate("score", asked, plans, run, watcher, Batching(), sure.confidence)
 
 
 @_takes_options(Simulation, RunOptions)
@@ -155,15 +160,21 @@ def _simulate(
     options: RunOptions,
     watcher: Watcher | None,
     batching: Batching,
+    confidence: int | None = None,
 ) -> RunResults:
-    """Plans → worlds → engine → results; every run of petmjx goes this way."""
+    """Plans → worlds → engine → results; every run of petmjx goes this way.
+
+    Args:
+        confidence: worlds with errors for each plan, if their share is asked for.
+    """
     sim = asked.simulation
+    varied = command == "sweep" or confidence is not None
     found = usable_plans(plans, sim, options)
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
     everything = plan.plans
     plan.plans = [each for each in everything if options.takes(each.plan_id)]
     with engine_for(options, plan.work()) as (engine, choice):
-        columns = SweepColumns(plan) if command == "sweep" else None
+        columns = SweepColumns(plan) if varied else None
         shares = ShareColumns.of(plan) if command == "sweep" and asked.search is None else None
         total = plan.n_worlds if asked.search is None else None
         progress = Progress()
@@ -171,13 +182,14 @@ def _simulate(
         settings = {
             "command": command,
             "simulation": simulation,
-            **({"sweep": sweep_identity(asked)} if command == "sweep" else {}),
+            **({"sweep": sweep_identity(asked)} if varied else {}),
             "engine": choice.name,
             "shard": options.shard,
         }
         config = {
             "command": command,
-            **({"sweep": asked.resolved()} if command == "sweep" else {}),
+            **({"confidence": confidence} if confidence is not None else {}),
+            **({"sweep": asked.resolved()} if varied else {}),
             "simulation": simulation,
             **options.model_dump(mode="json", exclude={"engine", "out", "overwrite", "resume"}),
             **({"shares": asdict(shares)} if shares else {}),
@@ -212,7 +224,7 @@ def _simulate(
                     batching=batching,
                 )
                 if watcher is not None:
-                    what = "plan" if command == "score" else "world"
+                    what = "world" if varied else "plan"
                     left = 1 - len(writer.recorded) / max(plan.n_worlds, 1)
                     size = plan.size(None if choice.seconds is None else choice.seconds * left)
                     watcher.begin(RunStart(what, total, size, choice, progress, len(writer.recorded)))
@@ -235,8 +247,11 @@ def _simulate(
                 writer.timings.update(vars(swept.tally) if columns else {}, compile_s=progress.compile_s)
                 if columns and plan.plans:  # a shard may have none
                     writer.flush()  # shares are taken of what is on disk
-                    frame = summarise_shares(folder, shares) if shares else search_frame(rows)
-                    write_summary(folder, frame, *summary_units(frame, plan))
+                    if confidence is not None:
+                        write_confidence(folder)
+                    else:
+                        frame = summarise_shares(folder, shares) if shares else search_frame(rows)
+                        write_summary(folder, frame, *summary_units(frame, plan))
             return load_run(folder)
 
         return run(options.out) if options.out is not None else _in_temporary_folder(run)

@@ -1,4 +1,5 @@
-"""How and where a run runs (``RunOptions``), and which record an option given by name belongs to.
+"""How and where a run runs (``RunOptions``), whether a score says how sure it is (``Confidence``), and which record an
+option given by name belongs to.
 
 As ``petmjx.config``: defaults, checks and descriptions are written only here.
 """
@@ -49,6 +50,25 @@ def _address(text: str | None) -> str | None:
     return text
 
 
+class Confidence(Checked):
+    """Whether a score says how sure it is, and by which errors."""
+
+    confidence: Annotated[int | None, within(4, 100_000), Flag("--confidence", "N")] = Field(
+        None,
+        description="simulate each plan also in this many worlds with errors of placement, friction, mass and size, "
+        "and say which share stands; at least 4, since of fewer no share is far from one half",
+    )
+    errors: Annotated[Path | None, Flag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
+        None, description="sweep file with these errors, those of a robot and of its cartons"
+    )
+
+    @model_validator(mode="after")
+    def _errors_of_something(self) -> Self:
+        if self.errors is not None and self.confidence is None:
+            raise complaint("needs confidence: in how many worlds?", "errors")
+        return self
+
+
 class RunOptions(Checked):
     """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
     ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
@@ -88,7 +108,7 @@ class RunOptions(Checked):
         False, description="stop at the first unusable plan instead of skipping it"
     )
     allow_large: Annotated[bool, Flag("--yes", short="-y")] = Field(
-        False, description="run sweeps of more than a million worlds too"
+        False, description="run more than a million worlds too"
     )
     out: Annotated[Path | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
@@ -127,14 +147,14 @@ class RunOptions(Checked):
         return int.from_bytes(digest, "big") % shares == share - 1
 
 
-def sorted_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Options by name, divided into fields of ``Simulation`` and fields of ``RunOptions``.
+def sorted_options(options: Mapping[str, Any], *more: type[Checked]) -> tuple[dict[str, Any], ...]:
+    """Options by name, divided into fields of ``Simulation``, of ``RunOptions``, and of the records ``more``.
 
     Raises:
         InputError: no such option; the line suggests the most similar name.
     """
-    ours: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
-    records: tuple[type[Checked], ...] = (Simulation, RunOptions)
+    records: tuple[type[Checked], ...] = (Simulation, RunOptions, *more)
+    ours: tuple[dict[str, Any], ...] = tuple({} for _ in records)
     for name, value in options.items():
         home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
         if home is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
@@ -30,6 +30,7 @@ PlanPaths = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 SIMULATED = "What is simulated"
+HOW_SURE = "How sure it is"
 HOW_IT_RUNS = "How it runs"
 
 
@@ -89,7 +90,12 @@ class _Option:
         return _keyword(self.name, Annotated[self.kind | None, option])
 
 
-def takes(*fields: str, without: Collection[str] = (), simulated: str = SIMULATED) -> Callable[[Command], Command]:
+def takes(
+    *fields: str,
+    without: Collection[str] = (),
+    simulated: str = SIMULATED,
+    more: Sequence[tuple[type[Checked], str]] = (),
+) -> Callable[[Command], Command]:
     """Give a command the options of ``Simulation`` and ``RunOptions``: all except some, or only those named.
 
     The command gets the options that were typed, and no others, as keyword arguments: fields of the records; records
@@ -99,10 +105,12 @@ def takes(*fields: str, without: Collection[str] = (), simulated: str = SIMULATE
         fields: names of fields of the two records; none: all.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
+        more: further records with their headings.
     """
+    records: list[tuple[type[Checked], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
     options = [
         option
-        for record, section in ((Simulation, simulated), (RunOptions, HOW_IT_RUNS))
+        for record, section in records
         for option in _options_of(record, section)
         if option.path[0] not in without and (not fields or option.path[0] in fields)
     ]

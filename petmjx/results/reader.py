@@ -41,7 +41,8 @@ class RunResults:
 
     def __repr__(self) -> str:
         counts = self.info.get("counts", {})
-        what = "world" if self.info.get("config", {}).get("command") == "sweep" else "plan"
+        config = self.info.get("config", {})
+        what = "world" if config.get("command") == "sweep" or "sweep" in config else "plan"
         verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
         status = self.info.get("status", "unknown")
         return f"RunResults({self.path}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
@@ -65,7 +66,7 @@ class RunResults:
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:
-        """A sweep's answers; None if the run has none."""
+        """The answers of a sweep or of a score with confidence; None if the run has none."""
         files = part_files(self.path, "summary")
         return pa.concat_tables([read_part(file) for file in files]).to_pandas() if files else None
 

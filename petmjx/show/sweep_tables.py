@@ -76,6 +76,34 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
     return table
 
 
+def confidence_table(summary: pd.DataFrame) -> FittedTable:
+    """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors."""
+    tosses = bool(summary["coin_toss"].any())
+    table = FittedTable(
+        Column("plan", "left", least=20, middle=True),
+        Column("nominal", "left"),
+        Column("margin", spare=2),
+        Column("stand"),
+        Column("share", spare=1),
+        Column("95 %"),
+        *([Column("", "left")] if tosses else []),
+        title="worlds with errors",
+    )
+    for row in summary.to_dict("records"):
+        judged = row["n_worlds"] - row["n_invalid"]
+        known = judged > 0
+        table.add(
+            str(row["plan_id"]),
+            str(row["verdict"]),
+            number(row["margin"], ".2f"),
+            f"{row['n_standing']} of {judged}",
+            percent(row["share"]),
+            f"{percent(row['low'])} to {percent(row['high'])}" if known else "",
+            *(["coin toss" if row["coin_toss"] else ""] if tosses else []),
+        )
+    return table
+
+
 def levels_table(summary: pd.DataFrame) -> FittedTable:
     """Quantiles of the largest levels survived, for each profile and direction, over searches whose placement stands.
 

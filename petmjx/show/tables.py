@@ -12,10 +12,14 @@ from rich.text import Text
 
 from petmjx.results.reader import RunResults, told_apart
 from petmjx.show.layout import Column, FittedTable, line, number, percent
-from petmjx.show.sweep_tables import FEW_ROWS, sweep_tables
+from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
+from petmjx.sweeps.confidence import contradicted
 from petmjx.sweeps.search import MODES
-from petmjx.text import counted, three_digits
+from petmjx.text import counted, shown, three_digits
 from petmjx.verdict import Verdict
+
+SHOWN_PLANS: Final = 10
+"""Most plans that a line names."""
 
 SHOWN_SKIPPED: Final = 10
 """Most skipped plans that are shown; ``run.json`` has all of them."""
@@ -24,8 +28,13 @@ _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", 
 
 
 def run_tables(results: RunResults) -> Iterator[RenderableType]:
-    """All tables and lines: a sweep's answers, or the worlds if there are few; skipped plans; the counts."""
-    sweep = results.info["config"]["command"] == "sweep"
+    """All tables and lines: the answers of a sweep or of a score with confidence, or the worlds if there are few; then
+    skipped plans and the counts."""
+    config = results.info["config"]
+    sweep = config["command"] == "sweep"
+    if results.summary is not None and "coin_toss" in results.summary:
+        yield from _confidence_tables(results, results.summary)
+        return
     if results.summary is not None:
         for table in sweep_tables(results.summary):
             yield table
@@ -34,12 +43,35 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
         yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes)
         yield ""
     yield from notes(results.info)
-    searched = sweep and results.info["config"]["sweep"]["search"] is not None
+    searched = sweep and config["sweep"]["search"] is not None
     if searched and results.summary is not None:
         yield search_table(results.info, results.summary)
     else:
-        yield summary_table(results.info, "worlds" if sweep else "plans")
+        yield summary_table(results.info, "worlds" if sweep or "sweep" in config else "plans")
     yield line(f"results in {results.path}")
+
+
+def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
+    """Those of a score with confidence: the nominal worlds, the shares, and the plans to think about by name."""
+    if len(summary) <= FEW_ROWS:
+        worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes))
+        yield worlds_table(worlds.sort_values("plan_id"), boxes)
+        yield ""
+        yield confidence_table(summary)
+        yield ""
+    yield from notes(results.info)
+    against = "most worlds contradict the nominal verdict"
+    for what, chosen in (("coin toss", summary["coin_toss"]), (against, contradicted(summary))):
+        if chosen.any():
+            yield line(f"{what}: {_named(summary.loc[chosen, 'plan_id'].tolist())}", style="yellow")
+    yield confidence_counts(results.info, summary)
+    yield line(f"results in {results.path}")
+
+
+def _named(plan_ids: list[str]) -> str:
+    """The first ``SHOWN_PLANS`` plans, and how many more there are."""
+    more = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
+    return ", ".join(map(shown, plan_ids[:SHOWN_PLANS])) + more
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
@@ -102,6 +134,27 @@ def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
     table.add_row("tests simulated", f"{tests:,}", "")
     _add(table, "  invalid", int(summary["n_invalid"].sum()), tests, "yellow")
     _add_end(table, info, "tests", tests)
+    return table
+
+
+def confidence_counts(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
+    """The short table of a score with confidence: plans by their share, and how many worlds that took.
+
+    Args:
+        info: ``run.json``.
+        summary: a row a plan.
+    """
+    plans, worlds = len(summary), int(info.get("counts", {}).get("worlds", 0))
+    table = _counts_table()
+    table.add_row("plans", f"{plans:,}", "")
+    _add(table, "  nominally stable", int((summary["verdict"] == Verdict.STABLE.value).sum()), plans, "green")
+    _add(table, "  stand in all worlds", int((summary["share"] == 1).sum()), plans, "green")
+    _add(table, "  stand in no world", int((summary["share"] == 0).sum()), plans, "red")
+    _add(table, "  in between", int(summary["share"].between(0, 1, inclusive="neither").sum()), plans)
+    _add(table, "  coin toss", int(summary["coin_toss"].sum()), plans, "yellow")
+    table.add_row("worlds", f"{worlds:,}", "")
+    _add(table, "  invalid", int(info.get("counts", {}).get(Verdict.INVALID.value, 0)), worlds, "yellow")
+    _add_end(table, info, "worlds", worlds)
     return table
 
 

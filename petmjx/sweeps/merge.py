@@ -17,6 +17,7 @@ from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run, read_part, told_apart
 from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter, write_summary
+from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.summary import ShareColumns, summarise_shares
 from petmjx.text import counted, shown
 
@@ -70,7 +71,9 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         _note_input(writer, [run.info for run in runs])
         for note in _other_versions(runs):
             writer.warn(note)
-        if whole.settings["command"] == "sweep":
+        if first["config"].get("confidence") is not None:
+            write_confidence(out)
+        elif whole.settings["command"] == "sweep":
             _write_summary(out, runs)
     return load_run(out)
 

@@ -32,6 +32,7 @@ from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.results.reader import load_run
+from petmjx.run_options import Confidence
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
@@ -350,7 +351,8 @@ def test_every_command_explains_itself(
     assert max(map(len, printed.splitlines())) <= columns
     assert "<" not in printed  # no Python types
     if command in ("score", "sweep"):
-        for flag in (entry for record in (Simulation, Thresholds) for entry in flags_of(record)):
+        more = (Confidence,) if command == "score" else ()
+        for flag in (entry for record in (Simulation, Thresholds, *more) for entry in flags_of(record)):
             assert re.search(rf"^  {flag}\b", printed, flags=re.MULTILINE), flag
         text = " ".join(printed.split())
         assert "--interval S Time between two placements, s; at most, unless" in text

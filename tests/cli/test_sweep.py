@@ -90,7 +90,7 @@ def test_ready_made_sweeps_go_by_name(plans: Path, tmp_path: Path, capsys: pytes
     assert run("sweep", "friction", plans, "--limit", "1", "--engine", "mujoco", "--out", tmp_path / "out") == 0
     assert "13 worlds (1 plan × 13 variants) from 13 placements" in capsys.readouterr().err
     assert run("sweep", "no-such", plans) == 2
-    assert "ready-made sweeps are en-12195-1, eumos-search, eumos," in only_line(capsys.readouterr().err)
+    assert "ready-made sweeps are confidence, en-12195-1, eumos-search, eumos," in only_line(capsys.readouterr().err)
 
 
 BAD = {

@@ -35,6 +35,7 @@ def variants(plan: SweepPlan) -> list[Variant]:
 
 
 WORLDS = {
+    "confidence.toml": (16, 16),
     "en-12195-1.toml": (8, 1),
     "eumos-search.toml": (48, 1),
     "eumos.toml": (64, 1),

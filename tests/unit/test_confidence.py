@@ -1,0 +1,259 @@
+"""How sure a score is: shares of worlds with errors, coin tosses, and the errors that a file may state."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+from support.command_line import write
+from support.kills import assert_same, tables
+from support.outcomes import make_outcome
+from support.plans import make_plan, stack
+
+import petmjx
+from petmjx.config import Simulation
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.errors import InputError
+from petmjx.plans.read import load_plans
+from petmjx.plans.samples import bundled_path
+from petmjx.plans.samples.handmade import HANDMADE
+from petmjx.results.reader import load_run
+from petmjx.results.writer import RunWriter
+from petmjx.show.layout import print_each
+from petmjx.show.tables import run_tables
+from petmjx.sweeps.confidence import (
+    READY_MADE,
+    confidence_sweep,
+    contradicted,
+    summarise_confidence,
+    write_confidence,
+)
+from petmjx.sweeps.ready import ready_sweeps
+from petmjx.verdict import Flag, Reason, Verdict
+
+STANDS = make_plan("stands", stack(2, 100.0))
+HALF = make_plan("half", stack(2, 200.0))
+"""The upper carton hangs over by half of its 400 mm."""
+FALLS = make_plan("falls", stack(2, 260.0))
+PLANS = [STANDS, HALF, FALLS]
+
+SLOPPY = """
+[axes]
+placement_error_mm = 2
+"""
+
+
+def score(**options: Any) -> petmjx.RunResults:
+    return petmjx.score(options.pop("plans", PLANS), engine="mujoco", **options)
+
+
+def summary_of(results: petmjx.RunResults) -> pd.DataFrame:
+    assert results.summary is not None
+    return results.summary.set_index("plan_id")
+
+
+def test_far_from_an_edge_all_worlds_say_the_same_and_half_over_it_they_do_not() -> None:
+    results = score(confidence=12)
+    summary = summary_of(results)
+    assert summary["n_standing"].to_dict()["stands"] == 12
+    assert summary["n_standing"].to_dict()["falls"] == 0
+    assert 0 < summary["n_standing"].to_dict()["half"] < 12
+    assert summary["n_worlds"].tolist() == [12] * 3
+    assert summary["coin_toss"].to_dict() == {"stands": False, "falls": False, "half": True}
+    assert summary.loc["stands", "high"] == 1
+    assert 0.7 < summary.loc["stands", "low"] < 0.8
+    worlds = results.worlds
+    assert len(worlds) == 3 * 13
+    drawn = worlds[worlds["variant"] > 0]
+    assert drawn["friction_tolerance_rel"].unique().tolist() == [0.1]
+    assert repr(results).split(": ")[1].startswith("39 worlds")
+    assert results.units("summary")["share"] == "1"
+
+
+def test_hand_made_plans_are_far_from_an_edge() -> None:
+    expected = {plan.plan_id: 4 if plan.expected == "stable" else 0 for plan in HANDMADE}
+    plans = [plan for plan in load_plans(bundled_path()).plans if plan.plan_id in expected]
+    assert summary_of(score(plans=plans, confidence=4))["n_standing"].to_dict() == expected
+
+
+def test_the_nominal_world_is_that_of_a_plain_score() -> None:
+    plain, sure = score().worlds.set_index("plan_id"), score(confidence=4)
+    worlds = sure.worlds[sure.worlds["variant"] == 0].set_index("plan_id").loc[plain.index]
+    pd.testing.assert_frame_equal(worlds[plain.columns], plain, check_exact=True)
+    summary = summary_of(sure).loc[plain.index]
+    for name in ("verdict", "reason", "margin"):
+        assert summary[name].tolist() == plain[name].tolist()
+
+
+def test_more_worlds_are_the_same_worlds_and_more() -> None:
+    runs = (score(plans=[HALF], confidence=n).worlds.sort_values("variant", ignore_index=True) for n in (4, 6))
+    few, many = runs
+    pd.testing.assert_frame_equal(few, many.head(5), check_exact=True)
+
+
+def test_errors_of_another_robot(tmp_path: Path) -> None:
+    exact = write(tmp_path / "exact.toml", "[simulation]\ninterval_s = 0.5\n[axes]\nplacement_error_x_mm = 0.01")
+    results = score(plans=[STANDS], confidence=4, errors=exact)
+    assert results.info["config"]["sweep"]["file"] == str(exact)
+    assert results.info["config"]["simulation"]["interval_s"] == 0.5
+    assert "yaw_error_deg" not in results.worlds
+    assert (
+        score(plans=[STANDS], confidence=4, errors=exact, interval_s=0.6).info["config"]["simulation"]["interval_s"]
+        == 0.6
+    )
+
+
+def test_the_ready_made_errors_are_a_sweep_too() -> None:
+    results = petmjx.sweep(READY_MADE, [STANDS], engine="mujoco")
+    assert len(results.worlds) == 16
+    assert results.summary is not None
+    assert results.summary["low"].notna().all()
+    asked = confidence_sweep(16, None, {})
+    assert asked.file == str(ready_sweeps()[READY_MADE])
+    assert (asked.replicates, asked.nominal) == (16, True)
+
+
+REFUSED = {
+    "search": ("[axes]\nprofile = 'eumos-40509'\n[search]", "[search]"),
+    "profile": ("[axes]\nplacement_error_mm = 2\nprofile = 'eumos-40509'", "axes.profile contradicts confidence"),
+    "sample": ("mode = 'sample'\nsample = 3\n[axes]\nyaw_error_deg = 2", 'mode = "sample" contradicts confidence'),
+    "several": (
+        "[axes]\nplacement_error_mm = [2, 3]",
+        "axes.placement_error_mm must be one error for confidence, got 2",
+    ),
+    "factor": (SLOPPY + "friction_factor = 0.8", "axes.friction_factor contradicts confidence: it is no error"),
+    "calm": ("[axes]\ndrop_height_mm = 5", "axes has nothing random: every world would be the same"),
+    "nothing": ("nominal = true", "axes has nothing random"),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), REFUSED.values(), ids=REFUSED)
+def test_files_that_hold_more_than_errors_are_refused(text: str, expected: str, tmp_path: Path) -> None:
+    file = write(tmp_path / "x.toml", text)
+    with pytest.raises(InputError) as caught:
+        score(confidence=4, errors=file)
+    assert str(caught.value).startswith(f"{file}: {expected}")
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"confidence": 3}, "confidence must be from 4 to 100000, got 3"),
+        ({"confidence": "many"}, "confidence must be a whole number, got 'many'"),
+        ({"errors": "x.toml"}, "errors needs confidence: in how many worlds?"),
+        ({"confidence": 4, "errors": "x.toml"}, "x.toml: no such sweep file; ready-made sweeps are confidence, "),
+    ],
+)
+def test_options_that_are_refused(options: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        score(**options)
+    assert str(caught.value).startswith(expected)
+
+
+def test_sweeps_have_no_confidence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="unknown option confidence"):
+        petmjx.sweep(write(tmp_path / "x.toml", SLOPPY), PLANS, confidence=8)
+
+
+def test_shards_give_the_same_and_runs_go_on(tmp_path: Path) -> None:
+    whole = score(confidence=4, out=tmp_path / "whole")
+    expected = tables(whole)
+    for share in (1, 2, 3):
+        score(confidence=4, shard=f"{share}/3", out=tmp_path / str(share))
+    merged = petmjx.merge_runs([tmp_path / str(share) for share in (1, 2, 3)], tmp_path / "merged")
+    assert_same(merged, expected)
+    assert merged.units("summary") == whole.units("summary")
+
+    (tmp_path / "whole/worlds/part-00000.parquet").unlink()
+    again = score(confidence=4, out=tmp_path / "whole", resume=True)
+    assert_same(again, expected)
+    with pytest.raises(InputError, match=r"another run \(sweep.replicates is 5, was 4\)"):
+        score(confidence=5, out=tmp_path / "whole", resume=True)
+    other = write(tmp_path / "x.toml", "seed = 1" + SLOPPY)
+    with pytest.raises(InputError, match=r"sweep\.axes\.yaw_error_deg is none"):
+        score(confidence=4, errors=other, out=tmp_path / "whole", resume=True)
+    with pytest.raises(InputError, match="it is another run"):
+        score(out=tmp_path / "whole", resume=True)
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
+    expected = tables(score(confidence=4))
+
+    class Interrupting(MujocoEngine):
+        def run(self, *args: Any) -> Any:
+            yield from itertools.islice(super().run(*args), 5)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        petmjx.score(PLANS, engine=Interrupting(1), confidence=4, out=tmp_path / "run")
+    assert petmjx.load_run(tmp_path / "run").info["counts"]["worlds"] == 5
+    assert petmjx.load_run(tmp_path / "run").summary is None
+    assert_same(score(confidence=4, out=tmp_path / "run", resume=True), expected)
+
+
+def written(folder: Path, counts: Sequence[int], nominal: Verdict = Verdict.STABLE, ids: Sequence[str] = "a") -> Path:
+    """A run of plans that are all alike; ``counts``: worlds that stand, fall and are invalid."""
+    kinds = zip(Verdict, counts, strict=False)
+    verdicts = [nominal, *(verdict for verdict, count in kinds for _ in range(count))]
+    with RunWriter(folder, {"command": "score"}) as run:
+        for plan_id, (variant, verdict) in itertools.product(ids, enumerate(verdicts)):
+            reason = {Verdict.UNSTABLE: Reason.SHIFT, Verdict.INVALID: Reason.NONFINITE}.get(verdict, Reason.NONE)
+            outcome = make_outcome(1, verdict, reason, flags=Flag.NONE)
+            run.add(make_plan(plan_id, 1), variant, "mujoco", "fixed", outcome)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("counts", "share", "toss"),
+    [
+        ((16, 0), 1.0, False), ((12, 4), 0.75, False), ((11, 5), 0.6875, True), ((5, 11), 0.3125, True),
+        ((4, 12), 0.25, False), ((0, 16), 0.0, False), ((2, 2, 12), 0.5, True), ((0, 0, 4), np.nan, False),
+    ],
+)  # fmt: skip
+def test_a_coin_toss_has_one_half_in_its_interval(
+    counts: tuple[int, ...], share: float, toss: bool, tmp_path: Path
+) -> None:
+    (row,) = summarise_confidence(written(tmp_path, counts)).to_dict("records")
+    assert row["share"] == pytest.approx(share, nan_ok=True)
+    assert row["coin_toss"] is toss
+    assert row["n_worlds"] == sum(counts)
+    assert np.isnan(row["low"]) == np.isnan(share)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "counts", "expected"),
+    [
+        (Verdict.STABLE, (1, 15), True), (Verdict.STABLE, (7, 9), False), (Verdict.STABLE, (16, 0), False),
+        (Verdict.UNSTABLE, (16, 0), True), (Verdict.UNSTABLE, (0, 16), False), (Verdict.INVALID, (16, 0), False),
+    ],
+)  # fmt: skip
+def test_shares_against_the_nominal_verdict(
+    nominal: Verdict, counts: tuple[int, int], expected: bool, tmp_path: Path
+) -> None:
+    assert contradicted(summarise_confidence(written(tmp_path, counts, nominal))).tolist() == [expected]
+
+
+@pytest.mark.parametrize("n_plans", [12, 50])
+def test_what_is_printed_names_the_plans_to_think_about(n_plans: int, tmp_path: Path) -> None:
+    for counts, line in (((8, 8), "coin toss: "), ((0, 16), "most worlds contradict the nominal verdict: ")):
+        folder = written(tmp_path / str(counts[0]), counts, ids=[f"plan-{k:02}" for k in range(n_plans)])
+        write_confidence(folder)
+        console = Console(width=80, file=StringIO())
+        print_each(run_tables(load_run(folder)), console)
+        printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
+        names = ", ".join(f"plan-{k:02}" for k in range(10))
+        assert f"{line}{names} and {n_plans - 10} more, in summary\n" in printed
+        assert ("worlds with errors" in printed) == (n_plans <= 40)
+        assert ("of 16" in printed) == (n_plans <= 40)
+        assert max(map(len, printed.replace(names, "").splitlines())) <= 80
+
+
+def test_the_default_simulation_is_that_of_a_score() -> None:
+    assert confidence_sweep(4, None, {}).simulation == Simulation()
