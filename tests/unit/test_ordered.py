@@ -258,3 +258,30 @@ def test_shards_of_other_orders_are_not_merged_before_they_have_the_same(orders:
     assert not (tmp_path / "merged").exists()
     score(out=two, shard="2/2", orders=orders, resume=True, engine=Idle(threads=1))
     assert petmjx.merge_runs([one, two], tmp_path / "merged").info["counts"]["orders"] == vars(COUNTS)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda info: info["orders"].pop("digest"), "orders.digest is missing"),
+        (lambda info: info["counts"]["orders"].update(left_out="4"), "counts.orders.left_out must be a whole number"),
+        (lambda info: info["counts"].pop("orders"), "counts.orders is missing"),
+        (lambda info: info.pop("orders"), "orders is missing"),
+    ],
+)
+def test_a_damaged_run_json_is_one_line(orders: Path, tmp_path: Path, change: Any, message: str) -> None:
+    score(out=tmp_path / "run", orders=orders)
+    file = tmp_path / "run" / "run.json"
+    info = json.loads(file.read_text(encoding="utf-8"))
+    change(info)
+    write(file, info)
+    with pytest.raises(petmjx.InputError, match=f"run.json: damaged: {message}"):
+        petmjx.load_run(tmp_path / "run")
+
+
+def test_shards_whose_table_has_lost_its_columns_are_not_merged(orders: Path, tmp_path: Path) -> None:
+    one, two = shards_of(tmp_path, orders, orders)
+    plain = score(out=tmp_path / "plain").path / "plans" / "part-00000.parquet"
+    (one / "plans" / "part-00000.parquet").write_bytes(plain.read_bytes())
+    with pytest.raises(petmjx.InputError, match="damaged part, it has no column ordered_boxes"):
+        petmjx.merge_runs([one, two], tmp_path / "merged")
