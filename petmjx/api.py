@@ -19,6 +19,7 @@ from petmjx.engines.base import Progress
 from petmjx.engines.choose import Choice, engine_for
 from petmjx.machine import device_name, package_versions
 from petmjx.plans.gather import PathArgument, PlanSource, usable_plans
+from petmjx.plans.ordered import check_orders
 from petmjx.plans.plan import PlanSet
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
@@ -173,6 +174,10 @@ def _simulate(
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
     everything = plan.plans
     plan.plans = [each for each in everything if options.takes(each.plan_id)]
+    orders = None
+    if options.orders is not None:
+        whole, strict = options.limit is None, options.strict
+        orders = check_orders(options.orders, everything, takes=options.takes, all_plans=whole, strict=strict)
     with engine_for(options, plan.work()) as (engine, choice):
         columns = SweepColumns(plan) if varied else None
         shares = ShareColumns.of(plan) if command == "sweep" and asked.search is None else None
@@ -191,7 +196,8 @@ def _simulate(
             **({"confidence": confidence} if confidence is not None else {}),
             **({"sweep": asked.resolved()} if varied else {}),
             "simulation": simulation,
-            **options.model_dump(mode="json", exclude={"engine", "out", "overwrite", "resume"}),
+            **options.model_dump(mode="json", exclude={"engine", "orders", "out", "overwrite", "resume"}),
+            **({"orders": orders.file} if orders else {}),
             **({"shares": asdict(shares)} if shares else {}),
             "engine": choice.name,
             "engine_reason": choice.reason,
@@ -203,6 +209,7 @@ def _simulate(
                 folder,
                 config,
                 manifest=Manifest.of(settings, everything),
+                orders=orders,
                 params=columns.params if columns else (),
                 dynamic=bool(columns and columns.has_drives),
                 versions=package_versions(),

@@ -104,6 +104,11 @@ class RunOptions(Checked):
     limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
     )
+    orders: Annotated[Path | None, Flag("--orders", "FILE")] = Field(
+        None,
+        description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
+        "without a plan; changes no verdict",
+    )
     strict: Annotated[bool, Flag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"
     )

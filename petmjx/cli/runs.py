@@ -154,6 +154,8 @@ def brief(results: RunResults) -> dict[str, Any]:
     """A run as --json prints it."""
     names = ("status", "counts", "timings", "device", "skipped", "warnings")
     brief = {"out": str(results.path), **{name: results.info[name] for name in names}}
+    if results.info.get("orders"):
+        brief["orders"] = results.info["orders"]
     if results.summary is not None:
         brief["summary"] = json.loads(results.summary.to_json(orient="records"))
     return brief

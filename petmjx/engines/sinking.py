@@ -7,8 +7,7 @@ stiffness k and impedance d(x) under the force f is x deep, with
 
 and A the sum of the partners' inverse masses, d₁ the impedance beyond the width, τ the time constant and ζ the damping
 ratio. Beyond the width that is x = (1 − d₁) · τ² · ζ² · A · f. So a light box gives way under a heavy load, however
-stiff it is meant to be: with four contacts a face by 0.02 mm × load / own mass in the physics ``reference``, and by a
-tenth of that in ``pallet``.
+stiff it is meant to be: with the values of ``pallet`` and four contacts a face by 0.003 mm × load / own mass.
 
 What is needed for it is known on the host for every engine: plans, masses and the largest force on each box. It is not
 read from final poses, since a column that stood on a box which gave way may have fallen.

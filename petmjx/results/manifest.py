@@ -11,6 +11,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from petmjx.errors import InputError
+from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE, part_files, part_name, write_table
 from petmjx.results.plain import plain
@@ -59,12 +60,23 @@ class Manifest:
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
 
-    def write(self, folder: Path) -> None:
-        """Write the table ``plans``."""
-        ids = list(self.plans)
-        columns = [ids, [self.plans[each][0] for each in ids], [self.plans[each][1] for each in ids]]
-        arrays = [pa.array(values, pa.string()) for values in columns]
-        write_table(pa.Table.from_arrays(arrays, schema=plans_schema()), folder / "plans" / part_name(0))
+    def write(self, folder: Path, ordered: Mapping[str, Ordered] | None = None) -> None:
+        """Write the table ``plans``; an old one is replaced.
+
+        Args:
+            ordered: plan id → how it compares with its order; None: no columns about orders.
+        """
+        columns: dict[str, Sequence[Any]] = {
+            "plan_id": list(self.plans),
+            "digest": [digest for digest, _ in self.plans.values()],
+            "source": [source for _, source in self.plans.values()],
+        }
+        if ordered is not None:
+            rows = [ordered.get(plan_id) for plan_id in self.plans]
+            columns |= {name: [row and getattr(row, name) for row in rows] for name in Ordered._fields}
+        schema = plans_schema(ordered is not None)
+        arrays = [pa.array(columns[column.name], column.type) for column in schema]
+        write_table(pa.Table.from_arrays(arrays, schema=schema), folder / "plans" / part_name(0))
 
     @classmethod
     def read(cls, folder: Path, info: Mapping[str, Any]) -> Manifest:

@@ -16,10 +16,11 @@ import pyarrow.parquet as pq
 
 from petmjx.bounded import open_regular, read_regular
 from petmjx.errors import InputError
+from petmjx.plans.ordered import Ordered
 from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import RUN_FILE, part_files
 from petmjx.results.run_file import check_run_file
-from petmjx.results.schema import SCHEMA_VERSION, schema_version_of, schemas
+from petmjx.results.schema import SCHEMA_VERSION, plans_schema, schema_version_of, schemas
 from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
 
@@ -63,6 +64,13 @@ class RunResults:
     def attempts(self) -> pd.DataFrame:
         """One row per attempt, for worlds that needed more than one; often empty."""
         return self._read("attempts")
+
+    @cached_property
+    def plans(self) -> pd.DataFrame:
+        """One row per plan, also those of other shards; empty in runs of petmjx before 0.2. Missing counts are null."""
+        parts = [read_part(file) for file in part_files(self.path, "plans")]
+        frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
+        return frame.astype({name: "Int32" for name in frame.columns if name in Ordered._fields})
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:

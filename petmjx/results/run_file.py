@@ -20,9 +20,22 @@ class _Read(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
+class _OrderCounts(_Read):
+    orders: int
+    ordered_boxes: int
+    left_out: int
+    not_ordered: int
+    plans_leaving_out: int
+    plans_without_order: int
+    orders_without_plan: int | None
+    boxes_without_plan: int | None
+    unusable_orders: int
+
+
 class _Counts(_Read):
     worlds: int
     odd_plans: int = 0
+    orders: _OrderCounts | None = None
 
 
 class _Param(_Read):
@@ -42,8 +55,16 @@ class _Identity(_Read):
     shard: Share | None = None
 
 
+class _Orders(_Read):
+    file: str
+    digest: str
+    plans: list[str]
+    without_plan: list[str]
+    unusable: list[str]
+
+
 class RunFile(_Read):
-    """The entries that petmjx itself reads. All are there since 0.2; runs of before lack some."""
+    """The entries that petmjx itself reads. All but the last are there since 0.2; runs of before lack some."""
 
     status: str = ""
     started: str = ""
@@ -58,6 +79,8 @@ class RunFile(_Read):
     timings: dict[str, float | int] = {}
     skipped: list[_Skipped] = []
     warnings: list[str] = []
+    orders: _Orders | None = None
+    """Of runs that were compared with orders, as ``counts.orders``."""
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:
@@ -67,9 +90,11 @@ def check_run_file(info: Mapping[str, Any], file: Path) -> None:
         InputError: "DIR/run.json: counts.worlds must be a whole number, got None".
     """
     try:
-        RunFile.model_validate(info)
+        read = RunFile.model_validate(info)
     except ValidationError as error:
         raise InputError(f"{file}: damaged: {describe(error)}") from None
+    if (read.orders is None) != (read.counts.orders is None):
+        raise InputError(f"{file}: damaged: {'counts.orders' if read.orders else 'orders'} is missing")
 
 
 def check_whole(info: Mapping[str, Any], file: Path) -> None:
@@ -79,5 +104,5 @@ def check_whole(info: Mapping[str, Any], file: Path) -> None:
         InputError: "DIR/run.json: damaged: timings is missing".
     """
     for name in RunFile.model_fields:
-        if name not in info:
+        if name not in info and name != "orders":
             raise InputError(f"{file}: damaged: {name} is missing")

@@ -102,6 +102,14 @@ _ATTEMPT_COLUMNS = (
 )
 
 
+_ORDER_COLUMNS = _counts(
+    ordered_boxes="boxes of the plan's order; null where it has none",
+    left_out="boxes that were ordered, but are not in the plan",
+    not_ordered="boxes in the plan that were not ordered",
+)
+"""Columns of ``plans``."""
+
+
 def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
     return pa.schema(columns, metadata={"schema_version": str(SCHEMA_VERSION), "table": table})
 
@@ -126,12 +134,16 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa
     return {table: _schema(table, columns) for table, columns in tables.items()}
 
 
-def plans_schema() -> pa.Schema:
-    """Schema of ``plans``: what the run was of, to tell whether another run has the same plans."""
+def plans_schema(ordered: bool = False) -> pa.Schema:
+    """Schema of ``plans``: what the run was of, to tell whether another run has the same plans.
+
+    Args:
+        ordered: of a run that was compared with orders: with ``petmjx.plans.ordered.Ordered``.
+    """
     texts = _texts(
         plan_id="id of the packing plan", digest="of all that reaches the results", source="the file it came from"
     )
-    return _schema("plans", texts)
+    return _schema("plans", [*texts, *(_ORDER_COLUMNS if ordered else ())])
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:

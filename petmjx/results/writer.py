@@ -19,6 +19,7 @@ import pandas as pd
 import pyarrow as pa
 
 from petmjx.errors import InputError, PetmjxError
+from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan, Skipped
 from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import (
@@ -36,6 +37,7 @@ from petmjx.results.files import (
 )
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
+from petmjx.results.ordered import counts_block, has_order_columns, orders_block
 from petmjx.results.parts import Part, Row
 from petmjx.results.plain import plain
 from petmjx.results.reader import read_info, read_part, told_apart
@@ -85,6 +87,8 @@ class RunWriter:
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
         manifest: what the run is of; without one it cannot be resumed.
+        orders: how its plans compare with their orders. A run that is resumed has those of this time: the table
+            ``plans`` is written anew, since no world depends on them.
         overwrite: replace a run that is in the folder.
         resume: continue the same run, if there is one.
         worlds_per_part, seconds_per_part: a part is written when one of them is reached.
@@ -103,6 +107,7 @@ class RunWriter:
         config: Mapping[str, Any],
         *,
         manifest: Manifest | None = None,
+        orders: OrderCheck | None = None,
         params: Sequence[Param] = (),
         dynamic: bool = False,
         versions: Mapping[str, str] | None = None,
@@ -124,6 +129,7 @@ class RunWriter:
         """A line for each plan with overlapping, floating or outside boxes."""
         self.timings: dict[str, float] = {}
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
+        self._orders = orders
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
@@ -155,7 +161,7 @@ class RunWriter:
                 else:
                     make_room(self.out_dir, self._overwrite)
                     if self._manifest is not None:
-                        self._manifest.write(self.out_dir)
+                        self._manifest.write(self.out_dir, self._orders.of_plan if self._orders else None)
                 self._write_info()
             except OSError as error:
                 raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
@@ -185,6 +191,9 @@ class RunWriter:
         self._pending = _Pending(Part(max(numbers, default=-1) + 1), self.recorded.counts())
         self.earlier_s = dict(info["timings"])
         self._head |= {"started": info["started"], "resumed": [*info["resumed"], _now()]}
+        if self._orders is not None or has_order_columns(self.out_dir):
+            self._write_info()  # after a kill between the two files the run must not look finished
+            self._manifest.write(self.out_dir, self._orders.of_plan if self._orders else None)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -231,10 +240,12 @@ class RunWriter:
                 **self._pending.counts.as_json(),
                 "skipped_plans": len(self.skipped),
                 "odd_plans": len(self.odd_plans),
+                **({"orders": counts_block(self._orders)} if self._orders else {}),
             },
             "timings": dict(seconds),
             "skipped": [{"plan_id": s.plan_id or "", "source": s.source, "error": s.message} for s in self.skipped],
             "warnings": [*self.warnings, *self.odd_plans],
+            **({"orders": orders_block(self._orders)} if self._orders else {}),
         }
 
     def add(

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from petmjx.results.reader import RunResults, told_apart
 from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.orders import order_lines
 from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.sweeps.confidence import contradicted
 from petmjx.sweeps.search import MODES
@@ -40,7 +41,8 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
             yield table
             yield ""
     elif not sweep and len(results.worlds) <= FEW_ROWS:
-        yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes)
+        orders = results.plans if results.info.get("orders") else None
+        yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes, orders)
         yield ""
     yield from notes(results.info)
     searched = sweep and config["sweep"]["search"] is not None
@@ -55,7 +57,8 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
     """Those of a score with confidence: the nominal worlds, the shares, and the plans to think about by name."""
     if len(summary) <= FEW_ROWS:
         worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes))
-        yield worlds_table(worlds.sort_values("plan_id"), boxes)
+        orders = results.plans if results.info.get("orders") else None
+        yield worlds_table(worlds.sort_values("plan_id"), boxes, orders)
         yield ""
         yield confidence_table(summary)
         yield ""
@@ -75,7 +78,7 @@ def _named(plan_ids: list[str]) -> str:
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, the number of plans with warnings, and other warnings."""
+    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, the number of plans with warnings, other warnings, orders."""
     skipped = info["skipped"]
     warnings, odd = told_apart(info)
     for entry in skipped[:SHOWN_SKIPPED]:
@@ -87,6 +90,8 @@ def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
         yield line(f"{plans} with overlapping, floating or outside boxes, in run.json", style="yellow")
     for warning in warnings:
         yield line(f"note: {warning}", style="yellow")
+    if info.get("orders"):
+        yield from order_lines(info, SHOWN_SKIPPED)
 
 
 def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
@@ -184,11 +189,17 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
         table.add_row(f"{what}/s", three_digits(done / seconds), f"{seconds:,.1f} s")
 
 
-def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
-    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics."""
+def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
+    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics.
+
+    Args:
+        worlds, boxes: tables of the run.
+        orders: its table ``plans``, if that says how many boxes are left out; they are one more column.
+    """
     table = FittedTable(
         Column("plan", "left", least=20, middle=True),
         Column("boxes", spare=3),
+        *([] if orders is None else [Column("left\nout")]),
         Column("verdict", "left"),
         Column("reason", "left"),
         Column("margin", spare=1),
@@ -198,6 +209,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
         Column("tilt\n°"),
         Column("rest\nforce N", spare=5),
     )
+    left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
     articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
     for row in worlds.to_dict("records"):
         first = "" if pd.isna(row["culprit"]) else f"{row['culprit']} {articles[row['plan_id'], row['culprit']]}"
@@ -206,6 +218,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame) -> FittedTable:
         table.add(
             str(row["plan_id"]),
             f"{placed}{row['n_boxes']}",
+            *([] if orders is None else [number(left_out[row["plan_id"]])]),
             Text(verdict, style=_STYLES.get(verdict, "")),
             str(row["reason"]),
             number(row.get("margin"), ".2f"),

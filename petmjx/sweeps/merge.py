@@ -11,9 +11,11 @@ from typing import Any, Final
 import pyarrow as pa
 
 from petmjx.errors import InputError
+from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Skipped
 from petmjx.results.files import part_files, part_name, write_table
 from petmjx.results.manifest import Manifest
+from petmjx.results.ordered import joined, read_check
 from petmjx.results.reader import RunResults, load_run, read_part, told_apart
 from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter, write_summary
@@ -37,7 +39,8 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         overwrite: replace the results that ``out`` holds.
 
     Raises:
-        InputError: a shard is missing, not finished or of another run, or a world is there twice.
+        InputError: a shard is missing, not finished, of another run or compared with other orders, or a world is
+            there twice.
     """
     folders = [Path(shard) for shard in shards]
     out = Path(out)
@@ -51,12 +54,14 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
             raise InputError(f"{run.path}: not of the same run as {runs[0].path} ({differs})")
     whole = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans)
     _check_worlds(runs, whole)
+    orders = _orders(runs)
     first = runs[0].info
     expected = [run.info["expected_worlds"] for run in runs]
     with RunWriter(
         out,
         {**first["config"], "shard": None, "shards": [_of_shard(run) for run in runs]},
         manifest=whole,
+        orders=orders,
         params=[Param(**param) for param in first["params"]],
         versions=first["versions"],
         device=", ".join(dict.fromkeys(run.info["device"] for run in runs)),
@@ -123,6 +128,23 @@ def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
     lacking = sorted(whole.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
         raise InputError(f"no world of {counted(len(lacking), 'plan')}: {_listed([shown(each) for each in lacking])}")
+
+
+def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
+    """How all plans compare with their orders; None: no shard was compared.
+
+    Raises:
+        InputError: not all shards were compared with the same orders.
+    """
+    checks = [read_check(run.path, run.info) for run in runs]
+    for run, check in zip(runs, checks, strict=True):
+        if (check and check.digest) != (checks[0] and checks[0].digest):
+            raise InputError(
+                f"{run.path}: compared with other orders than {runs[0].path}; go on with one of them by --resume and "
+                "the --orders of the other, which simulates nothing again"
+            )
+    known = [check for check in checks if check is not None]
+    return joined(known) if known else None
 
 
 def _of_shard(run: RunResults) -> dict[str, Any]:

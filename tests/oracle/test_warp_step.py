@@ -126,8 +126,9 @@ def test_accelerations_velocities_and_iterations_as_in_c(preset: str) -> None:
         )
         np.testing.assert_allclose(found.qvel[0], data.qvel, atol=SAME_VELOCITY_M_S, err_msg=f"step {at}")
         np.testing.assert_allclose(found.qpos[0], data.qpos, atol=SAME_POSITION, err_msg=f"step {at}")
-        # A bound on what is left to gain replaces MuJoCo's two tests, so that counts may differ by a little.
-        assert abs(int(found.iterations[0]) - int(data.solver_niter[0])) <= 2
+        # A bound on what is left to gain replaces MuJoCo's two tests, and a factor in single precision costs an
+        # iteration or two where contacts are stiff.
+        assert abs(int(found.iterations[0]) - int(data.solver_niter[0])) <= 4
     assert compared >= 3
 
 

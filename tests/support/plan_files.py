@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from petmjx.plans.plan import Plan
+
 
 def placement(
     corner: tuple[float, float, float] = (0, 0, 0),
@@ -36,4 +38,15 @@ def order(n: int = 3, **second: Any) -> dict[str, Any]:
     """An order of n equal items; ``second`` replaces fields of item 2."""
     items = {str(k): placement(size=(400, 300, 200.5), sequence=k)["item"] for k in range(1, n + 1)}
     items["2"].update(second)
+    return {"item_sequence": items, "properties": {"target": "euro-pallet"}}
+
+
+def order_of(plan: Plan, *more: str, without: int = 0) -> dict[str, Any]:
+    """An order of a plan's boxes, without the last ones, and with one box more of each of these articles."""
+    kept = slice(plan.n_boxes - without)
+    goods = [*zip(plan.item_ids[kept], plan.articles[kept], strict=True), *((name, name) for name in more)]
+    items = {
+        str(k): placement(sequence=k, id=item_id, article=article)["item"]
+        for k, (item_id, article) in enumerate(goods, 1)
+    }
     return {"item_sequence": items, "properties": {"target": "euro-pallet"}}

@@ -21,7 +21,7 @@ from petmjx.machine import why_no_warp
 TOLERANCE = 1e-8
 """MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
 
-ITERATIONS, LINE_SEARCH_ITERATIONS = 6, 20
+ITERATIONS, LINE_SEARCH_ITERATIONS = 10, 20
 """Limits of the Newton solver and of its line search; MuJoCo's are 100 and 50. The slowest world decides how long a
 step takes. Worlds with impacts need up to 16 iterations, on C MuJoCo too; if stopped after 6, they continue in the next
 step. docs/performance.md ("How many iterations") has the speed and the verdicts with other limits."""

@@ -1,0 +1,49 @@
+"""What is said about plans and their orders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rich.text import Text
+
+from petmjx.show.layout import line
+from petmjx.text import counted
+
+
+def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
+    """Orders that were not compared, then one line: what plans leave out of their orders, orders without a plan.
+
+    Args:
+        info: ``run.json`` of a run that was compared with orders.
+        most: orders that were not compared and are named.
+    """
+    counts = info["counts"]["orders"]
+    for error in info["orders"]["unusable"][:most]:
+        yield line(f"not compared: {error}", style="yellow")
+    if counts["unusable_orders"] > most:
+        yield line(f"not compared: {counts['unusable_orders'] - most:,} more, in run.json", style="yellow")
+    ordered = counted(counts["ordered_boxes"], "ordered box", "ordered boxes")
+    odd = []
+    if counts["left_out"]:
+        verb = _verb(counts["plans_leaving_out"], "leaves", "leave")
+        odd.append(f"{counted(counts['plans_leaving_out'], 'plan')} {verb} out {counts['left_out']:,} of {ordered}")
+    if counts["orders_without_plan"]:
+        boxes = counted(counts["boxes_without_plan"], "box", "boxes")
+        verb = _verb(counts["orders_without_plan"])
+        odd.append(f"{counted(counts['orders_without_plan'], 'order')} ({boxes}) {verb} no usable plan")
+    if counts["not_ordered"]:
+        verb = _verb(counts["not_ordered"], "was", "were")
+        odd.append(f"{counted(counts['not_ordered'], 'box', 'boxes')} in plans {verb} not ordered")
+    if counts["plans_without_order"]:
+        odd.append(f"{counted(counts['plans_without_order'], 'plan')} {_verb(counts['plans_without_order'])} no order")
+    if odd:
+        yield line(f"{'; '.join(odd)}, in run.json", style="yellow")
+    else:
+        yield line(f"plans leave out none of {ordered}")
+    if counts["orders_without_plan"] is None:
+        yield line("orders without a plan are not counted with --limit: not all plans were read")
+
+
+def _verb(number: int, one: str = "has", many: str = "have") -> str:
+    return one if number == 1 else many
