@@ -21,6 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"engines"}),
     frozenset({"results"}),
     frozenset({"sweeps"}),
+    frozenset({"simulate"}),
     frozenset({"api", "doctor"}),
     frozenset({"show"}),
     frozenset({"cli", "__main__"}),
