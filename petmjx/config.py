@@ -135,8 +135,8 @@ CUSTOM: Final = "custom"
 class Physics(Checked):
     """Contacts, carrier, floor, gravity and timestep.
 
-    The numbers are those of the reference implementation (PET-Physics), except the cone and the carrier's friction, in
-    which the presets differ. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    The numbers are those of the reference implementation (PET-Physics), except the contacts and the carrier's friction,
+    in which the presets differ. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
     Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
@@ -196,8 +196,9 @@ PHYSICS["reference"] = Physics(
     solimp=(0.99, 0.99, 0.01),
     impratio=1.0,
 )
-"""The presets. ``reference`` is PET-Physics; ``pallet`` has elliptic cones, which creep less, and the friction of
-cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
+"""The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md): elliptic
+cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, stiffer friction; and the friction of cardboard on a wooden
+pallet (CTU Code, Annex 7, Appendix 2)."""
 
 
 class Thresholds(Checked):
