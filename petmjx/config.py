@@ -196,9 +196,9 @@ PHYSICS["reference"] = Physics(
     solimp=(0.99, 0.99, 0.01),
     impratio=1.0,
 )
-"""The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md): elliptic
-cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, stiffer friction; and the friction of cardboard on a wooden
-pallet (CTU Code, Annex 7, Appendix 2)."""
+"""The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md):
+elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, stiffer friction; and the friction of cardboard
+on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 
 
 class Thresholds(Checked):
