@@ -1,9 +1,9 @@
-"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift``."""
+"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity``."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,9 +55,7 @@ def drift(
     from petmjx.machine import cpu_threads
     from petmjx.plans.read import load_plans
 
-    chosen = variant or list(VARIANTS)
-    if unknown := [name for name in chosen if name not in VARIANTS]:
-        raise InputError(f"no variant {unknown[0]!r}; there are: {'; '.join(VARIANTS)}")
+    chosen = _known(variant or list(VARIANTS), VARIANTS, "variant")
     found = load_plans(plans).plans[: options.get("limit")]
     threads = options.get("threads") or cpu_threads()
     for name, check, table in summaries(found, chosen, Window(begin, end), threads):
@@ -65,6 +63,30 @@ def drift(
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             table.to_parquet(out / f"{list(VARIANTS).index(name):02}-{check}.parquet")
+
+
+@app.command()
+@opt.takes("limit", "lanes", "threads")
+def sensitivity(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    change: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this change; repeatable.")] = None,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps Parquet tables of all worlds.")] = None,
+    **options: Any,
+) -> None:
+    """How many verdicts change with timestep, tolerance, friction, sizes, masses, …"""
+    from benchmarks.sensitivity import CHANGES, describe
+    from benchmarks.sensitivity import sensitivity as runs
+    from petmjx.plans.read import load_plans
+
+    chosen = _known(change or list(CHANGES), CHANGES, "change")
+    found = load_plans(plans).plans[: options.pop("limit", None)]
+    for number, (name, before, after) in enumerate(runs(found, chosen, engine=engine, **options)):
+        print(f"{name}: {describe(before, after)}", flush=True)
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            for side, table in (("before", before), ("after", after)):
+                table.to_parquet(out / f"{number:02}-{side}.parquet")
 
 
 @app.command()
@@ -166,6 +188,18 @@ def _labelled(entry: str) -> tuple[str, list[Path]]:
     if not (label and folders):
         raise InputError(f"{entry}: must be LABEL=DIR, or several folders with commas")
     return label, [Path(folder) for folder in _words(folders)]
+
+
+def _known(names: list[str], there: Mapping[str, object], what: str) -> list[str]:
+    """The names, which must be there.
+
+    Raises:
+        InputError: one is not.
+    """
+    for name in names:
+        if name not in there:
+            raise InputError(f"no {what} {name!r}; there are: {'; '.join(there)}")
+    return names
 
 
 def _brief(result: Result) -> str:

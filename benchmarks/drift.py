@@ -21,6 +21,7 @@ from petmjx.engines.cpu.world import SettledState
 from petmjx.metrics.force_np import FIRST_BOX_GEOM, VERTICAL_COSINE, contact_normal_and_tangents
 from petmjx.metrics.motion_np import tilt_deg
 from petmjx.plans.plan import Plan
+from petmjx.text import counted
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
@@ -193,6 +194,6 @@ def describe(table: pd.DataFrame) -> str:
     shares = table.cause.value_counts(normalize=True)
     causes = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items())
     return (
-        f"{table.plan_id.nunique()} plans, {len(table)} boxes: median {drift.median():.3f}, 99 % "
+        f"{counted(table.plan_id.nunique(), 'plan')}, {counted(len(table), 'box', 'boxes')}: median {drift.median():.3f}, 99 % "
         f"{drift.quantile(0.99):.2f}, largest {drift.max():.1f} µm/s, {(drift > 50).sum()} above 50; {causes}"
     )

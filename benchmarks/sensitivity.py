@@ -1,0 +1,119 @@
+"""How many verdicts change when something changes that should not matter, or matters little."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import petmjx
+from petmjx.plans.plan import Plan
+
+SEED = 1
+"""Of the random changes of plans; each plan has its own stream."""
+
+
+def _same(plan: Plan, rng: np.random.Generator) -> Plan:
+    return plan
+
+
+def _other_masses(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Each mass up to 2 % larger or smaller."""
+    return replace(plan, mass_kg=plan.mass_kg * rng.uniform(0.98, 1.02, plan.n_boxes))
+
+
+def _shuffled(plan: Plan, rng: np.random.Generator) -> Plan:
+    """The boxes in another order: in memory, and so in every sum."""
+    order = rng.permutation(plan.n_boxes)
+    return replace(
+        plan,
+        size_mm=plan.size_mm[order],
+        corner_mm=plan.corner_mm[order],
+        mass_kg=plan.mass_kg[order],
+        item_ids=tuple(plan.item_ids[k] for k in order),
+        articles=tuple(plan.articles[k] for k in order),
+        sequence=plan.sequence[order],
+    )
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change.
+
+    Attributes:
+        options: fields of ``petmjx.Simulation``.
+        against: options of the run that it is compared with.
+        plans: what becomes of each plan.
+    """
+
+    options: Mapping[str, Any] = field(default_factory=dict)
+    against: Mapping[str, Any] = field(default_factory=dict)
+    plans: Callable[[Plan, np.random.Generator], Plan] = _same
+
+
+STATIC = {"check": "static"}
+LOOKED_AT_LONG = {"check": "static", "schedule": "fixed"}
+
+
+def _pallet(**values: Any) -> dict[str, Any]:
+    return {"physics": {"name": "pallet", **values}}
+
+
+def _friction(sliding: float) -> dict[str, Any]:
+    return _pallet(box_friction=(sliding, 0.005, 0.0001), carrier_friction=(sliding, 0.005, 0.0001))
+
+
+CHANGES: dict[str, Change] = {
+    "timestep 1 ms": Change(_pallet(timestep_s=0.001)),
+    "timestep 4 ms": Change(_pallet(timestep_s=0.004)),
+    "solver tolerance 1e-6": Change({"solver_tolerance": 1e-6}),
+    "solver tolerance 1e-12": Change({"solver_tolerance": 1e-12}),
+    "contacts half as stiff": Change(_pallet(solref=(0.02 * 2**0.5, 1.25))),
+    "contacts twice as stiff": Change(_pallet(solref=(0.02 / 2**0.5, 1.25))),
+    "friction 0.45": Change(_friction(0.45)),
+    "friction 0.55": Change(_friction(0.55)),
+    "sizes 0.1 mm larger": Change({"size_reduction_mm": 0.0}),
+    "sizes 0.1 mm smaller": Change({"size_reduction_mm": 0.2}),
+    "masses ± 2 %": Change(plans=_other_masses),
+    "order of the boxes in memory (static)": Change(STATIC, STATIC, _shuffled),
+    "static check of 120 s instead of 10 s": Change(LOOKED_AT_LONG | {"duration_s": 120.0}, LOOKED_AT_LONG),
+    "schedule fixed": Change({"schedule": "fixed"}),
+}
+
+
+def sensitivity(
+    plans: Sequence[Plan], names: Sequence[str], **run_options: Any
+) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
+    """Name, and the tables ``worlds`` before and after, by plan id; what runs are compared with is run once.
+
+    Args:
+        run_options: fields of ``petmjx.RunOptions``.
+    """
+    known: dict[str, pd.DataFrame] = {}
+
+    def worlds(changed: Sequence[Plan], options: Mapping[str, Any]) -> pd.DataFrame:
+        return petmjx.score(list(changed), **options, **run_options).worlds.set_index("plan_id")
+
+    for name in names:
+        change = CHANGES[name]
+        key = repr(change.against)
+        if key not in known:
+            known[key] = worlds(plans, change.against)
+        streams = np.random.default_rng(SEED).spawn(len(plans))
+        changed = [change.plans(plan, rng) for plan, rng in zip(plans, streams, strict=True)]
+        after = worlds(changed, change.options)
+        yield name, known[key], after.loc[known[key].index]
+
+
+def describe(before: pd.DataFrame, after: pd.DataFrame) -> str:
+    """How many verdicts changed, and how many of those had a margin beyond a tenth in both."""
+    changed = before.verdict != after.verdict
+    to_stable = int((changed & (after.verdict == "stable")).sum())
+    far = changed & (before.margin.abs() > 0.1) & (after.margin.abs() > 0.1)
+    return (
+        f"{int(changed.sum())} of {len(before)} verdicts change ({100 * changed.mean():.2f} %), {to_stable} to stable, "
+        f"{int(far.sum())} with margins beyond 0.1 in both"
+    )

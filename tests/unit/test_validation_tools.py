@@ -1,0 +1,102 @@
+"""The measurements behind docs/validation.md: how resting boxes drift and why, and how verdicts depend on details."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.plans import Box, make_plan, stack
+
+from benchmarks.__main__ import main
+from benchmarks.drift import VARIANTS, Window, cause, describe, drift_table
+from benchmarks.sensitivity import CHANGES, sensitivity
+from petmjx.config import Simulation
+from petmjx.plans.samples import bundled_path
+
+SHORT = Window(0.2, 0.6)
+
+
+def seen(**values: float) -> dict[str, object]:
+    """What was seen of a box that creeps for no visible reason, with changes."""
+    calm = {"drift_um_s": 5.0, "vertical_um_s": 0.0, "used": 0.1, "changes": 0.0, "pushed": 0.0, "askew_deg": 0.0}
+    return {"plan_id": "a", "box": 0, **calm, **values}
+
+
+@pytest.mark.parametrize(
+    ("row", "name"),
+    [
+        (seen(drift_um_s=0.1), "rests"),
+        (seen(vertical_um_s=4.0), "sinks or tips"),
+        (seen(used=1.0), "slides: a contact has no friction left"),
+        (seen(changes=0.5), "contacts come and go"),
+        (seen(pushed=0.3), "a neighbour pushes"),
+        (seen(askew_deg=0.3), "stands askew"),
+        (seen(), "friction gives way"),
+    ],
+)
+def test_each_cause_has_its_sign(row: dict[str, object], name: str) -> None:
+    assert cause(row) == name
+
+
+def test_a_tower_rests_and_a_plan_that_falls_has_no_rows() -> None:
+    boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (300, 0, 200), 5.0))
+    plans = [make_plan("tower", stack(3)), make_plan("falls", boxes)]
+    table = drift_table(plans, Simulation(), SHORT, threads=1)
+    assert list(table.plan_id) == ["tower"] * 3
+    assert set(table.cause) == {"rests"}
+    assert (table.askew_deg < 0.01).all()
+    assert "1 plan, 3 boxes" in describe(table)
+    assert describe(table[:0]) == "no plan stands"
+
+
+def test_friction_gives_way_as_the_law_says() -> None:
+    """A box on a slope of 6° creeps at v = R · f / b, about 20 times as fast where impratio is 1."""
+    creep = {}
+    for impratio in (1.0, 20.0):
+        sim = Simulation(physics={"name": "pallet", "impratio": impratio}, thresholds={"tilt_deg": 90.0})
+        tilted = make_plan("wedge", WEDGE)
+        table = drift_table([tilted], sim.changed(check="static"), SHORT, threads=1)
+        creep[impratio] = table.drift_um_s.max()
+    assert creep[1.0] / creep[20.0] == pytest.approx(20.0, rel=0.3)
+
+
+WEDGE: tuple[Box, ...] = (
+    ((400, 300, 20), (0, 0, 0), 5.0),
+    ((400, 300, 200), (200, 0, 20), 10.0),
+)
+"""The upper box stands on the carrier with one edge and leans on the plate with the other."""
+
+
+def test_changes_of_plans_keep_what_they_should() -> None:
+    plan = make_plan("tower", stack(4))
+    rng = np.random.default_rng(0)
+    masses = CHANGES["masses ± 2 %"].plans(plan, rng)
+    assert (np.abs(masses.mass_kg / plan.mass_kg - 1) <= 0.02).all()
+    assert (masses.mass_kg != plan.mass_kg).all()
+    shuffled = CHANGES["order of the boxes in memory (static)"].plans(plan, rng)
+    assert sorted(map(tuple, shuffled.corner_mm)) == sorted(map(tuple, plan.corner_mm))
+    assert shuffled.item_ids != plan.item_ids or not np.array_equal(shuffled.corner_mm, plan.corner_mm)
+
+
+def test_verdicts_are_compared_plan_by_plan() -> None:
+    plans = [make_plan("tower", stack(3)), make_plan("low", stack(1))]
+    names = ["masses ± 2 %", "order of the boxes in memory (static)"]
+    found = {name: (before, after) for name, before, after in sensitivity(plans, names, engine="mujoco", threads=1)}
+    assert list(found) == names
+    for before, after in found.values():
+        assert list(after.index) == list(before.index)
+        assert (after.verdict == "stable").all()
+
+
+def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plans = str(bundled_path())
+    short = ["--limit", "1", "--threads", "1", "--out", str(tmp_path)]
+    assert main(["drift", plans, *short, "--variant", "pallet", "--begin", "0.1", "--end", "0.3"]) == 0
+    assert main(["sensitivity", plans, *short, "--change", "friction 0.45"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("pallet, ") == 2
+    assert "friction 0.45: 0 of 1 verdicts change" in printed
+    assert len(list(tmp_path.glob("*.parquet"))) == 4
+    assert main(["drift", plans, "--variant", "none"]) == 2
+    assert f"there are: {next(iter(VARIANTS))}" in capsys.readouterr().err
