@@ -193,7 +193,8 @@ def describe(table: pd.DataFrame) -> str:
     drift = table.drift_um_s
     shares = table.cause.value_counts(normalize=True)
     causes = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items())
+    size = f"{counted(table.plan_id.nunique(), 'plan')}, {counted(len(table), 'box', 'boxes')}"
     return (
-        f"{counted(table.plan_id.nunique(), 'plan')}, {counted(len(table), 'box', 'boxes')}: median {drift.median():.3f}, 99 % "
-        f"{drift.quantile(0.99):.2f}, largest {drift.max():.1f} µm/s, {(drift > 50).sum()} above 50; {causes}"
+        f"{size}: median {drift.median():.3f}, 99 % {drift.quantile(0.99):.2f}, largest {drift.max():.1f} µm/s, "
+        f"{(drift > 50).sum()} above 50; {causes}"
     )
