@@ -35,6 +35,10 @@ def send():
         time.sleep(0.02)
 
 MujocoEngine.run = interrupted_run
+# what started the tests may have had signals ignored (nohup), and a process hands that on
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for number in (signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.SIG_DFL)
 sys.exit(main(sys.argv[2:]))
 """
 
