@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import petmjx
+from petmjx.text import counted
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
 """Packages whose versions are written beside every result, after petmjx's own."""
@@ -109,7 +110,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
     if engine == "mjx-jax":
         device = jax_devices()[0]
         return device.device_kind if device.platform != "cpu" else f"{cpu_name()} (jax on {device.platform})"
-    return f"{cpu_name()}, {threads or cpu_threads()} threads"
+    return f"{cpu_name()}, {counted(threads or cpu_threads(), 'thread')}"
 
 
 def why_no_warp() -> str | None:

@@ -181,7 +181,7 @@ class SweepPlan(Design):
         return Work(
             sim=sim,
             boxes=[plan.n_boxes for plan in self.plans],
-            placements=self.n_placements + nominal,
+            placements=self._all_placements,
             drives=self.n_variants - nominal if profiles else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
         )
@@ -191,10 +191,15 @@ class SweepPlan(Design):
         what = counted(len(self.plans), "plan")
         if self.sweep.axes:
             most = "at most " if self.sweep.search is not None else ""
-            placements = counted(len(self.plans) * self.n_placements, "placement")
+            placements = counted(len(self.plans) * self._all_placements, "placement")
             what = f"{most}{counted(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
         long = "" if seconds is None else f", about {duration(seconds)}"
         return f"{what}, about {rounded(float(self.work().steps.sum()))} steps{long}"
+
+    @property
+    def _all_placements(self) -> int:
+        """Placements per plan, with that of the nominal world."""
+        return self.n_placements + int(self.sweep.nominal)
 
     @property
     def _plans_and_variants(self) -> str:

@@ -94,7 +94,8 @@ def test_without_orders_nothing_is_said(plans: Path, capsys: pytest.CaptureFixtu
             "no usable order (1 unusable); the first: orders.json: order a: properties.target must be",
         ),
         ('{"a": {', "orders.json: order a: not JSON at line 1, column 8"),
-        (json.dumps({"a": TOWER}), "the first: orders.json: order a: must be a JSON object, got list"),
+        (json.dumps({"a": []}), "the first: orders.json: order a: must be a JSON object, got list"),
+        (json.dumps({"a": TOWER}), "the first: orders.json: order a: is a packing plan, not an order: orders have"),
     ],
 )
 def test_an_unusable_file_is_one_line(plans: Path, text: str, line: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -306,4 +306,6 @@ def test_estimates_count_placements_once(tmp_path: Path) -> None:
     assert many.work().steps - one.work().steps == pytest.approx([62 * (200 + 500)])
     said = many.size(100.0)
     assert said.startswith("64 worlds (1 plan × 64 variants) from 1 placement, about ")
+    also_nominal = sweep_plan(tmp_path, "nominal = true\n" + text.format(count=64)).size(None)
+    assert also_nominal.startswith("65 worlds (1 plan × 65 variants) from 2 placements, about ")
     assert said.endswith(" steps, about 2 min")

@@ -94,6 +94,7 @@ def test_tables_are_those_of_a_run_without_workers(kind: str, tmp_path_factory: 
     assert_same(shared, tables(alone))
     assert shared.info["config"]["engine_reason"] == "as asked for, in 2 workers"
     assert shared.info["device"].startswith("2 workers: ")
+    assert shared.info["device"].endswith(", 1 thread")
     assert (shared.info["config"]["workers"], shared.info["config"]["ray"]) == (2, None)
 
 

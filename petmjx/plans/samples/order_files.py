@@ -71,6 +71,8 @@ def _order(entry: Entry, where: str) -> Order:
     _name(entry.plan_id, "the order id", where)
     if not entry.plan_id:
         raise InputError(f"{where}: the order id must not be empty")
+    if isinstance(record, list) and record and isinstance(record[0], dict) and "flb_coordinates" in record[0]:
+        raise InputError(f"{where}: is a packing plan, not an order: orders have item_sequence and properties")
     if not isinstance(record, dict):
         raise InputError(f"{where}: must be a JSON object, {_kind(record)}")
     properties = record.get("properties")
