@@ -175,6 +175,8 @@ class Physics(Checked):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
+        if values == CUSTOM:  # without a table it says nothing
+            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {got(values)}")
         if isinstance(values, str):
             values = {"name": values}
         if not isinstance(values, Mapping) or "name" not in values:
