@@ -318,6 +318,13 @@ class Simulation(Checked):
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"
     )
 
+    @field_validator("schedule", mode="before")
+    @classmethod
+    def _no_brisk(cls, value: Any) -> Any:
+        if value == "brisk":  # of petmjx 0.1
+            raise ValueError("must be 'fixed' or 'adaptive': 'brisk' is gone, adaptive takes as few steps now")
+        return value
+
     @field_validator("interval_s", "duration_s", "sample_interval_s", "rest_window_s")
     @classmethod
     def _at_least_a_step(cls, value: float, info: Any) -> float:

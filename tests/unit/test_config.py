@@ -38,6 +38,11 @@ from petmjx.run_options import sorted_options
         (Simulation, {"duration_s": math.inf}, "duration_s must be a finite number, got inf"),
         (Simulation, {"check": "dynamic"}, "check must be 'one-by-one' or 'static', got 'dynamic'"),
         (Simulation, {"schedule": "slow"}, "schedule must be 'fixed' or 'adaptive', got 'slow'"),
+        (
+            Simulation,
+            {"schedule": "brisk"},
+            "schedule must be 'fixed' or 'adaptive': 'brisk' is gone, adaptive takes as few steps now",
+        ),
         (Simulation, {"total_time_factor": 2.0}, "total_time_factor needs check one-by-one and schedule fixed"),
         (
             Simulation,
