@@ -13,6 +13,7 @@ from petmjx.cli import options as opt
 from petmjx.cli.main import run_app
 from petmjx.config import Schedule
 from petmjx.errors import InputError
+from petmjx.text import counted
 
 if TYPE_CHECKING:
     from benchmarks.record import Result
@@ -52,18 +53,27 @@ def drift(
 ) -> None:
     """How fast the boxes of resting pallets drift, and why."""
     from benchmarks.drift import VARIANTS, Window, describe, summaries
+    from petmjx.config import Simulation
     from petmjx.machine import cpu_threads
-    from petmjx.plans.read import load_plans
+    from petmjx.plans.gather import usable_plans
+    from petmjx.run_options import RunOptions
 
+    limits, window = RunOptions(**options), Window(begin, end)
     chosen = variant or list(VARIANTS)
     if unknown := [name for name in chosen if name not in VARIANTS]:
         raise InputError(f"no variant {unknown[0]!r}; there are: {'; '.join(VARIANTS)}")
-    found = load_plans(plans).plans[: options.get("limit")]
-    threads = options.get("threads") or cpu_threads()
-    for name, check, table in summaries(found, chosen, Window(begin, end), threads):
+    found = usable_plans(list(plans), Simulation(), limits)
+    if found.skipped:
+        skipped = counted(len(found.skipped), "unusable plan")
+        print(f"{skipped} left out; the first: {found.skipped[0].message}", file=sys.stderr)
+    if out is not None:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{out}: cannot write tables there: {error.strerror or error}") from error
+    for name, check, table in summaries(found.plans, chosen, window, limits.threads or cpu_threads()):
         print(f"{name}, {check}: {describe(table)}", flush=True)
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
             table.to_parquet(out / f"{list(VARIANTS).index(name):02}-{check}.parquet")
 
 

@@ -14,13 +14,15 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from petmjx.config import PHYSICS, Check, Cone, Simulation
+from petmjx.config import LONGEST_S, PHYSICS, Check, Cone, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.world import SettledState
+from petmjx.errors import InputError
 from petmjx.metrics.force_np import FIRST_BOX_GEOM, VERTICAL_COSINE, contact_normal_and_tangents
 from petmjx.metrics.motion_np import tilt_deg
 from petmjx.plans.plan import Plan
+from petmjx.text import counted
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
@@ -28,6 +30,9 @@ from petmjx.world.scene import build_scene
 
 LOOK_STEPS = 20
 """Steps between two looks at the contacts."""
+
+SHORTEST_S = 0.1
+"""Of a window: some looks, with any variant's timestep."""
 
 COMES_AND_GOES = 0.02
 """A box whose number of contacts changes in more than this share of the looks has contacts that come and go."""
@@ -69,6 +74,13 @@ class Window:
 
     begin_s: float = 10.0
     end_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.begin_s < self.begin_s + SHORTEST_S <= self.end_s <= LONGEST_S:
+            at = f"got {self.begin_s:g} s to {self.end_s:g} s"
+            raise InputError(
+                f"drift is measured from 0 s on, for {SHORTEST_S:g} s at least, to {LONGEST_S:g} s at most, {at}"
+            )
 
 
 def drift_table(plans: Sequence[Plan], sim: Simulation, window: Window, threads: int) -> pd.DataFrame:
@@ -192,7 +204,8 @@ def describe(table: pd.DataFrame) -> str:
     drift = table.drift_um_s
     shares = table.cause.value_counts(normalize=True)
     causes = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items())
+    of = f"{counted(table.plan_id.nunique(), 'plan')}, {counted(len(table), 'box', 'boxes')}"
     return (
-        f"{table.plan_id.nunique()} plans, {len(table)} boxes: median {drift.median():.3f}, 99 % "
+        f"{of}: median {drift.median():.3f}, 99 % "
         f"{drift.quantile(0.99):.2f}, largest {drift.max():.1f} µm/s, {(drift > 50).sum()} above 50; {causes}"
     )
