@@ -31,7 +31,7 @@ from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
 from petmjx.engines.workers.cluster import Cluster
 from petmjx.engines.workers.places import Place
 from petmjx.engines.workers.pool import WorkerPool
-from petmjx.errors import EngineUnavailable, InputError
+from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.verdict import Outcome, Reason
 from petmjx.world.job import Job
 
@@ -172,6 +172,19 @@ def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, m
     assert len(list(outcomes)) == 29
     assert len(list(pool.run(jobs * 8, SHORT))) == 240
     assert len(pool._places) == 1
+
+
+def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
+    pool: WorkerPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when its process has been killed for memory: no worker can start any more."""
+    outcomes = pool.run([Job(fake_scene(1.0, 10.0 + k)) for k in range(30)], SHORT)
+    next(outcomes)
+    monkeypatch.setattr(pool_module, "START_S", 0.0)
+    monkeypatch.setattr(Cluster, "nodes", [])
+    os.kill(pool.pids[0], signal.SIGKILL)
+    with pytest.raises(PetmjxError, match="Ray has died on this machine"):
+        list(outcomes)
 
 
 class _Unreadable:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from petmjx.engines.workers.places import Node
-from petmjx.errors import EngineUnavailable, InputError
+from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.machine import cpu_threads, cuda_devices
 from petmjx.run_options import AUTO
 from petmjx.text import one_line
@@ -195,6 +195,12 @@ class Cluster:
         """The machines of the cluster that are alive."""
         resources = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         return [Node(int(each.get("CPU", 0)), int(each.get("GPU", 0))) for each in resources]
+
+    def check(self) -> None:
+        """Raises PetmjxError if the Ray that this process has started is dead: nothing starts it again. The machines of
+        a cluster may come back."""
+        if self._used is not None and self._used.address is None and not self.nodes:
+            raise PetmjxError("Ray has died on this machine (of memory?); what is done is kept, go on with --resume")
 
     def close(self) -> None:
         """This user needs it no more."""
