@@ -87,7 +87,7 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     Carrier.EURO_PALLET: (1.2, 0.8),
     Carrier.ROLLCONTAINER: (0.8, 0.7),
 }
-"""x–y extent of each carrier in metres: BED-BPP's two targets. None: from the origin to the plan's largest x and y."""
+"""x–y extent of each carrier in metres: BED-BPP's two targets. None: the plan's bounding box."""
 
 Triple = tuple[float, float, float]
 
@@ -135,8 +135,9 @@ CUSTOM: Final = "custom"
 class Physics(Checked):
     """Contacts, carrier, floor, gravity and timestep.
 
-    The numbers are those of the reference implementation (PET-Physics), except the cone and the carrier's friction, in
-    which the presets differ. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
+    cone, the carrier's friction, and the three of contacts (solref, solimp, impratio). Friction of 0.5 between boxes:
+    CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
     Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
@@ -198,8 +199,8 @@ PHYSICS["reference"] = Physics(
     solimp=(0.99, 0.99, 0.01),
     impratio=1.0,
 )
-"""The presets. ``reference`` is PET-Physics; ``pallet`` has elliptic cones, which creep less, and the friction of
-cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
+"""The presets. ``reference`` is PET-Physics; ``pallet`` has contacts in which pallets rest (docs/validation.md), and
+the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 
 
 class Thresholds(Checked):
@@ -270,7 +271,7 @@ class Simulation(Checked):
     )
     physics: Annotated[Physics, Flag("--physics")] = Field(
         PHYSICS["pallet"],
-        description="contact physics: pallet: elliptic friction cones, a wooden pallet; reference: as in PET-Physics",
+        description="contact physics: pallet: pallets rest, the carrier is of wood; reference: as in PET-Physics",
     )
     carrier: Annotated[Carrier, Flag("--carrier")] = Field(
         Carrier.FOOTPRINT,
