@@ -13,9 +13,12 @@ from petmjx.cli import options as opt
 from petmjx.cli.main import run_app
 from petmjx.config import Schedule
 from petmjx.errors import InputError
+from petmjx.text import counted
 
 if TYPE_CHECKING:
     from benchmarks.record import Result
+    from petmjx.plans.plan import Plan
+    from petmjx.run_options import RunOptions
 
 app = typer.Typer(
     help="Measures speed and agreement; benchmarks/README.md says what and how.",
@@ -53,15 +56,15 @@ def drift(
     """How fast the boxes of resting pallets drift, and why."""
     from benchmarks.drift import VARIANTS, Window, describe, summaries
     from petmjx.machine import cpu_threads
-    from petmjx.plans.read import load_plans
+    from petmjx.run_options import RunOptions
 
+    limits, window = RunOptions(**options), Window(begin, end)
     chosen = _known(variant or list(VARIANTS), VARIANTS, "variant")
-    found = load_plans(plans).plans[: options.get("limit")]
-    threads = options.get("threads") or cpu_threads()
-    for name, check, table in summaries(found, chosen, Window(begin, end), threads):
+    found = _usable(plans, limits)
+    _make_folder(out)
+    for name, check, table in summaries(found, chosen, window, limits.threads or cpu_threads()):
         print(f"{name}, {check}: {describe(table)}", flush=True)
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
             table.to_parquet(out / f"{list(VARIANTS).index(name):02}-{check}.parquet")
 
 
@@ -77,14 +80,15 @@ def sensitivity(
     """How many verdicts change with timestep, tolerance, friction, sizes, masses, …"""
     from benchmarks.sensitivity import CHANGES, describe
     from benchmarks.sensitivity import sensitivity as runs
-    from petmjx.plans.read import load_plans
+    from petmjx.run_options import RunOptions
 
     chosen = _known(change or list(CHANGES), CHANGES, "change")
-    found = load_plans(plans).plans[: options.pop("limit", None)]
+    found = _usable(plans, RunOptions(**options))
+    options.pop("limit", None)
+    _make_folder(out)
     for number, (name, before, after) in enumerate(runs(found, chosen, engine=engine, **options)):
         print(f"{name}: {describe(before, after)}", flush=True)
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
             for side, table in (("before", before), ("after", after)):
                 table.to_parquet(out / f"{number:02}-{side}.parquet")
 
@@ -188,6 +192,36 @@ def _labelled(entry: str) -> tuple[str, list[Path]]:
     if not (label and folders):
         raise InputError(f"{entry}: must be LABEL=DIR, or several folders with commas")
     return label, [Path(folder) for folder in _words(folders)]
+
+
+def _usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
+    """The plans of files; what cannot be used is counted on standard error.
+
+    Raises:
+        InputError: no usable plan.
+    """
+    from petmjx.config import Simulation
+    from petmjx.plans.gather import usable_plans
+
+    found = usable_plans(list(files), Simulation(), options)
+    if found.skipped:
+        skipped = counted(len(found.skipped), "unusable plan")
+        print(f"{skipped} left out; the first: {found.skipped[0].message}", file=sys.stderr)
+    return list(found.plans)
+
+
+def _make_folder(folder: Path | None) -> None:
+    """Make a folder for tables, if there is to be one.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write tables there: {error.strerror or error}") from error
 
 
 def _known(names: list[str], there: Mapping[str, object], what: str) -> list[str]:

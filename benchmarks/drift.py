@@ -14,10 +14,11 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from petmjx.config import PHYSICS, Check, Cone, Simulation
+from petmjx.config import LONGEST_S, PHYSICS, Check, Cone, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.world import SettledState
+from petmjx.errors import InputError
 from petmjx.metrics.force_np import FIRST_BOX_GEOM, VERTICAL_COSINE, contact_normal_and_tangents
 from petmjx.metrics.motion_np import tilt_deg
 from petmjx.plans.plan import Plan
@@ -29,6 +30,9 @@ from petmjx.world.scene import build_scene
 
 LOOK_STEPS = 20
 """Steps between two looks at the contacts."""
+
+SHORTEST_S = 0.1
+"""Of a window: some looks, with any variant's timestep."""
 
 COMES_AND_GOES = 0.02
 """A box whose number of contacts changes in more than this share of the looks has contacts that come and go."""
@@ -70,6 +74,13 @@ class Window:
 
     begin_s: float = 10.0
     end_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.begin_s < self.begin_s + SHORTEST_S <= self.end_s <= LONGEST_S:
+            at = f"got {self.begin_s:g} s to {self.end_s:g} s"
+            raise InputError(
+                f"drift is measured from 0 s on, for {SHORTEST_S:g} s at least, to {LONGEST_S:g} s at most, {at}"
+            )
 
 
 def drift_table(plans: Sequence[Plan], sim: Simulation, window: Window, threads: int) -> pd.DataFrame:

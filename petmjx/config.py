@@ -87,7 +87,7 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     Carrier.EURO_PALLET: (1.2, 0.8),
     Carrier.ROLLCONTAINER: (0.8, 0.7),
 }
-"""x–y extent of each carrier in metres: BED-BPP's two targets. None: from the origin to the plan's largest x and y."""
+"""x–y extent of each carrier in metres: BED-BPP's two targets. None: the plan's bounding box."""
 
 Triple = tuple[float, float, float]
 
@@ -135,8 +135,9 @@ CUSTOM: Final = "custom"
 class Physics(Checked):
     """Contacts, carrier, floor, gravity and timestep.
 
-    The numbers are those of the reference implementation (PET-Physics), except the contacts and the carrier's friction,
-    in which the presets differ. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
+    cone, the carrier's friction, and the three of contacts (solref, solimp, impratio). Friction of 0.5 between boxes:
+    CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
     Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
@@ -175,6 +176,8 @@ class Physics(Checked):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
+        if values == CUSTOM:  # without a table it says nothing
+            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {got(values)}")
         if isinstance(values, str):
             values = {"name": values}
         if not isinstance(values, Mapping) or "name" not in values:
@@ -269,7 +272,7 @@ class Simulation(Checked):
     )
     physics: Annotated[Physics, Flag("--physics")] = Field(
         PHYSICS["pallet"],
-        description="contact physics: pallet: elliptic friction cones, a wooden pallet; reference: as in PET-Physics",
+        description="contact physics: pallet: pallets rest, the carrier is of wood; reference: as in PET-Physics",
     )
     carrier: Annotated[Carrier, Flag("--carrier")] = Field(
         Carrier.FOOTPRINT,
@@ -316,6 +319,13 @@ class Simulation(Checked):
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"
     )
+
+    @field_validator("schedule", mode="before")
+    @classmethod
+    def _no_brisk(cls, value: Any) -> Any:
+        if value == "brisk":  # of petmjx 0.1
+            raise ValueError("must be 'fixed' or 'adaptive': 'brisk' is gone, adaptive takes as few steps now")
+        return value
 
     @field_validator("interval_s", "duration_s", "sample_interval_s", "rest_window_s")
     @classmethod

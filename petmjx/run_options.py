@@ -44,8 +44,8 @@ def _workers(value: Any) -> Any:
 
 
 def _address(text: str | None) -> str | None:
-    """Not that of a Ray client, which has no streams of results."""
-    if text is not None and ("://" in text or not text.strip()):
+    """``auto`` or HOST:PORT. Not the address of a Ray client, which has no streams of results."""
+    if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {got(text)}")
     return text
 

@@ -126,7 +126,8 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
         return _report(str(error), ExitCode.FAILURE)
     except _USAGE_ERROR as error:
         message = getattr(error, "format_message", error.__str__)()
-        return _report(f"{message} (petmjx --help tells the options)" if message else "", ExitCode.UNUSABLE)
+        command = getattr(getattr(error, "ctx", None), "command_path", None) or "petmjx"
+        return _report(f"{message} ({command} --help tells the options)" if message else "", ExitCode.UNUSABLE)
     except (BrokenPipeError, SystemExit):
         # The reader of the output has closed it (petmjx … | head); typer and rich then exit.
         return ExitCode.OK

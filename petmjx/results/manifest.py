@@ -103,8 +103,8 @@ class Manifest:
         Args:
             without: settings that may differ.
         """
-        settings = {name: value for name, value in self.settings.items() if name not in without}
-        found = [*_setting_differences(earlier.settings, settings, ""), *self._plan_differences(earlier)]
+        settings = {name: value for name, value in _as_asked(self.settings).items() if name not in without}
+        found = [*_setting_differences(_as_asked(earlier.settings), settings, ""), *self._plan_differences(earlier)]
         found = [each for each in found if each.partition(" ")[0] not in without]
         more = [f"{len(found) - MOST_NAMED} more"] if len(found) > MOST_NAMED else []
         return "; ".join([*found[:MOST_NAMED], *more])
@@ -124,10 +124,22 @@ class Manifest:
 _NOTHING: Final = object()
 
 
+def _as_asked(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Settings with the names of the command: the sweep of a score is its number of worlds and its errors."""
+    sweep = settings.get("sweep")
+    if settings.get("command") != "score" or not isinstance(sweep, Mapping):
+        return settings
+    errors = {name: value for name, value in sweep.items() if name != "replicates"}
+    others = {name: value for name, value in settings.items() if name != "sweep"}
+    return {**others, "confidence": sweep.get("replicates"), "errors": errors}
+
+
 def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:
     """ "simulation.schedule is fixed, was adaptive", for every value that differs."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
+            if name == "errors" and not path and not (name in was and name in now):
+                continue  # only one of them has confidence, which is said
             inner = f"{path}.{name}" if path else str(name)
             yield from _setting_differences(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif was != now:

@@ -321,6 +321,34 @@ def test_bad_options_are_one_line(capsys: pytest.CaptureFixture[str], tmp_path: 
         assert words in capsys.readouterr().err
 
 
+def test_drift_of_a_pallet_that_stands(plans: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = ("--limit", "1", "--variant", "pallet", "--begin", "0.5", "--end", "1", "--threads", "1")
+    assert main(["drift", str(plans), *options, "--out", str(tmp_path / "out")]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("pallet, one-by-one: 1 plan, 2 boxes: median ")
+    assert second.startswith("pallet, static: 1 plan, 2 boxes: median ")
+    assert len(list((tmp_path / "out").glob("*.parquet"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--end", "nan"], "got 10 s to nan s"),
+        (["--end", "10"], "got 10 s to 10 s"),
+        (["--begin", "-5"], "got -5 s to 60 s"),
+        (["--end", "1e9"], "to 600 s at most"),
+        (["--limit", "0"], "--limit must be ≥ 1"),
+        (["--variant", "none"], "no variant 'none'"),
+        (["--out", "/dev/null/x"], "/dev/null/x: cannot write tables there"),
+        (["/dev/null"], "no usable plan"),
+    ],
+)
+def test_drift_that_is_refused(options: list[str], words: str, plans: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [] if options == ["/dev/null"] else [str(plans)]
+    assert main(["drift", *files, *options]) == 2
+    assert words in capsys.readouterr().err.strip()
+
+
 def test_numbers_are_cut_to_six_digits(tmp_path: Path) -> None:
     append_line(tmp_path / "out.jsonl", {"a": [1 / 3, 2], "b": 1234567.8})
     assert read_lines([tmp_path / "out.jsonl"]) == [{"a": [0.333333, 2], "b": 1234570.0}]

@@ -174,12 +174,12 @@ def test_shards_give_the_same_and_runs_go_on(tmp_path: Path) -> None:
     (tmp_path / "whole/worlds/part-00000.parquet").unlink()
     again = score(confidence=4, out=tmp_path / "whole", resume=True)
     assert_same(again, expected)
-    with pytest.raises(InputError, match=r"another run \(sweep.replicates is 5, was 4\)"):
+    with pytest.raises(InputError, match=r"another run \(confidence is 5, was 4\)"):
         score(confidence=5, out=tmp_path / "whole", resume=True)
     other = write(tmp_path / "x.toml", "seed = 1" + SLOPPY)
-    with pytest.raises(InputError, match=r"sweep\.axes\.yaw_error_deg is none"):
+    with pytest.raises(InputError, match=r"errors\.axes\.yaw_error_deg is none"):
         score(confidence=4, errors=other, out=tmp_path / "whole", resume=True)
-    with pytest.raises(InputError, match="it is another run"):
+    with pytest.raises(InputError, match=r"another run \(confidence is none, was 4\)"):
         score(out=tmp_path / "whole", resume=True)
 
 

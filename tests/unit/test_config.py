@@ -30,6 +30,7 @@ from petmjx.run_options import sorted_options
         (Thresholds, {"shift_m": 0}, "shift_m must be > 0, got 0"),
         (Quiet, {"steps": 0}, "steps must be ≥ 1, got 0"),
         (Simulation, {"physics": "moon"}, "physics must be pallet or reference, or a table of values, got 'moon'"),
+        (Simulation, {"physics": "custom"}, "physics must be pallet or reference, or a table of values, got 'custom'"),
         (Simulation, {"physics": {"gravity_m_s2": -9.81}}, "physics.gravity_m_s2 must be > 0, got -9.81"),
         (Simulation, {"thresholds": {"shift": 1}}, "thresholds.shift: unknown field; did you mean shift_m?"),
         (Simulation, {"interval_s": -1.0}, "interval_s must be > 0, got -1.0"),
@@ -37,6 +38,11 @@ from petmjx.run_options import sorted_options
         (Simulation, {"duration_s": math.inf}, "duration_s must be a finite number, got inf"),
         (Simulation, {"check": "dynamic"}, "check must be 'one-by-one' or 'static', got 'dynamic'"),
         (Simulation, {"schedule": "slow"}, "schedule must be 'fixed' or 'adaptive', got 'slow'"),
+        (
+            Simulation,
+            {"schedule": "brisk"},
+            "schedule must be 'fixed' or 'adaptive': 'brisk' is gone, adaptive takes as few steps now",
+        ),
         (Simulation, {"total_time_factor": 2.0}, "total_time_factor needs check one-by-one and schedule fixed"),
         (
             Simulation,

@@ -6,8 +6,10 @@ import logging
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,12 +25,13 @@ from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import ATTEMPTS
+from petmjx.engines.workers import cluster as cluster_module
 from petmjx.engines.workers import pool as pool_module
 from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
 from petmjx.engines.workers.cluster import Cluster
 from petmjx.engines.workers.places import Place
 from petmjx.engines.workers.pool import WorkerPool
-from petmjx.errors import EngineUnavailable, InputError
+from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.verdict import Outcome, Reason
 from petmjx.world.job import Job
 
@@ -171,6 +174,19 @@ def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, m
     assert len(pool._places) == 1
 
 
+def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
+    pool: WorkerPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when its process has been killed for memory: no worker can start any more."""
+    outcomes = pool.run([Job(fake_scene(1.0, 10.0 + k)) for k in range(30)], SHORT)
+    next(outcomes)
+    monkeypatch.setattr(pool_module, "START_S", 0.0)
+    monkeypatch.setattr(Cluster, "nodes", [])
+    os.kill(pool.pids[0], signal.SIGKILL)
+    with pytest.raises(PetmjxError, match="Ray has died on this machine"):
+        list(outcomes)
+
+
 class _Unreadable:
     def __reduce__(self) -> Any:
         return int, ("no number",)
@@ -238,6 +254,7 @@ def test_auto_counts_what_the_cluster_has(tmp_path: Path) -> None:
         ({"workers": True}, "workers must be auto"),
         ({"workers": 1, "lanes": 16}, "lanes belong to the MJX engines"),
         ({"ray": "ray://head:10001"}, "ray must be HOST:PORT of a cluster's head, or auto"),
+        ({"ray": "head"}, "ray must be HOST:PORT of a cluster's head, or auto"),
         ({"ray": "127.0.0.1:1"}, "ray: this process is in another cluster already, 127.0.0.1:1 cannot be joined"),
         ({"workers": 1, "engine": MujocoEngine(1)}, "workers need an engine by name"),
     ],
@@ -250,6 +267,30 @@ def test_what_cannot_be_is_refused_before_a_folder_is_touched(
         petmjx.score(PLANS, out=tmp_path, overwrite=True, **({"engine": "mujoco"} | options))
     assert str(error.value).startswith(line)
     assert len(petmjx.load_run(tmp_path).worlds) == 2
+
+
+@pytest.mark.parametrize(
+    ("says", "line"),
+    [(None, "no answer within 0.2 s"), (b"HTTP/1.1 400 Bad", "no head of a Ray cluster"), (b"", "no head")],
+)
+def test_what_listens_but_is_no_head_is_refused(says: bytes | None, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "REACH_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        if says is not None:
+
+            def answer() -> None:
+                caller, _ = server.accept()
+                with caller:
+                    caller.recv(1000)
+                    caller.sendall(says)
+
+            threading.Thread(target=answer, daemon=True).start()
+        with pytest.raises(InputError, match=rf"^ray: no cluster at 127\.0\.0\.1:\d+ \(.*{line}"):
+            cluster_module._check_reachable(f"127.0.0.1:{server.getsockname()[1]}")
+
+
+def test_the_head_of_a_cluster_is_known() -> None:
+    cluster_module._check_reachable(ray.get_runtime_context().gcs_address)
 
 
 def test_without_ray_a_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from petmjx.engines.workers.places import Node
-from petmjx.errors import EngineUnavailable, InputError
+from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.machine import cpu_threads, cuda_devices
 from petmjx.run_options import AUTO
 from petmjx.text import one_line
@@ -33,6 +33,12 @@ REACH_S = 10.0
 
 _OF_RAY = ("RAY_", "PYTHONBREAKPOINT")
 """Environment variables that Ray sets while it starts."""
+
+_HTTP2_SETTINGS = b"\x00\x00\x00\x04"
+"""The beginning of a frame of settings: three bytes of length and its type."""
+
+_HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
+"""What a client says first, with an empty frame of settings."""
 
 _PRINTER = "print_to_stdstream"
 
@@ -111,6 +117,8 @@ class _Ours:
                 self.ray.init(**how)
             except Exception as error:
                 self._remove_folder()
+                if isinstance(error, ConnectionError) and self.address == AUTO:
+                    raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error
                 if isinstance(error, ConnectionError) and self.address is not None:
                     hint = "a cluster that wants a token needs RAY_AUTH_MODE=token"
                     raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error
@@ -134,14 +142,23 @@ class _Ours:
 
 
 def _check_reachable(address: str) -> None:
-    """Raises InputError if nobody listens there: Ray itself would ask again and again for minutes."""
+    """Raises InputError if no head listens there: Ray itself would ask again and again without an end, and no signal
+    would end it. A head speaks HTTP/2 (RFC 9113): to an empty frame of settings it answers with its own."""
     host, _, port = address.rpartition(":")
     if address == AUTO:
         return
     try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=REACH_S).close()
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=REACH_S) as there:
+            if os.environ.get("RAY_USE_TLS", "0") not in ("", "0"):
+                return
+            there.sendall(_HTTP2_HELLO)
+            answer = there.makefile("rb").read(len(_HTTP2_SETTINGS))
+    except TimeoutError as error:
+        raise InputError(f"ray: no cluster at {address} (no answer within {REACH_S:g} s)") from error
     except (OSError, ValueError, OverflowError) as error:
         raise InputError(f"ray: no cluster at {address} ({one_line(error)})") from error
+    if answer[3:] != _HTTP2_SETTINGS[3:]:
+        raise InputError(f"ray: no cluster at {address} (what answers there is no head of a Ray cluster)")
 
 
 class Cluster:
@@ -178,6 +195,12 @@ class Cluster:
         """The machines of the cluster that are alive."""
         resources = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         return [Node(int(each.get("CPU", 0)), int(each.get("GPU", 0))) for each in resources]
+
+    def check(self) -> None:
+        """Raises PetmjxError if the Ray that this process has started is dead: nothing starts it again. The machines of
+        a cluster may come back."""
+        if self._used is not None and self._used.address is None and not self.nodes:
+            raise PetmjxError("Ray has died on this machine (of memory?); what is done is kept, go on with --resume")
 
     def close(self) -> None:
         """This user needs it no more."""

@@ -144,6 +144,7 @@ class WorkerPool:
 
         Raises:
             EngineUnavailable: workers die as they start, or one has other versions than this process.
+            PetmjxError: Ray has died.
             Exception: what the engine raised in a worker.
         """
         if not jobs:
@@ -167,7 +168,10 @@ class WorkerPool:
         try:
             while deal.unanswered or any(hand.streams for hand in self._hands):
                 self._hand_out(deal, jobs, sim)
-                progress.message = self._message(time.monotonic() - began) or before
+                seconds = time.monotonic() - began
+                if seconds >= START_S and not all(hand.ready for hand in self._hands):
+                    self._cluster.check()
+                progress.message = self._message(seconds) or before
                 for hand, ref in self._news():
                     if not hand.ready:
                         self._greet(hand, ref)
