@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from petmjx.checked import describe
 from petmjx.errors import InputError
+from petmjx.plans.ordered import OrderCounts
 
 Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
 
@@ -20,16 +21,9 @@ class _Read(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
-class _OrderCounts(_Read):
-    orders: int
-    ordered_boxes: int
-    left_out: int
-    not_ordered: int
-    plans_leaving_out: int
-    plans_without_order: int
-    orders_without_plan: int | None
-    boxes_without_plan: int | None
-    unusable_orders: int
+_ORDER_FIELDS: Final[dict[str, Any]] = {name: (kind, ...) for name, kind in get_type_hints(OrderCounts).items()}
+_OrderCounts = create_model("_OrderCounts", __base__=_Read, **_ORDER_FIELDS)
+"""All of ``OrderCounts``, none of it left out."""
 
 
 class _Counts(_Read):
