@@ -11,6 +11,9 @@ from petmjx.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
+GROUP_WORLDS = 8192
+"""Worlds whose states an MJX engine has on its device at the same time, unless it is told otherwise."""
+
 
 @dataclass
 class Progress:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Check, Cone, Schedule, Simulation
-from petmjx.engines.base import Progress, RunLock
+from petmjx.engines.base import GROUP_WORLDS, Progress, RunLock
 from petmjx.engines.batch.capacities import class_capacities, growing_capacities
 from petmjx.engines.batch.outcomes import handed_on, outcomes, started_states
 from petmjx.engines.batch.rules import Rules
@@ -114,7 +114,7 @@ class MjxEngine(ABC):
         self,
         lanes: int | None = None,
         *,
-        group_size: int = 8192,
+        group_size: int = GROUP_WORLDS,
         capacities: Sequence[int] | None = None,
         chunk_steps: int = 25,
         drain_share: float = 0.25,

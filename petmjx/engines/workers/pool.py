@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from petmjx.config import Simulation
-from petmjx.engines.base import Progress, RunLock
+from petmjx.engines.base import GROUP_WORLDS, Progress, RunLock
 from petmjx.engines.cost import H100
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
@@ -35,9 +35,6 @@ begins. A cluster that is busy may need longer; then the run begins, and waits."
 
 FALSE_STARTS = 3
 """So many workers in a row that do not get ready end the run, or the attempts to replace one that died."""
-
-GROUP = 8192
-"""Most jobs of a chunk of the MJX engines: as many as they simulate together (``MjxEngine``)."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 """Fewer jobs than this are not divided among the workers of these engines: a device takes as long for a few worlds as
@@ -159,7 +156,7 @@ class WorkerPool:
         batched = self.name != "mujoco"
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        group, least = (GROUP, LEAST.get(self.name, 1)) if batched else (None, 1)
+        group, least = (GROUP_WORLDS, LEAST.get(self.name, 1)) if batched else (None, 1)
         deal = Deal(H100.of_jobs(jobs, sim), slots, group, least, deadly)
         compiled_s, before = progress.compile_s, progress.message
         began = time.monotonic()
