@@ -6,10 +6,11 @@ it depends on how long one looks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -97,7 +98,7 @@ def drift_table(plans: Sequence[Plan], sim: Simulation, window: Window, threads:
     return pd.DataFrame(rows)
 
 
-def _of_plan(plan: Plan, sim: Simulation, window: Window) -> list[dict[str, object]]:
+def _of_plan(plan: Plan, sim: Simulation, window: Window) -> list[dict[str, Any]]:
     scene = build_scene(plan, sim)
     (outcome,) = MujocoEngine(1).run([Job(scene, keep_state=True)], sim)
     if outcome.verdict is not Verdict.STABLE or not isinstance(outcome.state, SettledState):
@@ -120,13 +121,13 @@ def _of_plan(plan: Plan, sim: Simulation, window: Window) -> list[dict[str, obje
         last = now
         squares += (live.velocity[:, :3] ** 2).sum(axis=1)
         if look % max(looks // 20, 1) == 0:
-            side, share = _loads(live, sim, len(before))
+            side, share = _loads(live, sim)
             pushed, used = np.maximum(pushed, side), np.maximum(used, share)
     seconds = looks * LOOK_STEPS * dt
     moved = live.pose[:, :3] - before
     pushed /= scene.mass * sim.physics.gravity_m_s2
     askew = tilt_deg(live.pose[:, 3:])
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
     for box in range(len(before)):
         row = {
             "plan_id": plan.plan_id,
@@ -143,9 +144,8 @@ def _of_plan(plan: Plan, sim: Simulation, window: Window) -> list[dict[str, obje
     return rows
 
 
-def cause(row: dict[str, object]) -> str:
+def cause(seen: Mapping[str, Any]) -> str:
     """What makes a box move, by what is seen of it; the first that holds."""
-    seen = {name: float(value) for name, value in row.items() if isinstance(value, float)}
     if seen["drift_um_s"] < MOVES_UM_S:
         return "rests"
     if seen["vertical_um_s"] > 0.5 * seen["drift_um_s"]:
@@ -167,7 +167,7 @@ def _contacts(live: LiveWorld) -> FloatArray:
     return np.bincount(pairs[pairs >= 0], minlength=len(live.pose)).astype(float)
 
 
-def _loads(live: LiveWorld, sim: Simulation, n: int) -> tuple[FloatArray, FloatArray]:
+def _loads(live: LiveWorld, sim: Simulation) -> tuple[FloatArray, FloatArray]:
     """(n,) horizontal force at each box's sides, N, and (n,) the largest share of friction used among the contacts that
     bear a hundredth of its weight or more."""
     data = live.data
@@ -177,8 +177,8 @@ def _loads(live: LiveWorld, sim: Simulation, n: int) -> tuple[FloatArray, FloatA
     friction = np.asarray(data.contact.friction)[index, 0]
     tangent = np.linalg.norm(force[:, 1:], axis=1)
     share = tangent / np.maximum(friction * force[:, 0], 1e-12)
-    side, used = np.zeros(n), np.zeros(n)
-    weight = np.asarray(live.model.body_mass)[-n:] * sim.physics.gravity_m_s2
+    side, used = np.zeros(live.scene.n_boxes), np.zeros(live.scene.n_boxes)
+    weight = live.scene.mass * sim.physics.gravity_m_s2
     for part in range(2):
         here = geom[:, part] >= 0
         boxes = geom[here, part]
