@@ -29,6 +29,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 from support.worlds import boxes_by_plan, make_plan, simulate
 
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import newton
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.records import lane_bytes
 from petmjx.engines.warp.step import PalletStepper, StepResult
@@ -159,6 +160,23 @@ def test_a_contact_pool_that_is_too_small_grows(monkeypatch: pytest.MonkeyPatch)
     for name, outcome in found.items():
         twin = exact()[name.rsplit(" ", 1)[0]]
         assert outcome.reason in (twin.reason, Reason.OVERFLOW), "a truncated world must never be called otherwise"
+
+
+@pytest.mark.gpu
+def test_with_many_lanes_and_with_few_the_solver_rounds_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few worlds get more threads each. How many there are depends on how a run is shared out."""
+    plans = [generate_one(index, seed=0) for index in range(48)]
+    few = petmjx.score(plans, engine=MjxWarpEngine())
+    monkeypatch.setattr(newton, "FEW_LANES", 0)
+    many = petmjx.score(plans, engine=MjxWarpEngine())
+    assert (few.worlds.verdict == "unstable").any(), "plans that fall show every difference"
+    pd.testing.assert_frame_equal(sorted_rows(few.worlds), sorted_rows(many.worlds), check_exact=True)
+    pd.testing.assert_frame_equal(sorted_rows(few.boxes), sorted_rows(many.boxes), check_exact=True)
+
+
+def sorted_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """By plan and box."""
+    return table.sort_values([name for name in ("plan_id", "box") if name in table], ignore_index=True)
 
 
 @pytest.mark.gpu

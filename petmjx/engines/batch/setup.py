@@ -40,25 +40,20 @@ def set_up_jax() -> None:
         config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_S)
 
 
-GPU_COMPILER_OPTIONS = {"xla_gpu_autotune_level": "0"}
-"""XLA would time variants of its own code and take the fastest. Then two compilations of a program may round
-differently, and so may the workers of one run. The time is spent in Warp's kernels anyway."""
-
-
 @functools.cache
-def compiler_options() -> dict[str, str | bool]:
+def compiler_options() -> dict[str, bool]:
     """The ``compiler_options`` of ``jax.jit`` for large programs on this backend.
 
     They are given with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx is
     imported, and ends the process if it does not know one of them.
     """
-    known: dict[str, dict[str, str | bool]] = {"cpu": {**CPU_COMPILER_OPTIONS}, "gpu": {**GPU_COMPILER_OPTIONS}}
-    options = known.get(jax.default_backend(), {})
+    if jax.default_backend() != "cpu":
+        return {}
     try:
-        jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options=dict(options))
+        jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options=dict(CPU_COMPILER_OPTIONS))
     except jax.errors.JaxRuntimeError:
         return {}  # this jaxlib has no such option, so there is nothing to switch off
-    return options
+    return dict(CPU_COMPILER_OPTIONS)
 
 
 def set_up_warp() -> None:

@@ -54,26 +54,60 @@ inline CUDA_CALLABLE int take_number(int& counter) {
 #endif
 }
 
-// Sums of x and of y over all threads, the same to the last bit in every thread and in every run.
-// `partial` is shared memory for two numbers of each of at most 32 warps.
-inline CUDA_CALLABLE void sum_over_block(int thread, int threads, double* partial, double& x, double& y) {
+// A sum's items belong to this many virtual threads, however many threads a block has. If there are half as many, each
+// stands for two of them. So a sum has the same order with either number of threads.
+const int VIRTUAL = 256;
+
+// What a thread has added up so far, for each virtual thread that it stands for.
+struct Part {
+    double one = 0.0, two = 0.0;
+
+    // A thread adds the items whose numbers are its own modulo `threads`, in order.
+    inline CUDA_CALLABLE void add(double value, int item, int threads) {
 #if defined(__CUDA_ARCH__)
+        if (item & (VIRTUAL - 1) & threads) two += value; else one += value;
+#else
+        one += value;
+#endif
+    }
+};
+
+struct Sums {
+    double x, y;
+};
+
+// Sums of x and of y over all threads, the same to the last bit in every thread, in every run, and with VIRTUAL or
+// VIRTUAL / 2 threads. `partial` is shared memory for two numbers of each virtual warp.
+inline CUDA_CALLABLE Sums sum_over_block(int thread, int threads, double* partial, Part x, Part y) {
+#if defined(__CUDA_ARCH__)
+    const bool halved = threads < VIRTUAL;
     for (int offset = 16; offset > 0; offset >>= 1) {
-        x += __shfl_xor_sync(0xffffffffu, x, offset);
-        y += __shfl_xor_sync(0xffffffffu, y, offset);
+        x.one += __shfl_xor_sync(0xffffffffu, x.one, offset);
+        y.one += __shfl_xor_sync(0xffffffffu, y.one, offset);
+        if (halved) {
+            x.two += __shfl_xor_sync(0xffffffffu, x.two, offset);
+            y.two += __shfl_xor_sync(0xffffffffu, y.two, offset);
+        }
     }
     wait_for_all();
     if ((thread & 31) == 0) {
-        partial[thread >> 4] = x;
-        partial[(thread >> 4) + 1] = y;
+        const int warp = thread >> 5, other = (thread + threads) >> 5;
+        partial[2 * warp] = x.one;
+        partial[2 * warp + 1] = y.one;
+        if (halved) {
+            partial[2 * other] = x.two;
+            partial[2 * other + 1] = y.two;
+        }
     }
     wait_for_all();
-    x = 0.0;
-    y = 0.0;
-    for (int w = 0; w < threads >> 5; ++w) {
-        x += partial[2 * w];
-        y += partial[2 * w + 1];
+    Sums sums = {0.0, 0.0};
+    for (int w = 0; w < VIRTUAL >> 5; ++w) {
+        sums.x += partial[2 * w];
+        sums.y += partial[2 * w + 1];
     }
+    return sums;
+#else
+    return {x.one, y.one};
 #endif
 }
 

@@ -30,8 +30,8 @@ struct World {
 const int ROW = 32;  // numbers of a contact
 
 // Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
-inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
-    double bound = 0.0;
+inline CUDA_CALLABLE Part gradient(const World& world, float* rhs, int thread, int threads) {
+    Part bound;
     for (int base = 0; base < world.bodies * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
         double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
@@ -57,7 +57,7 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
             const double whole = value[i] + world.mass[at] * (world.a[at] - world.idle[at]);
             world.g[at] = whole;
             rhs[at] = (float)whole;
-            bound += whole * whole / world.mass[at];
+            bound.add(whole * whole / world.mass[at], base + thread, threads);
         }
     }
     return bound;
@@ -166,7 +166,7 @@ inline CUDA_CALLABLE void newton(
     PETMJX_SHARED float rhs[PANELS * B];
     PETMJX_SHARED int top[PANELS];
     PETMJX_SHARED int pairs;
-    PETMJX_SHARED double partial[2 * 32];
+    PETMJX_SHARED double partial[2 * VIRTUAL / 32];
 
     const int pyramidal = model.pyramidal;
     const int room = model.room;
@@ -207,9 +207,10 @@ inline CUDA_CALLABLE void newton(
 
     if (thread == 0) out.iterations.data[w] = 0;
     if (bodies == 0) return;
-    double trace = 0.0, unused = 0.0;
+    const Part nothing{};
+    Part trace;
     for (int i = thread; i < n; i += threads) {
-        trace += world.mass[i];
+        trace.add(world.mass[i], i, threads);
         a[i] = warm[i];
     }
     for (int K = thread; K < system.panels; K += threads) {
@@ -219,14 +220,13 @@ inline CUDA_CALLABLE void newton(
         top[K] = 6 * first / B;
     }
     if (thread == 0) pairs = 0;
-    sum_over_block(thread, threads, partial, trace, unused);
+    // MuJoCo measures costs in units of the inertia's trace.
+    const double enough = model.tolerance * sum_over_block(thread, threads, partial, trace, nothing).x;
     // The first contact of each pair of moving bodies: the contacts of a pair follow one another.
     for (int k = thread; k < contacts; k += threads) {
         const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
         if (begins && block[2 * k] >= 0) world.pair[take_number(pairs)] = k;
     }
-    // MuJoCo measures costs in units of the inertia's trace.
-    const double enough = model.tolerance * trace;
     for (int k = thread; k < contacts; k += threads) {
         relative(row + ROW * k, block + 2 * k, a, jar + 3 * k);
         for (int r = 0; r < 3; ++r) jar[3 * k + r] -= row[ROW * k + 27 + r];
@@ -241,8 +241,8 @@ inline CUDA_CALLABLE void newton(
         }
         wait_for_all();
         if (last || iteration >= model.limit) break;
-        double bound = gradient(world, rhs, thread, threads);
-        sum_over_block(thread, threads, partial, bound, unused);
+        const double bound
+            = sum_over_block(thread, threads, partial, gradient(world, rhs, thread, threads), nothing).x;
         // Since H ≥ M, the cost can decrease by at most this.
         if (!(0.5 * bound > enough)) break;
         if (thread == 0) out.iterations.data[w] = iteration + 1;
@@ -250,34 +250,34 @@ inline CUDA_CALLABLE void newton(
         factor_and_solve(system, factoring, thread, threads);
 
         // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
-        double start = 0.0, pull = 0.0, stiff = 0.0;
+        Part downhill, linear, quadratic;
         for (int i = thread; i < n; i += threads) {
             const double s = -(double)rhs[i];
             step[i] = s;
-            start += world.g[i] * s;
-            pull += s * world.mass[i] * (a[i] - world.idle[i]);
-            stiff += s * world.mass[i] * s;
+            downhill.add(world.g[i] * s, i, threads);
+            linear.add(s * world.mass[i] * (a[i] - world.idle[i]), i, threads);
+            quadratic.add(s * world.mass[i] * s, i, threads);
         }
-        sum_over_block(thread, threads, partial, start, unused);
-        sum_over_block(thread, threads, partial, pull, stiff);
+        const double start = sum_over_block(thread, threads, partial, downhill, nothing).x;
+        const Sums inertia = sum_over_block(thread, threads, partial, linear, quadratic);
         if (!(start < 0.0)) break;
         for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
-        double length = 1.0, shortest = 0.0, longest = -1.0, first = start, second = 0.0;
+        double length = 1.0, shortest = 0.0, longest = -1.0, first = start;
         for (int trial = 0; trial < model.trials; ++trial) {
-            first = 0.0;
-            second = 0.0;
+            Part slopes, bends;
             for (int k = thread; k < contacts; k += threads) {
                 const double* v = jv + 3 * k;
                 double j[3], push[3], bend[6];
                 for (int r = 0; r < 3; ++r) j[r] = jar[3 * k + r] + length * v[r];
                 respond(pyramidal, model.slack, j, row + ROW * k, push, bend);
-                first -= push[0] * v[0] + push[1] * v[1] + push[2] * v[2];
-                second += bend[0] * v[0] * v[0] + bend[3] * v[1] * v[1] + bend[5] * v[2] * v[2]
-                        + 2.0 * (bend[1] * v[0] * v[1] + bend[2] * v[0] * v[2] + bend[4] * v[1] * v[2]);
+                slopes.add(-(push[0] * v[0] + push[1] * v[1] + push[2] * v[2]), k, threads);
+                const double straight = bend[0] * v[0] * v[0] + bend[3] * v[1] * v[1] + bend[5] * v[2] * v[2];
+                const double mixed = bend[1] * v[0] * v[1] + bend[2] * v[0] * v[2] + bend[4] * v[1] * v[2];
+                bends.add(straight + 2.0 * mixed, k, threads);
             }
-            sum_over_block(thread, threads, partial, first, second);
-            first += pull + length * stiff;
-            second += stiff;
+            const Sums cost = sum_over_block(thread, threads, partial, slopes, bends);
+            first = cost.x + inertia.x + length * inertia.y;
+            const double second = cost.y + inertia.y;
             if (fabs(first) <= 0.01 * -start || trial + 1 == model.trials) break;
             if (first < 0.0) shortest = length; else longest = length;
             double next = length - first / second;

@@ -15,8 +15,8 @@ All iterations run in one kernel. Three more things make it fast:
   factorisation whether it can help. At rest it seldom can.
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
-the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
-world's result depends neither on other lanes nor on the run.
+the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, with
+either number of threads, so a world's result depends neither on other lanes nor on their number nor on the run.
 
 The method itself is CUDA C++: petmjx/engines/warp/newton.cu and the files that it includes.
 """
@@ -37,7 +37,8 @@ MAX_DOFS = MAX_PANELS * PANEL
 """Rows of the largest system."""
 
 MANY = (128, 4)
-"""Threads per world, and worlds that a multiprocessor runs at the same time, if there are many worlds."""
+"""Threads per world, and worlds that a multiprocessor runs at the same time, if there are many worlds. Sums have the
+same order with 128 and with 256 threads, not with other numbers (``VIRTUAL`` in block.cuh)."""
 
 FEW = (256, 2)
 """The same for few worlds, when a step lasts as long as that of one world."""
