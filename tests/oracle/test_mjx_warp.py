@@ -163,9 +163,10 @@ def test_a_contact_pool_that_is_too_small_grows(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.gpu
-def test_with_many_lanes_and_with_few_the_solver_rounds_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_many_lanes_and_with_few_the_solver_rounds_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Few worlds get more threads each. How many there are depends on how a run is shared out."""
-    plans = [generate_one(index, seed=0) for index in range(48)]
+    plans = tmp_path / "plans.json"
+    write_plans(plans, (generate_one(index, seed=0) for index in range(48)))
     few = petmjx.score(plans, engine=MjxWarpEngine())
     monkeypatch.setattr(newton, "FEW_LANES", 0)
     many = petmjx.score(plans, engine=MjxWarpEngine())
