@@ -136,8 +136,8 @@ class Physics(Checked):
     """Contacts, carrier, floor, gravity and timestep.
 
     The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
-    cone, the carrier's friction, and the three of contacts (solref, solimp, impratio). Friction of 0.5 between boxes:
-    CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    cone, the carrier's friction, and the four of contacts (solref, solreffriction, solimp, impratio). Friction of 0.5
+    between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
     Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
@@ -159,12 +159,21 @@ class Physics(Checked):
     solref: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
         (0.02, 1.25), description="MuJoCo's time constant and damping ratio of contacts"
     )
+    solreffriction: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
+        (0.004, 1.0),
+        description="MuJoCo's solref of friction, with elliptic cones; 0, 0: that of contacts",
+    )
     solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
         (0.1, 0.999, 0.0001), description="MuJoCo's impedances of contacts and their width, m"
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
-        20.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
+        50.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
     )
+
+    @property
+    def has_own_friction(self) -> bool:
+        """Whether friction has a time constant of its own. Only the friction of elliptic cones can have one."""
+        return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
     @computed_field(description="the preset that these values are, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
     @property
@@ -196,12 +205,13 @@ PHYSICS["reference"] = Physics(
     cone=Cone.PYRAMIDAL,
     carrier_friction=(3.0, 0.005, 0.0001),
     solref=(0.02, 1.0),
+    solreffriction=(0.0, 0.0),
     solimp=(0.99, 0.99, 0.01),
     impratio=1.0,
 )
 """The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md):
-elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, stiffer friction; and the friction of cardboard
-on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
+elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, friction that gives way 250 times less; and the
+friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 
 
 class Thresholds(Checked):

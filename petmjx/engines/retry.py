@@ -23,7 +23,8 @@ from petmjx.verdict import Attempt, Outcome, Reason, Verdict, margin_of
 from petmjx.world.job import Excitation, Job
 
 CAREFUL_ITERATIONS = 400
-"""Most solver iterations per step in a second attempt: four times MuJoCo's default, which CG often reaches."""
+"""Most solver iterations per step in a second attempt: four times MuJoCo's default. With that, CG stops so early that
+boxes of ``pallet`` slide apart which should stand."""
 
 CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
@@ -55,8 +56,10 @@ class AttemptRecipe:
         update: dict[str, Any] = {}
         if self.solver is not None:
             update["solver"] = self.solver
+        if self.careful or self.solver is Solver.CG:
+            update["solver_iterations"] = max(sim.solver_iterations or 0, CAREFUL_ITERATIONS)
         if self.careful:
-            update |= {"solver_iterations": CAREFUL_ITERATIONS, "solver_tolerance": CAREFUL_TOLERANCE}
+            update["solver_tolerance"] = CAREFUL_TOLERANCE
         if self.timestep_divisor != 1:
             factor = self.timestep_divisor
             # not checked again: a fraction of the smallest timestep may be below what users may give

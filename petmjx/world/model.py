@@ -78,12 +78,16 @@ def build_spec(
         rgba=(0.55, 0.57, 0.60, 1.0),
         pos=(0.0, 0.0, scene.floor_z),
     )
+    if held_carrier is None:
+        add_pair(spec, physics, (FLOOR_NAME, CARRIER_NAME), (scene.floor_friction, scene.carrier_friction))
     add_boxes(spec, scene, physics, 0, count)
     return spec
 
 
 def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, first: int, stop: int) -> None:
     """Add boxes first … stop − 1 to a spec that already holds those before them, so that a world can grow."""
+    others = {FLOOR_NAME: scene.floor_friction, CARRIER_NAME: scene.carrier_friction}
+    others |= {box_name(box): scene.box_friction for box in range(first)}
     for box in range(first, stop):
         _add_box_body(
             spec,
@@ -96,6 +100,30 @@ def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, first: int, s
             physics=physics,
             rgba=_BOX_COLOURS[box % len(_BOX_COLOURS)],
         )
+        for other, friction in others.items():
+            add_pair(spec, physics, (other, box_name(box)), (friction, scene.box_friction))
+        others[box_name(box)] = scene.box_friction
+
+
+def add_pair(spec: mujoco.MjSpec, physics: Physics, names: tuple[str, str], frictions: tuple[Triple, Triple]) -> None:
+    """Declare that two geoms touch, if their friction has a time constant of its own: MuJoCo gives it to declared pairs
+    only. All else is what it would be without: MuJoCo takes the larger friction of two geoms.
+
+    Args:
+        names: of the geoms.
+        frictions: of the geoms: sliding, torsional and rolling coefficients.
+    """
+    if not physics.has_own_friction:
+        return
+    sliding, torsional, rolling = np.maximum(*frictions)
+    spec.add_pair(
+        geomname1=names[0],
+        geomname2=names[1],
+        friction=[sliding, sliding, torsional, rolling, rolling],
+        solref=physics.solref,
+        solreffriction=physics.solreffriction,
+        solimp=physics.solimp + _SOLIMP_TAIL,
+    )
 
 
 def to_mjcf(scene: Scene, physics: Physics) -> str:
@@ -161,5 +189,7 @@ def _add_geom(
     geom.friction = np.array(friction)
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
+    if physics.has_own_friction:
+        geom.contype = geom.conaffinity = 0  # touches what it is declared to touch (add_pair), and that only once
     if mass is not None:
         geom.mass = mass

@@ -24,6 +24,7 @@ from support.worlds import make_plan
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.template import override_fields, padded_template
 from petmjx.engines.warp import newton
+from petmjx.engines.warp.engine import friction_damping
 from petmjx.engines.warp.step import PalletStepper
 
 set_up_warp()
@@ -39,7 +40,9 @@ and a factor of some ten for light boxes between heavy ones. Accelerations thems
 SAME_ACCELERATION = 3e-3
 """The same, of the light box that spins with up to 60 rad/s² while it lands."""
 
-SAME_VELOCITY_M_S = 5e-5
+SAME_VELOCITY_M_S = 1e-5
+"""Beside what the accelerations' tolerance makes in a step."""
+
 SAME_POSITION = 1e-6
 """m, and for quaternions their parts: float32 at 1 m."""
 
@@ -81,7 +84,7 @@ def stepper_of(physics: Physics) -> PalletStepper:
         iterations=100,
         native_ccd=False,
     )
-    return PalletStepper(template, LANES, pool=400, room=100)
+    return PalletStepper(template, LANES, 400, 100, friction_damping(physics))
 
 
 @pytest.mark.slow
@@ -124,7 +127,8 @@ def test_accelerations_velocities_and_iterations_as_in_c(preset: str) -> None:
         np.testing.assert_allclose(
             found.qacc[0], data.qacc, rtol=SAME_ACCELERATION, atol=SAME_ACCELERATION_M_S2, err_msg=f"step {at}"
         )
-        np.testing.assert_allclose(found.qvel[0], data.qvel, atol=SAME_VELOCITY_M_S, err_msg=f"step {at}")
+        gained = physics.timestep_s * (SAME_ACCELERATION_M_S2 + SAME_ACCELERATION * np.abs(data.qacc))
+        assert (np.abs(found.qvel[0] - data.qvel) <= gained + SAME_VELOCITY_M_S).all(), f"step {at}"
         np.testing.assert_allclose(found.qpos[0], data.qpos, atol=SAME_POSITION, err_msg=f"step {at}")
         # A bound on what is left to gain replaces MuJoCo's two tests, and a factor in single precision costs an
         # iteration or two where contacts are stiff.

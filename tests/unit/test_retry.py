@@ -81,7 +81,7 @@ def test_no_attempt_repeats_another() -> None:
     assert len(sims) == 5
     assert all(sims[i] != sims[j] for i in range(5) for j in range(i))
     assert [sim.solver for sim in sims] == [Solver.NEWTON, Solver.NEWTON, Solver.CG, Solver.CG, Solver.NEWTON]
-    assert [sim.solver_iterations for sim in sims] == [None, CAREFUL_ITERATIONS, None, CAREFUL_ITERATIONS, None]
+    assert [sim.solver_iterations for sim in sims] == [None, *[CAREFUL_ITERATIONS] * 3, None]
     assert [sim.solver_tolerance for sim in sims] == [None, CAREFUL_TOLERANCE, None, CAREFUL_TOLERANCE, None]
 
 

@@ -34,7 +34,7 @@ def scene_of_boxes(n: int) -> Scene:
 
 def template(physics: Physics, *, held: bool) -> mujoco.MjModel:
     return padded_template(
-        CAPACITY, physics, held=held, solver=Solver.NEWTON, tolerance=1e-6, iterations=100, native_ccd=True
+        CAPACITY, physics, held=held, solver=Solver.NEWTON, tolerance=1e-6, iterations=100, native_ccd=True, pairs=True
     )
 
 
@@ -66,8 +66,24 @@ def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
             if name in ("geom_size", "geom_aabb", "geom_rbound"):  # the plane's is infinite or has no meaning
                 found, expected = found[1:], expected[1:]
             np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=ROUNDING, atol=1e-7, err_msg=name)
+        pairs = same_pairs(base, exact)
+        assert len(pairs) == exact.npair
+        for pair, its_pair in pairs:
+            friction = fields["pair_friction"][lane][pair]
+            np.testing.assert_allclose(friction, exact.pair_friction[its_pair], rtol=ROUNDING)
         dofs = exact.nv
         np.testing.assert_allclose(fields["dof_invweight0"][lane][:dofs], exact.dof_invweight0, rtol=ROUNDING)
+
+
+def same_pairs(padded: Any, exact: mujoco.MjModel) -> list[tuple[int, int]]:
+    """The declared pairs of geoms that both models have, by their numbers."""
+
+    def numbers(model: Any) -> dict[tuple[int, ...], int]:
+        ends = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=-1), axis=-1)
+        return {tuple(int(geom) for geom in pair): number for number, pair in enumerate(ends)}
+
+    mine, its = numbers(padded), numbers(exact)
+    return [(mine[pair], its[pair]) for pair in mine.keys() & its.keys()]
 
 
 def test_the_template_has_the_options_and_contact_numbers_of_the_exact_model() -> None:
@@ -79,6 +95,24 @@ def test_the_template_has_the_options_and_contact_numbers_of_the_exact_model() -
         for name in ("geom_solref", "geom_solimp", "geom_gap", "geom_margin", "geom_condim", "geom_type"):
             np.testing.assert_array_equal(getattr(padded, name)[:4], getattr(exact, name), err_msg=name)
         np.testing.assert_array_equal(padded.geom_pos[0], exact.geom_pos[0])
+        for pair, its_pair in same_pairs(padded, exact):
+            for name in ("pair_solref", "pair_solreffriction", "pair_solimp", "pair_dim", "pair_gap", "pair_margin"):
+                np.testing.assert_array_equal(getattr(padded, name)[pair], getattr(exact, name)[its_pair], err_msg=name)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_every_two_geoms_that_can_touch_are_declared_once(held: bool) -> None:
+    """Declared pairs touch whatever their contype. A carrier that is held cannot meet the floor."""
+    scene = scene_of_boxes(4)
+    carrier = HeldCarrier(scene.carrier_pos, np.array([1.0, 0, 0, 0])) if held else None
+    model = build_spec(scene, PHYSICS["pallet"], carrier).compile()
+    pairs = {frozenset((int(one), int(two))) for one, two in zip(model.pair_geom1, model.pair_geom2, strict=True)}
+    geoms = range(model.ngeom)
+    assert len(pairs) == model.npair
+    assert pairs == {frozenset((a, b)) for a in geoms for b in geoms if a < b and not (held and b == 1)}
+    assert not model.geom_contype.any()
+    assert not model.geom_conaffinity.any()
+    assert build_spec(scene, PHYSICS["reference"], carrier).compile().npair == 0
 
 
 def test_parked_boxes_touch_nothing() -> None:

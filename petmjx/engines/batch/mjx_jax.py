@@ -91,6 +91,7 @@ class MjxJaxEngine(MjxEngine):
             tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
             iterations=sim.solver_iterations or MAX_ITERATIONS,
             native_ccd=True,
+            pairs=True,
             line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
         # Nothing is damped. With damping enabled, each step would compute its accelerations twice.

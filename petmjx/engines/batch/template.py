@@ -13,6 +13,7 @@ import mujoco
 from jaxtyping import Array, Float
 
 from petmjx.config import Cone, Physics, Solver
+from petmjx.world.model import add_pair
 
 FLOOR_GEOM, CARRIER_GEOM, FIRST_BOX_GEOM = 0, 1, 2
 WORLD_BODY, CARRIER_BODY, FIRST_BOX_BODY = 0, 1, 2
@@ -44,6 +45,7 @@ def padded_template(
     tolerance: float,
     iterations: int,
     native_ccd: bool,
+    pairs: bool = False,
     line_search_iterations: int = LINE_SEARCH_ITERATIONS,
 ) -> mujoco.MjModel:
     """Compile the template: floor, carrier, ``capacity`` boxes; nominal sizes that overrides replace.
@@ -51,6 +53,7 @@ def padded_template(
     Args:
         held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one.
         native_ccd: MuJoCo's general convex collider; off, boxes meet by the primitive collider.
+        pairs: declare which geoms touch. Without it friction has no time constant of its own.
     """
     spec = mujoco.MjSpec()
     option = spec.option
@@ -65,14 +68,20 @@ def padded_template(
     option.ls_iterations = line_search_iterations
     if not native_ccd:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
-    contact = {"solref": physics.solref, "solimp": (*physics.solimp, 0.5, 2.0)}
+    contact: dict[str, Any] = {"solref": physics.solref, "solimp": (*physics.solimp, 0.5, 2.0)}
+    declared = pairs and physics.has_own_friction
+    if declared:
+        contact |= {"contype": 0, "conaffinity": 0}
     spec.worldbody.add_geom(
+        name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=(0, 0, 1),
         pos=(0, 0, physics.floor_z_m),
         friction=physics.floor_friction,
         **contact,
     )
+
+    frictions = {"floor": physics.floor_friction}
 
     def add_box(half: tuple[float, float, float], pos: tuple[float, float, float], mass: float, free: bool) -> None:
         body = spec.worldbody.add_body(pos=pos)
@@ -88,7 +97,13 @@ def padded_template(
         body.inertia = [mass / 3 * (half[1] ** 2 + half[2] ** 2) for _ in range(3)]
         body.ipos = (0, 0, 0)
         body.iquat = (1, 0, 0, 0)
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, friction=physics.box_friction, **contact)
+        name = f"box {len(frictions)}"
+        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, friction=physics.box_friction, **contact)
+        if declared:
+            for other, friction in frictions.items():
+                if free or other != "floor":
+                    add_pair(spec, physics, (other, name), (friction, physics.box_friction))
+        frictions[name] = physics.box_friction
 
     add_box((0.4, 0.3, physics.carrier_half_height_m), (0.0, 0.0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
     for k in range(capacity):
@@ -157,6 +172,9 @@ def override_fields(
             [friction[:, :2], jnp.broadcast_to(friction[:, 2:], (lanes, capacity, 3))], axis=1
         ),
     }
+    if getattr(base, "npair", 0):
+        partners = jnp.maximum(fields["geom_friction"][:, base.pair_geom1], fields["geom_friction"][:, base.pair_geom2])
+        fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])]
     return fields
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import warp
 
-from petmjx.config import Simulation, Solver
+from petmjx.config import Physics, Simulation, Solver
 from petmjx.engines.batch.engine import MIN_LANES, MjxEngine
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
@@ -21,7 +21,7 @@ from petmjx.machine import why_no_warp
 TOLERANCE = 1e-8
 """MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
 
-ITERATIONS, LINE_SEARCH_ITERATIONS = 10, 20
+ITERATIONS, LINE_SEARCH_ITERATIONS = 20, 20
 """Limits of the Newton solver and of its line search; MuJoCo's are 100 and 50. The slowest world decides how long a
 step takes. Worlds with impacts need up to 16 iterations, on C MuJoCo too; if stopped after 6, they continue in the next
 step. docs/performance.md ("How many iterations") has the speed and the verdicts with other limits."""
@@ -37,6 +37,16 @@ PREFERRED_LANES = 2048
 
 DEFAULT_MEMORY = 8 << 30
 """Assumed if a device does not tell its memory, bytes."""
+
+
+def friction_damping(physics: Physics) -> float:
+    """Damping of friction, 1/s, as MuJoCo has it (its documentation, "Modeling", "Solver parameters"); 0 if it is that
+    of contacts."""
+    if not physics.has_own_friction:
+        return 0.0
+    time_s, damping = physics.solreffriction
+    high = min(physics.solimp[1], 0.9999)
+    return -damping / high if time_s < 0 else 2 / (high * max(time_s, 2 * physics.timestep_s))
 
 
 class MjxWarpEngine(MjxEngine):
@@ -84,5 +94,5 @@ class MjxWarpEngine(MjxEngine):
         pool = CONTACTS_PER_BOX * (capacity + 2) * lanes * growth
         room = LANE_CONTACTS_PER_BOX * (capacity + 2) * growth
         if newton:
-            return PalletStepper(template, lanes, pool, room)
+            return PalletStepper(template, lanes, pool, room, friction_damping(sim.physics))
         return StockStepper(template, lanes, sim.physics, pool, ROWS_PER_CONTACT[sim.physics.cone] * room)

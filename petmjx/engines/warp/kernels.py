@@ -197,6 +197,9 @@ def make_rows(model: Model, state: State, collisions: Collisions, work: Workspac
         arms_two = _moment_arms(axes, lever, collisions.geom_xmat[world, second])
         velocity += _velocity_along(axes, arms_two, state.qvel, world, two)
     kbi = _reference(collisions.solref[me], collisions.solimp[me], collisions.dist[me], model.timestep)
+    damping = kbi[1]
+    if model.friction_damping > 0.0:
+        damping = model.friction_damping
     mu = collisions.friction[me][0]
     weight = model.body_invweight0[world, first, 0] + model.body_invweight0[world, second, 0]
     if model.pyramidal != 0:
@@ -206,7 +209,7 @@ def make_rows(model: Model, state: State, collisions: Collisions, work: Workspac
             work.rows[world, place, 3 * r + i] = axes[r, i]
             work.rows[world, place, 9 + 3 * r + i] = arms_one[r, i]
             work.rows[world, place, 18 + 3 * r + i] = arms_two[r, i]
-        work.rows[world, place, 27 + r] = -kbi[1] * velocity[r]
+        work.rows[world, place, 27 + r] = -damping * velocity[r]
     work.rows[world, place, 27] = -kbi[1] * velocity[0] - kbi[0] * kbi[2] * collisions.dist[me]
     work.rows[world, place, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)
     work.rows[world, place, 31] = mu

@@ -58,6 +58,7 @@ class Model:
     trials: int  # most iterations of its line search
     tolerance: wp.float64  # of the solver, as MuJoCo's
     slack: wp.float64  # 1 / √impratio
+    friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
 
     body_mass: Annotated[wp.array2d[float], "world body"]
     body_inertia: Annotated[wp.array3d[float], "world body 3"]

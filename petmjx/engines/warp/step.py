@@ -65,9 +65,12 @@ class PalletStepper:
     Args:
         pool: contacts of all lanes together.
         room: most contacts of one lane; rounded up to a multiple of ``kernels.SEARCH``.
+        friction_damping: of contacts' tangents, 1/s; 0: as much as of their normals.
     """
 
-    def __init__(self, template: mujoco.MjModel, lanes: int, pool: int, room: int) -> None:
+    def __init__(
+        self, template: mujoco.MjModel, lanes: int, pool: int, room: int, friction_damping: float = 0.0
+    ) -> None:
         room = round_up(room, kernels.SEARCH)
         self.lanes, self.pool, self.room = lanes, pool, room
         self.held = int(template.nmocap)
@@ -79,6 +82,7 @@ class PalletStepper:
         self.timestep, self.tolerance = float(template.opt.timestep), float(template.opt.tolerance)
         self.limit, self.trials = int(template.opt.iterations), int(template.opt.ls_iterations)
         self.slack = float(template.opt.impratio) ** -0.5
+        self.friction_damping = friction_damping
         # template.override_fields makes per-world fields from these; the shapes are those of MJX-Warp.
         self.model = SimpleNamespace(
             geom_size=jnp.asarray(template.geom_size, jnp.float32),
