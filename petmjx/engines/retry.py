@@ -23,8 +23,8 @@ from petmjx.verdict import Attempt, Outcome, Reason, Verdict, margin_of
 from petmjx.world.job import Excitation, Job
 
 CAREFUL_ITERATIONS = 400
-"""Most solver iterations per step in a second attempt: four times MuJoCo's default. With that, CG stops so early that
-boxes of ``pallet`` slide apart which should stand."""
+"""Most solver iterations per step in a second attempt: four times MuJoCo's default, with which CG stops so
+early that boxes of ``pallet`` slide apart which should stand."""
 
 CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""

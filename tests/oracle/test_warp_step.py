@@ -136,6 +136,20 @@ def test_accelerations_velocities_and_iterations_as_in_c(preset: str) -> None:
     assert compared >= 3
 
 
+@pytest.mark.parametrize(
+    ("changes", "damping"),
+    [
+        ({}, 2 / (0.999 * 0.004)),
+        ({"timestep_s": 0.004}, 2 / (0.999 * 0.008)),  # MuJoCo takes two timesteps at least
+        ({"solreffriction": (-100.0, -300.0)}, 300 / 0.999),
+        ({"solreffriction": (0.0, 0.0)}, 0.0),
+        ({"cone": "pyramidal"}, 0.0),
+    ],
+)
+def test_damping_of_friction_as_mujoco_has_it(changes: dict[str, Any], damping: float) -> None:
+    assert friction_damping(PHYSICS["pallet"].changed(**changes)) == pytest.approx(damping)
+
+
 def test_compiler_errors_name_the_line_of_the_file() -> None:
     """Every line of C++ is there once, under the name and number that its file has."""
     seen: dict[str, list[tuple[int, str]]] = {}

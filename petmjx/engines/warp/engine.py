@@ -12,6 +12,7 @@ from petmjx.engines.batch.engine import MIN_LANES, MjxEngine
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
+from petmjx.engines.sinking import MOST_IMPEDANCE
 from petmjx.engines.warp.records import lane_bytes
 from petmjx.engines.warp.step import PalletStepper
 from petmjx.engines.warp.stock import StockStepper
@@ -45,7 +46,7 @@ def friction_damping(physics: Physics) -> float:
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction
-    high = min(physics.solimp[1], 0.9999)
+    high = min(physics.solimp[1], MOST_IMPEDANCE)
     return -damping / high if time_s < 0 else 2 / (high * max(time_s, 2 * physics.timestep_s))
 
 
