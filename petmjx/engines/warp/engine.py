@@ -24,8 +24,8 @@ TOLERANCE = 1e-8
 
 ITERATIONS, LINE_SEARCH_ITERATIONS = 20, 20
 """Limits of the Newton solver and of its line search; MuJoCo's are 100 and 50. The slowest world decides how long a
-step takes. Worlds with impacts need up to 16 iterations, on C MuJoCo too; if stopped after 6, they continue in the next
-step. docs/performance.md ("How many iterations") has the speed and the verdicts with other limits."""
+step takes. A world that is stopped goes on in the next step, but with stiff friction it takes more steps to come to
+rest then. docs/performance.md ("How many iterations") has the speed and the verdicts with other limits."""
 
 CONTACTS_PER_BOX = 6
 """Contacts reserved per box, mean over lanes (all lanes share one pool). Full real pallets have 4.5."""
