@@ -167,8 +167,8 @@ def cause(seen: Mapping[str, Any]) -> str:
 
 def _contacts(live: LiveWorld) -> FloatArray:
     """(n,) number of contacts of each box."""
-    pairs = np.asarray(live.data.contact.geom).reshape(-1) - FIRST_BOX_GEOM
-    return np.bincount(pairs[pairs >= 0], minlength=len(live.pose)).astype(float)
+    bodies = np.asarray(live.data.contact.geom).reshape(-1) - FIRST_BOX_GEOM
+    return np.bincount(live.order[bodies[bodies >= 0]], minlength=live.capacity).astype(float)
 
 
 def _loads(live: LiveWorld, sim: Simulation) -> tuple[FloatArray, FloatArray]:
@@ -185,7 +185,7 @@ def _loads(live: LiveWorld, sim: Simulation) -> tuple[FloatArray, FloatArray]:
     weight = live.scene.mass * sim.physics.gravity_m_s2
     for part in range(2):
         here = geom[:, part] >= 0
-        boxes = geom[here, part]
+        boxes = live.order[geom[here, part]]
         np.add.at(side, boxes, np.where(vertical[here], 0.0, force[here, 0]))
         bears = vertical[here] & (force[here, 0] > 0.01 * weight[boxes])
         np.maximum.at(used, boxes, np.where(bears, share[here], 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -80,15 +81,14 @@ def build_spec(
     )
     if held_carrier is None:
         add_pair(spec, physics, (FLOOR_NAME, CARRIER_NAME), (scene.floor_friction, scene.carrier_friction))
-    add_boxes(spec, scene, physics, 0, count)
+    add_boxes(spec, scene, physics, range(count))
     return spec
 
 
-def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, first: int, stop: int) -> None:
-    """Add boxes first … stop − 1 to a spec that already holds those before them, so that a world can grow."""
+def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequence[int]) -> None:
+    """Add boxes, whose bodies then have this order, to a spec that holds none yet."""
     others = {FLOOR_NAME: scene.floor_friction, CARRIER_NAME: scene.carrier_friction}
-    others |= {box_name(box): scene.box_friction for box in range(first)}
-    for box in range(first, stop):
+    for box in boxes:
         _add_box_body(
             spec,
             box_name(box),
@@ -115,7 +115,7 @@ def add_pair(spec: mujoco.MjSpec, physics: Physics, names: tuple[str, str], fric
     """
     if not physics.has_own_friction:
         return
-    sliding, torsional, rolling = np.maximum(*frictions)
+    sliding, torsional, rolling = map(max, *frictions)
     spec.add_pair(
         geomname1=names[0],
         geomname2=names[1],

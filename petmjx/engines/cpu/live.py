@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Simulation, Solver
+from petmjx.engines.cpu.ordering import body_order
+from petmjx.metrics.force_np import FIRST_BOX_GEOM, top_forces
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.model import HeldCarrier, add_boxes, build_spec
 from petmjx.world.scene import Scene
 
 GROWTH_BLOCK = 8
-"""Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a new compilation about 1 ms.
-With 40 boxes and the schedule adaptive, blocks of 1 and blocks of 40 both take 5 % longer than blocks of 8."""
+"""Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a new model of 40 boxes about
+8 ms. With 40 boxes and the schedule adaptive, blocks of 1 and blocks of 40 both take 5 % longer than blocks of 8."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -28,6 +30,8 @@ _STOP_STIFFNESS = 99.0
 """Constraint weight of the stop, per kg: impedance / (1 − impedance) at solimp 0.99."""
 _FLOOR_STIFFNESS = 396.0
 """Sum of the weights of a box's four pyramidal contacts with the floor (solimp 0.99, friction 1), per kg."""
+
+_NO_CONTACTS = np.zeros((0, 2), dtype=np.intp)
 
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
@@ -53,28 +57,36 @@ class LiveWorld:
     in single sampled impacts. In the reference implementation the waiting boxes stand on the floor and take part in the
     choice. The stop adds exactly their part of the difference in cost, with one constraint row.
 
+    The bodies of the model are in an order of their own (``petmjx.engines.cpu.ordering``); with pyramidal cones in
+    packing order, as in the reference implementation, to the last bit. All that this class gives and takes has rows in
+    packing order.
+
     Attributes:
-        pose: (capacity, 7) view of the boxes' positions and quaternions after the last step.
-        velocity, qacc: (capacity, 6) views of the boxes' velocities, and accelerations of the last step.
+        order: (capacity,) boxes in the order of their bodies.
     """
 
-    def __init__(self, scene: Scene, sim: Simulation, n_boxes: int = 0) -> None:
+    def __init__(self, scene: Scene, sim: Simulation, n_boxes: int = 0, shaken: bool = False) -> None:
         self.scene = scene
         self._sim = sim
+        self._shaken = shaken
         self._held: HeldCarrier | None = None
         self.n_placed = n_boxes
         self._has_waiting = n_boxes < scene.n_boxes and sim.physics.cone is Cone.PYRAMIDAL
         self._build(n_boxes)
 
-    def _build(self, capacity: int) -> None:
-        self._spec = build_spec(self.scene, self._sim.physics, held_carrier=self._held, n_boxes=0)
+    def _build(self, capacity: int, contacts: NDArray[np.integer] = _NO_CONTACTS) -> None:
+        """Make model and data. ``contacts``: (m, 2) pairs of boxes that touch now."""
+        elliptic = self._sim.physics.cone is Cone.ELLIPTIC
+        self.order = body_order(self.scene, capacity, contacts, self._shaken) if elliptic else np.arange(capacity)
+        self._row = np.argsort(self.order)
+        spec = build_spec(self.scene, self._sim.physics, held_carrier=self._held, n_boxes=0)
         if self._has_waiting:
-            self._add_waiting()
-        add_boxes(self._spec, self.scene, self._sim.physics, 0, capacity)
-        self._compile(capacity)
+            self._add_waiting(spec)
+        add_boxes(spec, self.scene, self._sim.physics, self.order.tolist())
+        self._compile(spec, capacity)
 
-    def _add_waiting(self) -> None:
-        body = self._spec.worldbody.add_body(name=_WAITING_NAME, pos=[0.0, 0.0, -_PARKING_M])
+    def _add_waiting(self, spec: mujoco.MjSpec) -> None:
+        body = spec.worldbody.add_body(name=_WAITING_NAME, pos=[0.0, 0.0, -_PARKING_M])
         body.mass = _WAITING_MASS_KG
         body.inertia = np.ones(3)
         body.explicitinertial = True
@@ -83,9 +95,9 @@ class LiveWorld:
         stop.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         stop.solimp_limit[:3] = self._sim.physics.solimp
 
-    def _compile(self, capacity: int) -> None:
+    def _compile(self, spec: mujoco.MjSpec, capacity: int) -> None:
         self.capacity = capacity
-        self.model = self._spec.compile()
+        self.model = spec.compile()
         self.model.opt.solver = _SOLVER[self._sim.solver]
         if self._sim.solver_iterations is not None:
             self.model.opt.iterations = self._sim.solver_iterations
@@ -100,29 +112,49 @@ class LiveWorld:
         self.data = mujoco.MjData(self.model)
         self._first_body = 2 + self._has_waiting
         free = self._held is None
-        first_q, first_v = 7 * free + self._has_waiting, 6 * free + self._has_waiting
-        self.pose: FloatArray = self.data.qpos[first_q:].reshape(capacity, 7)
-        self.velocity: FloatArray = self.data.qvel[first_v:].reshape(capacity, 6)
-        self.qacc: FloatArray = self.data.qacc[first_v:].reshape(capacity, 6)
-        self._warmstart: FloatArray = self.data.qacc_warmstart[first_v:].reshape(capacity, 6)
+        self._first_q, self._first_v = 7 * free + self._has_waiting, 6 * free + self._has_waiting
+        self._poses: FloatArray = self.data.qpos[self._first_q :].reshape(capacity, 7)
+        self._velocities: FloatArray = self.data.qvel[self._first_v :].reshape(capacity, 6)
+        self._warmstarts: FloatArray = self.data.qacc_warmstart[self._first_v :].reshape(capacity, 6)
+
+    @property
+    def pose(self) -> FloatArray:
+        """(capacity, 7) positions and quaternions of the boxes after the last step."""
+        return self._poses[self._row]
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(capacity, 6) velocities of the boxes after the last step."""
+        return self._velocities[self._row]
+
+    @property
+    def qacc(self) -> FloatArray:
+        """(capacity, 6) accelerations of the boxes in the last step."""
+        rows: FloatArray = self.data.qacc[self._first_v :].reshape(-1, 6)
+        return rows[self._row]
 
     def _grow(self) -> None:
         """Add the next boxes to the model. The state of all others is copied bit for bit."""
-        old_capacity, old = self.capacity, self.data
-        capacity = min(self.scene.n_boxes, old_capacity + GROWTH_BLOCK)
-        add_boxes(self._spec, self.scene, self._sim.physics, old_capacity, capacity)
-        self._compile(capacity)
-        new = self.data
-        for name in ("qpos", "qvel", "qacc_warmstart"):
-            values = getattr(old, name)
-            getattr(new, name)[: len(values)] = values
+        old, count = self.data, self.capacity
+        boxes = self._poses[self._row], self._velocities[self._row], self._warmstarts[self._row]
+        self._build(min(self.scene.n_boxes, count + GROWTH_BLOCK), self._contacts())
+        new, kept = self.data, self._row[:count]
+        for name, first in (("qpos", self._first_q), ("qvel", self._first_v), ("qacc_warmstart", self._first_v)):
+            getattr(new, name)[:first] = getattr(old, name)[:first]
+        self._poses[kept], self._velocities[kept], self._warmstarts[kept] = boxes
         new.time = old.time
-        for box in range(old_capacity, capacity):
-            self.pose[box, :3] = (_PARKING_M + _PARKING_PITCH_M * box, 0.0, _PARKING_M)
+        for box in range(count, self.capacity):
+            self._poses[self._row[box], :3] = (_PARKING_M + _PARKING_PITCH_M * box, 0.0, _PARKING_M)
             self._forces(box)[2] = self.scene.mass[box] * self._sim.physics.gravity_m_s2
 
+    def _contacts(self) -> NDArray[np.integer]:
+        """(m, 2) pairs of boxes that touched in the last step."""
+        bodies = np.asarray(self.data.contact.geom).reshape(-1, 2) - FIRST_BOX_GEOM
+        pairs: NDArray[np.integer] = self.order[bodies[(bodies >= 0).all(axis=1)]]
+        return pairs
+
     def _forces(self, box: int) -> FloatArray:
-        row: FloatArray = self.data.xfrc_applied[self._first_body + box]
+        row: FloatArray = self.data.xfrc_applied[self._first_body + self._row[box]]
         return row
 
     def place_next(self) -> None:
@@ -130,10 +162,11 @@ class LiveWorld:
         if self.n_placed == self.capacity:
             self._grow()
         box = self.n_placed
-        self.pose[box, :3] = self.scene.start_pos[box]
-        self.pose[box, 3:] = self.scene.start_quat[box]
-        self.velocity[box] = 0.0
-        self._warmstart[box] = 0.0
+        row = self._row[box]
+        self._poses[row, :3] = self.scene.start_pos[box]
+        self._poses[row, 3:] = self.scene.start_quat[box]
+        self._velocities[row] = 0.0
+        self._warmstarts[row] = 0.0
         self._forces(box)[2] = 0.0
         self.n_placed += 1
         if self._has_waiting:
@@ -167,14 +200,20 @@ class LiveWorld:
 
         The accelerations and contact forces of that step belong to the same moment.
         """
-        rows = slice(self._first_body, self._first_body + self.n_placed)
+        rows = self._first_body + self._row[: self.n_placed]
         return self.data.xpos[rows], self.data.xquat[rows]
+
+    def top_forces(self) -> FloatArray:
+        """(k,) force on top of each placed box in the last step, N."""
+        forces = top_forces(self.data, self.capacity, self._sim.physics.cone is Cone.PYRAMIDAL)
+        return forces[self._row[: self.n_placed]]
 
     def hold_carrier(self) -> None:
         """Clamp the carrier where it is. The boxes keep their poses and velocities."""
         state, time_s = self.body_state(), self.data.time
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
+        self._shaken = True
         self._build(self.capacity)
         self._restore(state, time_s)
 
@@ -184,13 +223,13 @@ class LiveWorld:
         return BodyState(
             pose=np.vstack((data.qpos[:7], self.pose)),
             velocity=np.vstack((data.qvel[:6], self.velocity)),
-            warmstart=np.vstack((data.qacc_warmstart[:6], self._warmstart)),
+            warmstart=np.vstack((data.qacc_warmstart[:6], self._warmstarts[self._row])),
         )
 
     @classmethod
     def resume(cls, scene: Scene, sim: Simulation, state: BodyState, time_s: float) -> LiveWorld:
-        """A world with all its boxes, in the state that another world has reached."""
-        live = cls(scene, sim, n_boxes=len(state.pose) - 1)
+        """A world with all its boxes, in the state that another world has reached, for a drive."""
+        live = cls(scene, sim, n_boxes=len(state.pose) - 1, shaken=True)
         live._restore(state, time_s)
         return live
 
@@ -199,9 +238,9 @@ class LiveWorld:
             self.data.qpos[:7] = state.pose[0]
             self.data.qvel[:6] = state.velocity[0]
             self.data.qacc_warmstart[:6] = state.warmstart[0]
-        self.pose[:] = state.pose[1:]
-        self.velocity[:] = state.velocity[1:]
-        self._warmstart[:] = state.warmstart[1:]
+        self._poses[self._row] = state.pose[1:]
+        self._velocities[self._row] = state.velocity[1:]
+        self._warmstarts[self._row] = state.warmstart[1:]
         self.data.time = time_s
 
     def trouble(self) -> Flag:

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from petmjx.config import SOFT_START_STEPS, Check, Cone, Schedule, Simulation
+from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
@@ -83,7 +82,6 @@ class WorldRun:
         self._sample_steps = max(seconds_to_steps(sim.sample_interval_s, dt), 1)
         self._rest_steps = seconds_to_steps(sim.rest_window_s, dt)
         self._adaptive = sim.schedule is not Schedule.FIXED
-        self._pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
         self._step = self._first_step = self._last_placement = 0
         self._quiet = QuietRule(sim)
@@ -211,14 +209,13 @@ class WorldRun:
         in_rest = step > self._end - self._rest_steps
         if not (sampled or in_rest):
             return True
-        k = live.n_placed
-        force = top_forces(live.data, k, self._pyramidal)
+        force = live.top_forces()
         if in_rest:
             self._metrics.add_rest(force)
         if not sampled:
             return True
         pos, quat = live.sampled_pose()
-        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos, quat, live.qacc[:k], force)
+        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos, quat, live.qacc[: live.n_placed], force)
         if not self._driving and self._explodes(too_fast):
             self._flags |= Flag.EXPLOSION
             return False
