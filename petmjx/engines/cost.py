@@ -1,6 +1,9 @@
 """The cost model: ``auto`` and all estimates of time use it.
 
-The cost of a step grows about with the square of the number of standing boxes, on CPU threads and on a device.
+On a CPU thread a step of a pallet at rest takes one iteration of Newton's method, whose cost grows somewhat faster than
+the boxes. While boxes land or slide a step takes more iterations, and each of them costs more the more contacts slide:
+what a landing costs beyond rest grows with the square of the standing boxes. On a device a step's cost grows about with
+that square in any case.
 """
 
 from __future__ import annotations
@@ -18,16 +21,30 @@ STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.21}
 """Steps of a schedule as a share of the fixed schedule's. Measured on 2,000 generated plans, physics ``pallet``
 (benchmarks/README.md); physics ``reference`` takes twice as many."""
 
+STATIC_STEPS = 220
+"""Steps of a static check with the schedule adaptive: the mean of 12 generated and 9 third-party plans (150 to 700)."""
+
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4}
-"""The same for the cost, fitted together with ``H100``. The remaining steps are the expensive ones, in which boxes move
-and pallets collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's, fitted together with ``H100``. The remaining
+steps are the expensive ones, in which boxes move and pallets collapse."""
 
 GROWING_SHARE = 1 / 3
-"""Cost of a step while boxes come one by one, as a share of that of the full pallet: the mean of k² over k = 1…n."""
+"""Cost of a step on a device while boxes come one by one, as a share of that of the full pallet: the mean of k² over
+k = 1…n."""
 
 SHAKEN_FACTOR = 2.0
-"""Cost of a step of a drive, relative to a step of the same pallet at rest. A pallet that slides takes up to five times
-as long per step; one that falls ends earlier. Measured on two plans of 16 and 20 boxes on the CPU."""
+"""Cost of a step of a drive on a device, relative to a step of the same pallet at rest."""
+
+REST_POWER = 1.25
+"""The cost of a step at rest on a CPU thread grows with this power of the standing boxes."""
+
+STATIC_LANDINGS = 9
+"""What it costs beyond rest that all boxes of a static check land at once, in landings of one box on the full pallet:
+5 to 11 with 43 to 241 boxes."""
+
+SHAKEN_STEPS = 700
+"""Steps of a drive in which boxes slide or fall, at most: all of EUMOS's profile. Of the 10,715 steps of the pushes of
+``radial-force`` most are at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +78,25 @@ class Work:
     @property
     def steps(self) -> FloatArray:
         """(n,) expected steps of each plan, with soft starts."""
-        placing = 2 * SOFT_START_STEPS + STEP_SHARE[self.sim.schedule] * self.fixed_steps
-        return self.placements * placing + self.drives * self.drive_steps
+        return self.placements * self._placing_steps + self.drives * self.drive_steps
+
+    @property
+    def _placing_steps(self) -> FloatArray:
+        """(n,) expected steps of one placement, with its soft start."""
+        steps = STEP_SHARE[self.sim.schedule] * self.fixed_steps
+        if self.sim.check is Check.STATIC and self.sim.schedule is Schedule.ADAPTIVE:
+            steps = np.minimum(self.fixed_steps, STATIC_STEPS)
+        return 2 * SOFT_START_STEPS + steps
 
     @property
     def _placing(self) -> FloatArray:
-        """(n,) box² × steps of one placement."""
+        """(n,) box² × steps of one placement, on a device."""
         share = GROWING_SHARE if self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** 2 * self.fixed_steps
 
     @property
     def _driving(self) -> FloatArray:
-        """(n,) box² × steps of one drive."""
+        """(n,) box² × steps of one drive, on a device."""
         return SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** 2 * self.drive_steps
 
 
@@ -81,17 +105,22 @@ class Costs:
     """Measured costs of the engines, in the detail that ``auto`` and estimates of time need.
 
     Attributes:
-        cpu_step_s: time of one CPU thread for a step of one world, s per box².
-        cpu_overhead_s: time that such a step takes in addition, s.
-        jax_step_s: as ``cpu_step_s``, for ``mjx-jax`` on a CPU: 57 steps/s with 40 boxes on two cores.
+        cpu_rest_s: time of one CPU thread for a step of a world at rest, s per box to the power ``REST_POWER``.
+        cpu_overhead_s: time that any step takes in addition, s.
+        cpu_landing_s: time that it takes in addition until a box has landed, s per box² of those that stand then.
+        cpu_shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
+        jax_step_s: time of ``mjx-jax`` on a CPU for a step of one world, s per box²: 57 steps/s with 40 boxes on two
+            cores.
         gpu_step_s: time of a device for a step of ``full_lanes`` worlds, s per box².
         full_lanes: worlds that fill the device.
         tail_lanes: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
         gpu_start_s: time to start the device engine, with compilation, s.
     """
 
-    cpu_step_s: float = 2.4e-7
-    cpu_overhead_s: float = 3e-5
+    cpu_rest_s: float = 2.4e-6
+    cpu_overhead_s: float = 2e-5
+    cpu_landing_s: float = 1e-5
+    cpu_shaken_s: float = 4.5e-7
     jax_step_s: float = 1.1e-5
     gpu_step_s: float = 2.4e-6
     full_lanes: int = 2048
@@ -103,11 +132,12 @@ class Costs:
         n_plans = len(work.boxes)
         if not n_plans:
             return {"mujoco": 0.0, "mjx-jax": 0.0, "mjx-warp": self.gpu_start_s}
-        worlds = n_plans * (work.placements + work.drives)
         box2_steps = float((work.placements * work._placing + work.drives * work._driving).sum())
-        thread_s = self.cpu_step_s * box2_steps + self.cpu_overhead_s * float(work.steps.sum())
+        placing_s, driving_s = self._placing_s(work), self._driving_s(work.boxes, work.drive_steps)
+        thread_s = float((work.placements * placing_s + work.drives * driving_s).sum())
+        longest_s = float((placing_s + (driving_s if work.drives else 0.0)).max())
         return {
-            "mujoco": thread_s / min(threads, worlds),
+            "mujoco": max(thread_s / threads, longest_s),
             "mjx-jax": self.jax_step_s * box2_steps,
             "mjx-warp": self.gpu_start_s
             + self._phase_s(n_plans * work.placements / gpus, float(work._placing.mean()))
@@ -122,8 +152,22 @@ class Costs:
         shaken = [len(job.drive.excitation.samples) if job.drive else 0 for job in jobs]
         drive_steps = np.array(rest, dtype=float) + shaken
         placing = Work(sim, boxes, drives=int(any(job.keep_state or job.drive for job in jobs)))
-        box2_steps = placed * placing._placing + SHAKEN_FACTOR * np.array(boxes, dtype=float) ** 2 * drive_steps
-        return self.cpu_step_s * box2_steps + self.cpu_overhead_s * (placed * placing.steps + drive_steps)
+        return np.asarray(placed * self._placing_s(placing) + self._driving_s(boxes, drive_steps))
+
+    def _placing_s(self, work: Work) -> FloatArray:
+        """(n,) time of one placement of each plan on one CPU thread, s."""
+        boxes = np.asarray(work.boxes, dtype=float)
+        one_by_one = work.sim.check is Check.ONE_BY_ONE
+        # sums over the boxes that stand, 1…n, where they come one by one
+        at_rest = self.cpu_rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
+        landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
+        return (at_rest + self.cpu_overhead_s) * work._placing_steps + self.cpu_landing_s * landings
+
+    def _driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
+        """(n,) time of a drive of each plan on one CPU thread, s. steps: of the drive."""
+        n = np.asarray(boxes, dtype=float)
+        at_rest = self.cpu_rest_s * n**REST_POWER + self.cpu_overhead_s
+        return np.asarray(at_rest * steps + self.cpu_shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS))
 
     def _phase_s(self, worlds: float, box2_steps: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
@@ -131,7 +175,14 @@ class Costs:
 
 
 H100 = Costs()
-"""Fitted to generated plans with 43 boxes on average, adaptive, on one H100 and 16 threads (benchmarks/README.md).
-Measured there: mjx-warp compiles for 22 s (7 s with programs kept from an earlier run) and runs 18 s for 500 plans,
-24 s for 2,000, 41 s for 4,000 and 63 s for 8,000; mujoco scores 13.8 plans/s. So a GPU is faster from about 650 such
-plans on. Not fitted to other sizes or devices."""
+"""Devices: fitted to generated plans with 43 boxes on average, adaptive, on one H100 (benchmarks/README.md). Measured
+there: mjx-warp compiles for 22 s (7 s with programs kept from an earlier run) and runs 18 s for 500 plans, 24 s for
+2,000, 41 s for 4,000 and 63 s for 8,000. Not fitted to other sizes or devices.
+
+CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
+16 to 241 boxes and 110 generated ones, box by box, both schedules; static checks of 8 to 12 generated plans and 4 to 9
+of the others; drives of EUMOS's profile and of radial forces at 0.2, 0.5 and 0.8 g (benchmarks/results/cpu-0.2.md).
+Third-party plans are within a factor of two of it but for two, one of 45 boxes that takes 2.1 times as long (2.5 with
+the schedule fixed) and one of 160 that collapses at its end (2.1). Plans that fall early take less, drives of EUMOS's
+profile that move nothing a fifth of the estimate. On 16 threads of the machine with the H100, two to a core, petmjx 0.1
+took 1.6 times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster."""

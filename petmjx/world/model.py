@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -87,7 +88,10 @@ def build_spec(
 
 def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequence[int]) -> None:
     """Add boxes, whose bodies then have this order, to a spec that holds none yet."""
-    others = {FLOOR_NAME: scene.floor_friction, CARRIER_NAME: scene.carrier_friction}
+    others: dict[str, dict[str, Any]] = {}
+    if physics.has_own_friction:
+        for other, friction in ((FLOOR_NAME, scene.floor_friction), (CARRIER_NAME, scene.carrier_friction)):
+            others[other] = _pair_values(physics, (friction, scene.box_friction))
     for box in boxes:
         _add_box_body(
             spec,
@@ -100,9 +104,10 @@ def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequen
             physics=physics,
             rgba=_BOX_COLOURS[box % len(_BOX_COLOURS)],
         )
-        for other, friction in others.items():
-            add_pair(spec, physics, (other, box_name(box)), (friction, scene.box_friction))
-        others[box_name(box)] = scene.box_friction
+        for other, values in others.items():
+            spec.add_pair(geomname1=other, geomname2=box_name(box), **values)
+        if physics.has_own_friction:
+            others[box_name(box)] = _pair_values(physics, (scene.box_friction, scene.box_friction))
 
 
 def add_pair(spec: mujoco.MjSpec, physics: Physics, names: tuple[str, str], frictions: tuple[Triple, Triple]) -> None:
@@ -115,15 +120,17 @@ def add_pair(spec: mujoco.MjSpec, physics: Physics, names: tuple[str, str], fric
     """
     if not physics.has_own_friction:
         return
+    spec.add_pair(geomname1=names[0], geomname2=names[1], **_pair_values(physics, frictions))
+
+
+def _pair_values(physics: Physics, frictions: tuple[Triple, Triple]) -> dict[str, Any]:
     sliding, torsional, rolling = map(max, *frictions)
-    spec.add_pair(
-        geomname1=names[0],
-        geomname2=names[1],
-        friction=[sliding, sliding, torsional, rolling, rolling],
-        solref=physics.solref,
-        solreffriction=physics.solreffriction,
-        solimp=physics.solimp + _SOLIMP_TAIL,
-    )
+    return {
+        "friction": [sliding, sliding, torsional, rolling, rolling],
+        "solref": physics.solref,
+        "solreffriction": physics.solreffriction,
+        "solimp": physics.solimp + _SOLIMP_TAIL,
+    }
 
 
 def to_mjcf(scene: Scene, physics: Physics) -> str:

@@ -38,42 +38,86 @@ def test_a_run_s_steps_and_cost_worked_out_by_hand() -> None:
     assert work.fixed_steps.tolist() == [500] * 10
     # with two soft starts of 100 steps
     assert work.steps.tolist() == [700] * 10
-    # 10 worlds × 500 steps × 40² boxes² × 2.4e-7 s, and 3e-5 s for each step
-    assert cpu_s(work) == pytest.approx(10 * 500 * 1600 * 2.4e-7 + 10 * 700 * 3e-5)
+    # 10 worlds × 700 steps at rest, and one landing of all boxes, worth 9
+    assert cpu_s(work) == pytest.approx(10 * (700 * (2.4e-6 * 40**1.25 + 2e-5) + 9 * 1600 * 1e-5))
     # 25 s to start; 10 worlds and the end of the run, worth 3,300, at 2,048 a time
     gpu_s = 25 + 2.4e-6 * 500 * 1600 * 3310 / 2048
     assert H100.seconds(work, THREADS)["mjx-warp"] == pytest.approx(gpu_s)
     assert H100.seconds(work, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 10 * 500 * 1600)
     fixed = Work(Simulation(schedule="fixed"), [9])
     assert fixed.fixed_steps.tolist() == [10 * 350]
-    # while boxes come one by one, a step costs a third of the full pallet's
-    assert cpu_s(fixed) == pytest.approx(3500 * 81 / 3 * 2.4e-7 + 3700 * 3e-5)
+    # while boxes come one by one, the mean of k^1.25 is the last one's / 2.25, and the sum of k² a third of 9³
+    assert cpu_s(fixed) == pytest.approx(3700 * (2.4e-6 * 9**1.25 / 2.25 + 2e-5) + 9**3 / 3 * 1e-5)
+    # with the schedule adaptive a static check ends when the pallet is quiet, whatever its duration
+    for duration_s, steps in ((10.0, 220), (100.0, 220), (0.2, 100)):
+        adaptive = Work(Simulation(check="static", duration_s=duration_s), [9])
+        assert adaptive.steps.tolist() == [200 + steps]
 
 
 def test_drives_from_one_placement_worked_out_by_hand() -> None:
     sim = Simulation(check="static", schedule="fixed", settle_s=0.5)
     work = Work(sim, [10], placements=1, drives=64, drive_steps=450)
     assert work.steps.tolist() == [200 + 250 + 64 * 450]
-    # a shaken step costs two at rest
-    box2_steps = 100 * 250 + 64 * 2 * 100 * 450
-    assert cpu_s(work) == pytest.approx(2.4e-7 * box2_steps + 3e-5 * (450 + 64 * 450))
+    rest_s = 2.4e-6 * 10**1.25 + 2e-5
+    drive_s = 450 * (rest_s + 4.5e-7 * 100)
+    assert cpu_s(work) == pytest.approx(450 * rest_s + 9 * 100 * 1e-5 + 64 * drive_s)
+    # most of a long drive is at rest
+    longer = Work(sim, [10], placements=1, drives=64, drive_steps=10_000)
+    assert cpu_s(longer) - cpu_s(work) == pytest.approx(64 * (9550 * rest_s + 250 * 4.5e-7 * 100))
 
 
 def test_threads_share_worlds_and_no_world() -> None:
     assert cpu_s(Work(SIM, [40] * 10), threads=4) == pytest.approx(cpu_s(Work(SIM, [40] * 10)) / 4)
     assert cpu_s(Work(SIM, [40] * 2), threads=4) == pytest.approx(cpu_s(Work(SIM, [40])))
+    # a run lasts as long as its longest world
+    assert cpu_s(Work(SIM, [150, *[20] * 10]), threads=4) == pytest.approx(cpu_s(Work(SIM, [150])))
     assert H100.seconds(Work(SIM, []), 4)["mujoco"] == 0
 
 
-def test_expected_times_follow_the_schedule() -> None:
-    def by_boxes(schedule: str) -> float:
-        """Without what a step costs whatever the number of boxes."""
-        work = Work(Simulation(schedule=schedule), [40])
-        return cpu_s(work) - H100.cpu_overhead_s * float(work.steps.sum())
+ADAPTIVE, FIXED = Simulation(), Simulation(schedule="fixed")
+CHECKED, CHECKED_FIXED = Simulation(check="static"), Simulation(check="static", schedule="fixed")
 
-    assert by_boxes("adaptive") < by_boxes("fixed")
+
+@pytest.mark.parametrize(
+    ("sim", "boxes", "measured_s"),
+    [
+        *((ADAPTIVE, *each) for each in [(16, 0.10), (66, 1.3), (83, 3.2), (103, 6.1), (121, 9.2), (146, 15.7)]),
+        *((ADAPTIVE, *each) for each in [(150, 10.4), (151, 25.2), (175, 33.9), (188, 47.1), (217, 44.4), (241, 61.2)]),
+        # generated plans, means of those of 20 to 29, 30 to 39, 40 to 49 and 50 boxes or more
+        *((ADAPTIVE, *each) for each in [(26, 0.35), (35, 0.48), (44, 0.81), (59, 1.10)]),
+        *(
+            (FIXED, *each)
+            for each in [(16, 0.23), (31, 1.2), (47, 3.1), (66, 4.9), (83, 9.0), (121, 25.9), (150, 33.1)]
+        ),
+        *((CHECKED, *each) for each in [(45, 0.46), (83, 0.83), (121, 2.2), (150, 2.6), (201, 5.4), (241, 7.3)]),
+        *((CHECKED_FIXED, *each) for each in [(16, 0.27), (45, 2.9), (83, 4.0), (150, 7.3)]),
+    ],
+)
+def test_expected_times_are_those_measured_on_a_cpu_thread(sim: Simulation, boxes: int, measured_s: float) -> None:
+    # one plan each, if nothing else is said; benchmarks/results/cpu-0.2.md
+    assert 1 / 2 < cpu_s(Work(sim, [boxes])) / measured_s < 2
+
+
+@pytest.mark.parametrize(
+    ("boxes", "steps", "measured_s"),
+    # EUMOS's profile, mean of 0.2, 0.5 and 0.8 g; then the pushes of radial-force at 0.5 g
+    [(31, 700, 0.31), (42, 700, 1.15), (49, 700, 1.37), (59, 700, 1.44), (94, 700, 2.54), (31, 10_715, 2.3)],
+)
+def test_expected_times_of_drives_are_those_measured_on_a_cpu_thread(boxes: int, steps: int, measured_s: float) -> None:
+    placed = Work(SIM, [boxes], drives=0)
+    shaken = Work(SIM, [boxes], drives=1, drive_steps=steps)
+    settling = Work(SIM, [boxes], drives=1, drive_steps=0)
+    assert cpu_s(settling) < 2 * cpu_s(placed)
+    assert 1 / 2 < (cpu_s(shaken) - cpu_s(settling)) / measured_s < 2
+
+
+def test_expected_times_follow_the_schedule() -> None:
+    def gpu_s(schedule: str) -> float:
+        return H100.seconds(Work(Simulation(schedule=schedule), [40]), 1)["mjx-warp"] - H100.gpu_start_s
+
     for schedule, share in COST_SHARE.items():
-        assert by_boxes(schedule.value) == pytest.approx(by_boxes("fixed") * share)
+        assert gpu_s(schedule.value) == pytest.approx(gpu_s("fixed") * share)
+    assert cpu_s(Work(ADAPTIVE, [40])) < 0.6 * cpu_s(Work(FIXED, [40]))
 
 
 @pytest.mark.parametrize(
@@ -83,7 +127,8 @@ def test_expected_times_are_those_measured_on_the_h100(plans: int, measured_s: f
     # Plans of 46 boxes take as many box² steps as the workload's do on average (43 ± 14 boxes).
     seconds = H100.seconds(Work(SIM, [46] * plans), 16)
     assert seconds["mjx-warp"] - H100.gpu_start_s == pytest.approx(measured_s, rel=0.25)
-    assert seconds["mujoco"] == pytest.approx(plans / 13.8, rel=0.1)
+    # petmjx 0.1 on 16 threads of that machine, on which two threads shared a core
+    assert 0.5 < seconds["mujoco"] / (plans / 13.8) < 1
 
 
 # ---------------------------------------------------------------------- choice
