@@ -17,9 +17,9 @@ from petmjx.checked import Checked, complaint, got
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
-LONGEST_INTERVAL_S: Final = 60.0
+LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Of any other time. With the shortest timestep and 256 boxes the steps of a run still fit 32 bits."""
+"""Of any other time. With the shortest timestep and 512 boxes the steps of a run still fit 32 bits."""
 SHORTEST_TIMESTEP_S: Final = 0.0001
 MOST_STEPS: Final = 100_000
 HIGHEST_FRICTION: Final = 100.0

@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 import pytest
 from support.command_line import write
+from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
@@ -182,6 +183,17 @@ def test_a_box_that_the_size_reduction_eats_is_named() -> None:
     with pytest.raises(InputError, match="plan thin, placement 0"):
         petmjx.score([STANDS, thin], engine="mujoco", strict=True)
     assert len(usable_plans(thin, Simulation(size_reduction_mm=0), RunOptions())) == 1
+
+
+@pytest.mark.parametrize(
+    ("engine", "most"), [("auto", 256), ("mjx-warp", 256), ("mujoco", 512), (MujocoEngine(1), 512)]
+)
+def test_plans_are_taken_that_are_as_large_as_the_engine_takes(engine: Any, most: int, tmp_path: Path) -> None:
+    piles = {f"of {n}": [placement(sequence=k) for k in range(1, n + 1)] for n in (256, 257, 512, 513)}
+    file = write(tmp_path / "plans.json", piles)
+    found = gather_plans(file, Simulation(), RunOptions(engine=engine))
+    assert max(plan.n_boxes for plan in found) == most
+    assert len(found.skipped) == (1 if most == 512 else 3)
 
 
 @pytest.mark.parametrize("function", [petmjx.score, petmjx.sweep])

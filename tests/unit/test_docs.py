@@ -243,7 +243,7 @@ REFUSED = {
     "orientation": edited("orientation", 2),
     "corner": edited("flb_coordinates", [0, 0]),
     "empty": [],
-    "too many": [placement() for _ in range(300)],
+    "too many": [placement() for _ in range(600)],
 }
 
 

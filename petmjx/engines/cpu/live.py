@@ -110,6 +110,7 @@ class LiveWorld:
             # stays on: the solver's tolerance is relative to the island, and the reference's creep depends on it.
             self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         self.data = mujoco.MjData(self.model)
+        self._warnings: NDArray[np.int32] = self.data.warning.number
         self._first_body = 2 + self._has_waiting
         free = self._held is None
         self._first_q, self._first_v = 7 * free + self._has_waiting, 6 * free + self._has_waiting
@@ -246,7 +247,7 @@ class LiveWorld:
     def trouble(self) -> Flag:
         """What is wrong with this world, by MuJoCo's warnings and by its numbers."""
         flags = Flag.NONE
-        count: NDArray[np.int32] = self.data.warning.number
+        count = self._warnings
         if count.any():
             kind = mujoco.mjtWarning
             if count[kind.mjWARN_BADQPOS] or count[kind.mjWARN_BADQVEL] or count[kind.mjWARN_BADQACC]:
