@@ -86,12 +86,16 @@ def build_spec(
     return spec
 
 
-def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequence[int]) -> None:
-    """Add boxes, whose bodies then have this order, to a spec that holds none yet."""
+def add_boxes(
+    spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequence[int], before: Sequence[int] = ()
+) -> None:
+    """Add boxes, whose bodies then have this order, to a spec that already holds those before them."""
     others: dict[str, dict[str, Any]] = {}
     if physics.has_own_friction:
         for other, friction in ((FLOOR_NAME, scene.floor_friction), (CARRIER_NAME, scene.carrier_friction)):
             others[other] = _pair_values(physics, (friction, scene.box_friction))
+        among = _pair_values(physics, (scene.box_friction, scene.box_friction))
+        others |= {box_name(box): among for box in before}
     for box in boxes:
         _add_box_body(
             spec,
@@ -107,7 +111,7 @@ def add_boxes(spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequen
         for other, values in others.items():
             spec.add_pair(geomname1=other, geomname2=box_name(box), **values)
         if physics.has_own_friction:
-            others[box_name(box)] = _pair_values(physics, (scene.box_friction, scene.box_friction))
+            others[box_name(box)] = among
 
 
 def add_pair(spec: mujoco.MjSpec, physics: Physics, names: tuple[str, str], frictions: tuple[Triple, Triple]) -> None:

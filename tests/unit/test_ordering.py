@@ -73,8 +73,14 @@ def test_boxes_beside_each_other_count_where_they_touch_or_will() -> None:
     assert body_order(wall(2, 2), 3, NO_CONTACTS, shaken=False).tolist() == [2, 0, 1]
 
 
-@pytest.mark.parametrize(("physics", "packing_order"), [("pallet", False), ("reference", True)])
-def test_rows_are_in_packing_order_whatever_the_order_of_bodies(physics: str, packing_order: bool) -> None:
+@pytest.mark.parametrize(
+    ("physics", "ordered_from", "packing_order"),
+    [("pallet", 12, False), ("pallet", 13, True), ("reference", 12, True)],
+)
+def test_rows_are_in_packing_order_whatever_the_order_of_bodies(
+    physics: str, ordered_from: int, packing_order: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("petmjx.engines.cpu.live.ORDERED_FROM", ordered_from)
     sim = Simulation(physics=PHYSICS[physics])
     scene = wall(4, 3)
     live = LiveWorld(scene, sim)
@@ -103,7 +109,9 @@ def test_rows_are_in_packing_order_whatever_the_order_of_bodies(physics: str, pa
     np.testing.assert_array_equal(again.body_state().warmstart, state.warmstart)
 
 
-def test_a_world_that_grows_keeps_its_state_to_the_last_bit() -> None:
+@pytest.mark.parametrize("ordered_from", [1, 100])
+def test_a_world_that_grows_keeps_its_state_to_the_last_bit(ordered_from: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.engines.cpu.live.ORDERED_FROM", ordered_from)
     scene = wall(5, 2)
     live = LiveWorld(scene, Simulation())
     for _ in range(8):
