@@ -184,5 +184,5 @@ CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physi
 of the others; drives of EUMOS's profile and of radial forces at 0.2, 0.5 and 0.8 g (benchmarks/results/cpu-0.2.md).
 Third-party plans are within a factor of two of it but for two, one of 45 boxes that takes 2.1 times as long (2.5 with
 the schedule fixed) and one of 160 that collapses at its end (2.1). Plans that fall early take less, drives of EUMOS's
-profile that move nothing a fifth of the estimate. On 16 threads of the machine with the H100, two to a core, petmjx 0.1
-took 1.6 times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster."""
+profile that move nothing a fifth of the estimate. On 16 threads of the machine with the H100 petmjx 0.1 took
+1.6 times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster."""
