@@ -10,7 +10,7 @@ from typing import Any
 
 from petmjx.checked import got
 from petmjx.engines.base import Engine
-from petmjx.engines.cost import H100, Costs, Work
+from petmjx.engines.cost import MEASURED, Costs, Work
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import cpu_threads, why_no_warp
 from petmjx.run_options import AUTO, RunOptions
@@ -48,7 +48,7 @@ def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice
             engine.close()
 
 
-def resolve_engine(options: RunOptions, work: Work, costs: Costs = H100) -> tuple[Engine, Choice]:
+def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> tuple[Engine, Choice]:
     """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
     engine does not have.
 

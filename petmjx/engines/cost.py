@@ -122,10 +122,10 @@ class Costs:
     cpu_landing_s: float = 1e-5
     cpu_shaken_s: float = 4.5e-7
     jax_step_s: float = 1.1e-5
-    gpu_step_s: float = 2.4e-6
-    full_lanes: int = 2048
-    tail_lanes: int = 3300
-    gpu_start_s: float = 25.0
+    gpu_step_s: float = 1.9e-7
+    full_lanes: int = 264
+    tail_lanes: int = 1300
+    gpu_start_s: float = 16.0
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
         """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
@@ -174,10 +174,10 @@ class Costs:
         return self.gpu_step_s * box2_steps * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
 
 
-H100 = Costs()
-"""Devices: fitted to generated plans with 43 boxes on average, adaptive, on one H100 (benchmarks/README.md). Measured
-there: mjx-warp compiles for 22 s (7 s with programs kept from an earlier run) and runs 18 s for 500 plans, 24 s for
-2,000, 41 s for 4,000 and 63 s for 8,000. Not fitted to other sizes or devices.
+MEASURED = Costs()
+"""Devices: fitted to generated plans with 43 boxes on average, adaptive, on one H200 (benchmarks/results/h200-0.2.md).
+Measured there: mjx-warp compiles for 14 s (0.5 s with a kernel kept from an earlier run) and runs 9.6 s for 500 plans,
+11.2 s for 2,000 and 38.4 s for 10,003. Not fitted to other sizes or devices.
 
 CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
 16 to 241 boxes and 110 generated ones, box by box, both schedules; static checks of 8 to 12 generated plans and 4 to 9

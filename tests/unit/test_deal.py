@@ -10,7 +10,7 @@ import pytest
 from support.fake_stepper import fake_scene
 
 from petmjx.config import Simulation
-from petmjx.engines.cost import H100
+from petmjx.engines.cost import MEASURED
 from petmjx.engines.workers.deal import MOST_JOBS, Chunk, Deal
 from petmjx.engines.workers.places import Node, Place, places
 from petmjx.errors import EngineUnavailable, InputError
@@ -136,7 +136,7 @@ def test_the_cost_of_a_job_grows_with_its_boxes_and_its_drive() -> None:
     scene, sim = fake_scene(1.0, 10.0, 20.0), Simulation()
     drive = Drive(Excitation("shake", "force", np.zeros((500, 3))))
     jobs = [Job(fake_scene(1.0)), Job(scene), Job(scene, drive=drive), Job(scene, drive=drive, start="a state")]
-    one, two, placed_and_driven, driven = H100.of_jobs(jobs, sim).tolist()
+    one, two, placed_and_driven, driven = MEASURED.of_jobs(jobs, sim).tolist()
     assert one < two < placed_and_driven
     assert placed_and_driven == pytest.approx(two + driven)
 

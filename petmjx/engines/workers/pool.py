@@ -13,7 +13,7 @@ from typing import Any
 
 from petmjx.config import Simulation
 from petmjx.engines.base import GROUP_WORLDS, Progress, RunLock
-from petmjx.engines.cost import H100
+from petmjx.engines.cost import MEASURED
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
 from petmjx.engines.workers.cluster import Cluster
@@ -157,7 +157,7 @@ class WorkerPool:
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
         group, least = (GROUP_WORLDS, LEAST.get(self.name, 1)) if batched else (None, 1)
-        deal = Deal(H100.of_jobs(jobs, sim), slots, group, least, deadly)
+        deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
         compiled_s, before = progress.compile_s, progress.message
         began = time.monotonic()
         for hand in self._hands:
