@@ -31,7 +31,7 @@ SHAPE_CHECKED = (
     "petmjx.metrics",
     "petmjx.engines.batch",
     "petmjx.engines.warp.engine",
-    "petmjx.engines.warp.step",
+    "petmjx.engines.warp.rollout",
     "petmjx.engines.warp.stock",
 )
 """Packages and modules whose annotations hold at every call, shapes included. Not those with Warp kernels: Warp

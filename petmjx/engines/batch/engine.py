@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from petmjx.config import Check, Cone, Schedule, Simulation
 from petmjx.engines.base import GROUP_WORLDS, Progress, RunLock
 from petmjx.engines.batch.capacities import class_capacities, growing_capacities
-from petmjx.engines.batch.outcomes import handed_on, outcomes, started_states
+from petmjx.engines.batch.outcomes import handed_on, outcomes, pick, started_states
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.stage import Queue, Stage, Stepper
@@ -51,7 +51,7 @@ class StageKey:
 
 
 @dataclass
-class _Run:
+class Run:
     """One run: what its groups have in common.
 
     ``capacities``: of the placement stages ("") and of the stages of each kind of drive. ``lane_limit``: most lanes,
@@ -66,10 +66,10 @@ class _Run:
 
 
 @dataclass
-class _Group:
+class Group:
     """Worlds that go through the stages together."""
 
-    run: _Run
+    run: Run
     jobs: Sequence[Job]
     first_job: int
     worlds: Worlds
@@ -141,7 +141,7 @@ class MjxEngine(ABC):
         if not jobs:
             return
         timetable = build_timetable(sim, max(job.scene.n_boxes for job in jobs))
-        run = _Run(sim, timetable, self._choose_capacities(jobs, sim), progress or Progress())
+        run = Run(sim, timetable, self._choose_capacities(jobs, sim), progress or Progress())
         n_groups = math.ceil(len(jobs) / self.group_size)
         size = math.ceil(len(jobs) / n_groups)
         with self._running:
@@ -162,7 +162,7 @@ class MjxEngine(ABC):
             for kind, found in sizes.items()
         }
 
-    def _run_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
+    def _run_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
         group = self._load_group(run, jobs, first_job)
         emitted = np.zeros(len(jobs), bool)
 
@@ -171,14 +171,16 @@ class MjxEngine(ABC):
             rows = [row for row in np.flatnonzero(~emitted) if handed_on(int(status[row]), jobs[int(row)])]
             if rows:
                 emitted[rows] = True
-                yield from outcomes(np.array(rows), jobs, first_job, group.table, group.worlds, run.timetable, run.sim)
+                chosen = np.array(rows)
+                picked = pick(chosen, group.table, group.worlds, run.sim)
+                yield from outcomes(chosen, picked, jobs, first_job, run.timetable, run.sim)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
         for kind in sorted(run.capacities, key=("", "force", "acceleration").index):
             mine = np.array([not kind or (job.drive is not None and job.drive.excitation.kind == kind) for job in jobs])
             yield from self._run_stages(group, run.capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
 
-    def _load_group(self, run: _Run, jobs: Sequence[Job], first_job: int) -> _Group:
+    def _load_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Group:
         sim, timetable = run.sim, run.timetable
         width = max(max(capacities) for capacities in run.capacities.values())
         excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
@@ -198,11 +200,11 @@ class MjxEngine(ABC):
                     ends[row] = timetable.static_end if static else timetable.one_by_one_end[n]
         fresh = fresh_state(worlds, all_placed=static, ends=jnp.asarray(ends), rest_steps=timetable.rest_steps)
         table = started_states(jobs, fresh)
-        return _Group(run, jobs, first_job, worlds, table, jnp.asarray(profiles))
+        return Group(run, jobs, first_job, worlds, table, jnp.asarray(profiles))
 
     def _run_stages(
         self,
-        group: _Group,
+        group: Group,
         capacities: Sequence[int],
         drive: str,
         n_boxes: NDArray[np.int64],
@@ -220,7 +222,7 @@ class MjxEngine(ABC):
                 self._run_stage(group, capacity, drive, rows, may_drain=not last)
                 yield from finished()
 
-    def _run_stage(self, group: _Group, capacity: int, drive: str, rows: NDArray[np.int64], *, may_drain: bool) -> None:
+    def _run_stage(self, group: Group, capacity: int, drive: str, rows: NDArray[np.int64], *, may_drain: bool) -> None:
         """Run a stage over some worlds, and again with larger buffers over those that overflowed."""
         run = group.run
         growth = self._growth.get((run.sim.physics.cone, capacity), 1)
@@ -258,7 +260,7 @@ class MjxEngine(ABC):
     def release(self) -> None:  # noqa: B027 (most implementations hold nothing)
         """Free device memory that an implementation keeps between stages. Called when nothing runs."""
 
-    def _lane_count(self, run: _Run, capacity: int, n_worlds: int) -> int:
+    def _lane_count(self, run: Run, capacity: int, n_worlds: int) -> int:
         """Lanes for a stage: a power of two, so that few shapes are compiled."""
         wanted = max(MIN_LANES, 1 << (n_worlds - 1).bit_length())
         limit: int = min(self.lanes or self.default_lanes(capacity), run.lane_limit)
@@ -268,7 +270,7 @@ class MjxEngine(ABC):
         """Number of lanes at a capacity, if the user gives none."""
         return 256
 
-    def _stage(self, group: _Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
+    def _stage(self, group: Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
         sim, timetable = group.run.sim, group.run.timetable
         key = StageKey(sim, capacity, lanes, drive, growth, len(timetable.clock))
         if key not in self.stages:
@@ -280,7 +282,7 @@ class MjxEngine(ABC):
             group.run.progress.compile_s += time.perf_counter() - begin
         return self.stages[key]
 
-    def _drive_lanes(self, group: _Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
+    def _drive_lanes(self, group: Group, stage: Stage, rows: NDArray[np.int64], *, may_drain: bool) -> None:
         """Run chunks and refill lanes until the stage's worlds are finished, or few enough run to end the stage.
 
         The counters that decide are one chunk old: the host starts the next chunk before it reads them, so that the

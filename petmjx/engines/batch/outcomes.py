@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.state import State, Status, Worlds
+from petmjx.engines.batch.state import State, Status, Worlds, take_rows
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
@@ -51,19 +51,49 @@ def doubles(values: Any) -> NDArray[np.float64]:
     return np.asarray(values, np.float64)
 
 
+PICKED = 256
+"""Rows that ``picked`` takes at a time, so that it is compiled once for a table."""
+
+
+@partial(jax.jit, static_argnames="sim")
+def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> tuple[State, Reduced]:
+    some = take_rows(table, rows)
+    return some, reduce_metrics(some, take_rows(worlds, rows), sim)
+
+
+def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[tuple[State, Reduced]]:
+    """States and metrics of some rows of a table, still on the device, in batches of ``PICKED``."""
+    batches = []
+    for first in range(0, len(rows), PICKED):
+        some = rows[first : first + PICKED]
+        padded = np.resize(some, PICKED).astype(np.int32)
+        batches.append(_picked(table, worlds, jnp.asarray(padded), sim))
+    return batches
+
+
 def outcomes(
     rows: NDArray[np.int64],
+    picked: Sequence[tuple[State, Reduced]],
     jobs: Sequence[Job],
     first_job: int,
-    state: State,
-    worlds: Worlds,
     timetable: Timetable,
     sim: Simulation,
 ) -> Iterator[Outcome]:
-    """Outcomes of some rows of a table. The whole table is fetched: picking rows on the device would compile a
-    program for every number of them."""
-    fetched: tuple[State, Reduced] = jax.device_get((state, reduce_metrics(state, worlds, sim)))
-    host, found = jax.tree.map(lambda a: a[rows], fetched)
+    """Outcomes of rows of a table that ``pick`` has picked."""
+    for batch, first in zip(picked, range(0, len(rows), PICKED), strict=True):
+        state, found = jax.device_get(batch)
+        yield from _outcomes(rows[first : first + PICKED], state, found, jobs, first_job, timetable, sim)
+
+
+def _outcomes(
+    rows: NDArray[np.int64],
+    host: State,
+    found: Reduced,
+    jobs: Sequence[Job],
+    first_job: int,
+    timetable: Timetable,
+    sim: Simulation,
+) -> Iterator[Outcome]:
     m, clock, dt = host.metrics, timetable.clock, sim.physics.timestep_s
 
     def seconds(step: int) -> float:
@@ -103,7 +133,7 @@ def outcomes(
             flags=flags,
             boxes=boxes,
             solver=sim.solver.value,
-            state=jax.tree.map(lambda a, i=i: a[i], host) if job.keep_state else None,
+            state=jax.tree.map(lambda a, i=i: np.array(a[i]), host) if job.keep_state else None,
         )
 
 

@@ -44,8 +44,8 @@ class Worlds(NamedTuple):
     """Constants of worlds.
 
     ``friction`` rows are floor, carrier, box. ``drive_yaw`` is (cos, sin); ``drive_steps`` counts from the drive's
-    first step to the world's end. ``settles``: the placement ends in a settled state (for a drive, or to keep)
-    instead of a rest window.
+    first step to the world's end. ``driven``: a drive follows; ``held``: it holds the carrier fast. ``settles``: the
+    placement ends in a settled state (for a drive, or to keep) instead of a rest window.
     """
 
     n_boxes: Int[Array, " world"]
@@ -61,6 +61,8 @@ class Worlds(NamedTuple):
     drive_scale: Float[Array, " world"]
     drive_yaw: Float[Array, "world 2"]
     drive_steps: Int[Array, " world"]
+    driven: Bool[Array, " world"]
+    held: Bool[Array, " world"]
     settles: Bool[Array, " world"]
 
 
@@ -204,6 +206,8 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
         drive_scale=each(_drive_factor, np.float32),
         drive_yaw=each(lambda job: _direction(job), np.float32),
         drive_steps=each(drive_steps, np.int32),
+        driven=each(lambda job: job.drive is not None, np.bool_),
+        held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
         settles=each(lambda job: job.drive is not None or job.keep_state, np.bool_),
     )
 

@@ -27,6 +27,55 @@ inline CUDA_CALLABLE void wait_for_all() {
 #endif
 }
 
+// Whether any thread says so. All threads wait for one another.
+inline CUDA_CALLABLE bool any_of_all(bool mine) {
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(mine);
+#else
+    return mine;
+#endif
+}
+
+// Time in ns since some moment. On a CPU, where there is no clock without a library, each look takes a millisecond.
+inline CUDA_CALLABLE long long clock() {
+#if defined(__CUDA_ARCH__)
+    long long now;
+    asm volatile("mov.u64 %0, %globaltimer;" : "=l"(now));
+    return now;
+#else
+    static long long now = 0;
+    return now += 1000000;
+#endif
+}
+
+// Replaces each value by the sum of those before it; values[count] becomes the sum of all. On a GPU the first warp
+// does it; the caller lets all threads wait before and after.
+inline CUDA_CALLABLE void prefix_sums(int* values, int count, int thread) {
+#if defined(__CUDA_ARCH__)
+    if (thread >= 32) return;
+    int before = 0;
+    for (int first = 0; first < count; first += 32) {
+        const int mine = first + thread < count ? values[first + thread] : 0;
+        int sum = mine;
+        for (int offset = 1; offset < 32; offset <<= 1) {
+            const int other = __shfl_up_sync(0xffffffffu, sum, offset);
+            if (thread >= offset) sum += other;
+        }
+        if (first + thread < count) values[first + thread] = before + sum - mine;
+        before += __shfl_sync(0xffffffffu, sum, 31);
+    }
+    if (thread == 0) values[count] = before;
+#else
+    int before = 0;
+    for (int i = 0; i < count; ++i) {
+        const int mine = values[i];
+        values[i] = before;
+        before += mine;
+    }
+    values[count] = before;
+#endif
+}
+
 // Four consecutive numbers, at an address that is a multiple of 16 bytes.
 inline CUDA_CALLABLE void load_four(float* to, const float* from) {
 #if defined(__CUDA_ARCH__)
@@ -111,11 +160,15 @@ inline CUDA_CALLABLE Sums sum_over_block(int thread, int threads, double* partia
 #endif
 }
 
-// Sum over SHARE neighbouring threads.
-template <class Number>
-inline CUDA_CALLABLE void sum_over_share(Number& x) {
+// Sums over SHARE neighbouring threads. No sum waits for another one.
+template <class Number, int COUNT>
+inline CUDA_CALLABLE void sum_over_share(Number (&x)[COUNT]) {
 #if defined(__CUDA_ARCH__)
-    for (int offset = SHARE / 2; offset > 0; offset >>= 1) x += __shfl_xor_sync(0xffffffffu, x, offset);
+    #pragma unroll
+    for (int offset = SHARE / 2; offset > 0; offset >>= 1) {
+        #pragma unroll
+        for (int i = 0; i < COUNT; ++i) x[i] += __shfl_xor_sync(0xffffffffu, x[i], offset);
+    }
 #endif
 }
 

@@ -1,7 +1,8 @@
 // H·x = g by Cholesky within H's envelope: H = UᵀU, one world per block of threads.
 //
 // H's upper triangle is stored in whole tiles of 16 × 16: panel J's columns begin at row 16·top[J]. The factor is zero
-// above that. A panel is half a warp wide, and the code below depends on it.
+// above that. Panels follow one another, each one row by row, so that an envelope takes no more room than it needs and
+// fits into shared memory where it is small. A panel is half a warp wide, and the code below depends on it.
 
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH
@@ -10,21 +11,28 @@
 
 namespace petmjx {
 
-const int B = 16;        // rows of a panel
-const int STRIP = 160;   // columns of one panel that are kept in shared memory
+const int B = 16;  // rows of a panel
 
 struct System {
-    float* A;        // (rows, ld): H, then its factor in its place
-    int ld;
+    float* A;         // H, then its factor in its place
+    float* strip;     // shared memory for the row of a panel, if A is not there; else null
+    int strip_columns;
     int panels;
-    const int* top;  // (panels,) first panel that each panel's columns reach up to
-    float* rhs;      // (16·panels,) g, then x in its place; NaN if H is not positive definite
+    const int* top;   // (panels,) first panel that each panel's columns reach up to
+    const int* base;  // (panels + 1,) where each panel's numbers begin
+    float* rhs;       // (16·panels,) g, then x in its place; NaN if H is not positive definite
+
+    // Entry (0, 16·J), if it were stored; the entry of row r and column 16·J + c is at r·16 + c.
+    inline CUDA_CALLABLE float* panel(int J) const { return A + base[J] - top[J] * B * B; }
+
+    inline CUDA_CALLABLE float& entry(int row, int column) const {
+        return panel(column / B)[row * B + column % B];
+    }
 };
 
 // What the threads of a block share. MOST: panels of the largest system.
 template <int MOST>
 struct Factoring {
-    alignas(16) float kept[B * STRIP];  // a panel's row, where it fits
     alignas(16) float W[B * B];         // inverse of the diagonal tile's factor, transposed
     alignas(16) float solved[B];        // the panel's part of the solution
     int active[2][MOST];                // panels whose columns reach up to a panel: this one's, and the next one's
@@ -57,8 +65,8 @@ inline CUDA_CALLABLE void list_reaching(const System& system, Factoring<MOST>& s
 // transposed: solving with the factor is then a product with W. On a GPU only the first warp does this.
 template <int MOST>
 inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>& shared, int K, int thread) {
-    const int k = K * B, ld = system.ld;
-    float* own = system.A + (size_t)k * ld;
+    const int k = K * B;
+    float* own = system.panel(K) + k * B;
     float* W = shared.W;
     float* solved = shared.solved;
     float* rhs = system.rhs;
@@ -71,7 +79,7 @@ inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>&
     #pragma unroll
     for (int p = 0; p < 16; ++p) {
         v[p] = thread == p + 17 ? 1.0f : 0.0f;
-        if (thread < 16 && p <= thread) v[p] = own[(size_t)p * ld + k + thread];
+        if (thread < 16 && p <= thread) v[p] = own[p * B + thread];
         if (thread == 16) v[p] = rhs[k + p];
     }
     #pragma unroll
@@ -101,7 +109,7 @@ inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>&
         for (int p = 0; p < 16; ++p) {
             const float value = thread == 16 ? (p == 15 ? inverse : 0.0f) : v[p];
             W[p * B + column] = value;
-            own[(size_t)p * ld + k + column] = value;
+            own[p * B + column] = value;
         }
     }
 #else
@@ -110,40 +118,36 @@ inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>&
         solved[p] = rhs[k + p];
     }
     for (int p = 0; p < B; ++p) {
-        const float inverse = 1.0f / sqrtf(own[(size_t)p * ld + k + p]);
-        for (int c = p; c < B; ++c) own[(size_t)p * ld + k + c] *= inverse;
+        const float inverse = 1.0f / sqrtf(own[p * B + p]);
+        for (int c = p; c < B; ++c) own[p * B + c] *= inverse;
         for (int c = 0; c <= p; ++c) W[p * B + c] *= inverse;
         solved[p] *= inverse;
         for (int q = p + 1; q < B; ++q) {
-            const float factor = own[(size_t)p * ld + k + q];
-            for (int c = q; c < B; ++c) own[(size_t)q * ld + k + c] -= factor * own[(size_t)p * ld + k + c];
+            const float factor = own[p * B + q];
+            for (int c = q; c < B; ++c) own[q * B + c] -= factor * own[p * B + c];
             for (int c = 0; c <= p; ++c) W[q * B + c] -= factor * W[p * B + c];
             solved[q] -= factor * solved[p];
         }
     }
     for (int p = 0; p < B; ++p) {
         rhs[k + p] = solved[p];
-        for (int c = 0; c < B; ++c) own[(size_t)p * ld + k + c] = W[p * B + c];
+        for (int c = 0; c < B; ++c) own[p * B + c] = W[p * B + c];
     }
 #endif
 }
 
-// Panel K's row of the factor, one column per thread, kept in shared memory if it fits. Waits for the diagonal tile.
+// Panel K's row of the factor, one column per thread; a copy of it in the strip, if it fits.
 template <int MOST>
 inline CUDA_CALLABLE void factor_row(
-    const System& system, Factoring<MOST>& shared, int K, int columns, bool fits, int thread, int threads
+    const System& system, const Factoring<MOST>& shared, int K, int columns, bool copy, int thread, int threads
 ) {
-    const int ld = system.ld;
     const int* reached = shared.active[K & 1];
-    float* own = system.A + (size_t)(K * B) * ld;
-    for (int base = 0; base < columns; base += threads) {
-        const int column = base + thread;
-        const int c = column < columns ? reached[column / B] * B + column % B : 0;
+    for (int column = thread; column < columns; column += threads) {
+        const int J = reached[column / B], c = column % B;
+        float* own = system.panel(J) + K * B * B + c;
         float v[16];
         #pragma unroll
-        for (int p = 0; p < 16; ++p) v[p] = column < columns ? own[(size_t)p * ld + c] : 0.0f;
-        if (base == 0) wait_for_all();
-        if (column >= columns) continue;
+        for (int p = 0; p < 16; ++p) v[p] = own[p * B];
         float update = 0.0f;
         #pragma unroll
         for (int p = 15; p >= 0; --p) {
@@ -155,39 +159,37 @@ inline CUDA_CALLABLE void factor_row(
         }
         #pragma unroll
         for (int p = 0; p < 16; ++p) {
-            own[(size_t)p * ld + c] = v[p];
-            if (fits) shared.kept[p * STRIP + column] = v[p];
+            own[p * B] = v[p];
+            if (copy) system.strip[p * system.strip_columns + column] = v[p];
         }
-        system.rhs[c] -= update;
+        system.rhs[J * B + c] -= update;
     }
 }
 
-// Subtracts the product of panel K's row from all rows below: 4 × 4 entries per thread, for each pair of panels.
+// Subtracts the product of panel K's row from rows below: 4 × 4 entries per thread, for each pair of panels. `first`,
+// `items`, `stride`: which of these a thread takes. The first B of them are the tile of the first panel that K reaches.
 template <int MOST>
 inline CUDA_CALLABLE void update_below(
-    const System& system, Factoring<MOST>& shared, int K, int columns, bool fits, int thread, int threads
+    const System& system, const Factoring<MOST>& shared, int K, bool copied, int first, int items, int stride
 ) {
-    const int ld = system.ld;
     const int* reached = shared.active[K & 1];
-    float* own = system.A + (size_t)(K * B) * ld;
-    float* strip = fits ? shared.kept : own;
-    const int pitch = fits ? STRIP : ld;
+    const int pitch = copied ? system.strip_columns : B;
     int right = 0, before = 0;
-    const int tiles = columns / B * (columns / B + 1) / 2 * B;
-    for (int item = thread; item < tiles; item += threads) {
+    for (int item = first; item < items; item += stride) {
         while (item / B - before > right) before += ++right;
         const int left = item / B - before, down = item % B / 4 * 4, across = item % 4 * 4;
-        const float* one = strip + (fits ? left : reached[left]) * B + down;
-        const float* two = strip + (fits ? right : reached[right]) * B + across;
-        float* target = system.A + (size_t)(reached[left] * B + down) * ld + reached[right] * B + across;
+        float* panel = system.panel(reached[right]);
+        const float* one = (copied ? system.strip + left * B : system.panel(reached[left]) + K * B * B) + down;
+        const float* two = (copied ? system.strip + right * B : panel + K * B * B) + across;
+        float* target = panel + (reached[left] * B + down) * B + across;
         float sum[4][4];
         #pragma unroll
-        for (int i = 0; i < 4; ++i) load_four(sum[i], target + (size_t)i * ld);
+        for (int i = 0; i < 4; ++i) load_four(sum[i], target + i * B);
         #pragma unroll
         for (int p = 0; p < 16; ++p) {
             float a[4], b[4];
-            load_four(a, one + (size_t)p * pitch);
-            load_four(b, two + (size_t)p * pitch);
+            load_four(a, one + p * pitch);
+            load_four(b, two + p * pitch);
             #pragma unroll
             for (int i = 0; i < 4; ++i) {
                 #pragma unroll
@@ -195,21 +197,43 @@ inline CUDA_CALLABLE void update_below(
             }
         }
         #pragma unroll
-        for (int i = 0; i < 4; ++i) store_four(target + (size_t)i * ld, sum[i]);
+        for (int i = 0; i < 4; ++i) store_four(target + i * B, sum[i]);
     }
+}
+
+// Updates the rows below panel K, and factors the next diagonal tile: on a GPU the first warp updates that tile before
+// all others and factors it while the other warps go on.
+template <int MOST>
+inline CUDA_CALLABLE void update_and_go_on(
+    const System& system, Factoring<MOST>& shared, int K, int columns, bool copied, int thread, int threads
+) {
+    const int across = columns / B, items = across * (across + 1) / 2 * B;
+#if defined(__CUDA_ARCH__)
+    const bool touches = across > 0 && shared.active[K & 1][0] == K + 1;
+    list_reaching(system, shared, K + 1, thread);
+    if (thread >= 32) {
+        update_below(system, shared, K, copied, (touches ? B : 0) + thread - 32, items, threads - 32);
+        return;
+    }
+    if (touches) update_below(system, shared, K, copied, thread, B, 32);
+    __syncwarp();
+#else
+    list_reaching(system, shared, K + 1, thread);
+    update_below(system, shared, K, copied, thread, items, threads);
+#endif
+    if (K + 1 < system.panels) factor_diagonal(system, shared, K + 1, thread);
 }
 
 // Backward: U·x = y. The solution of each panel is subtracted from the rows above at once.
 inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, int thread, int threads) {
-    const float* A = system.A;
-    const int ld = system.ld;
     float* rhs = system.rhs;
     for (int K = system.panels - 1; K >= 0; --K) {
         const int k = K * B, from = system.top[K] * B;
+        const float* panel = system.panel(K);
         for (int p = thread; p < B; p += threads) {
             float value = 0.0f;
             #pragma unroll
-            for (int q = 0; q < 16; ++q) value += A[(size_t)(k + q) * ld + k + p] * rhs[k + q];
+            for (int q = 0; q < 16; ++q) value += panel[(k + q) * B + p] * rhs[k + q];
             solved[p] = value;
         }
         for (int base = from; base < k || base == from; base += threads) {
@@ -219,7 +243,7 @@ inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, in
             for (int p = 0; p < 16; ++p) v[p] = 0.0f;
             if (j < k) {
                 #pragma unroll
-                for (int p = 0; p < 16; p += 4) load_four(v + p, A + (size_t)j * ld + k + p);
+                for (int p = 0; p < 16; p += 4) load_four(v + p, panel + j * B + p);
             }
             if (base == from) wait_for_all();
             if (j >= k) continue;
@@ -237,15 +261,14 @@ inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, in
 template <int MOST>
 inline CUDA_CALLABLE void factor_and_solve(const System& system, Factoring<MOST>& shared, int thread, int threads) {
     list_reaching(system, shared, 0, thread);
+    factor_diagonal(system, shared, 0, thread);
     wait_for_all();
     for (int K = 0; K < system.panels; ++K) {
         const int columns = shared.active_count[K & 1] * B;
-        const bool fits = columns <= STRIP;
-        factor_diagonal(system, shared, K, thread);
-        list_reaching(system, shared, K + 1, thread);
-        factor_row(system, shared, K, columns, fits, thread, threads);
+        const bool copy = system.strip && columns <= system.strip_columns;
+        factor_row(system, shared, K, columns, copy, thread, threads);
         wait_for_all();
-        update_below(system, shared, K, columns, fits, thread, threads);
+        update_and_go_on(system, shared, K, columns, copy, thread, threads);
         wait_for_all();
     }
     solve_backward(system, shared.solved, thread, threads);

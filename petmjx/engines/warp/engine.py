@@ -1,60 +1,81 @@
-"""Engine ``mjx-warp``: batches of worlds on NVIDIA Warp's kernels. The fastest engine."""
+"""Engine ``mjx-warp``: worlds that each go at their own pace, on NVIDIA Warp's kernels. The fastest engine."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import jax
+import jax.numpy as jnp
+import numpy as np
 import warp
+from numpy.typing import NDArray
 
-from petmjx.config import Physics, Simulation, Solver
-from petmjx.engines.batch.engine import MIN_LANES, MjxEngine
+from petmjx.config import Simulation, Solver
+from petmjx.engines.batch.capacities import round_up
+from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine, Run, is_out_of_memory
+from petmjx.engines.batch.outcomes import handed_on, outcomes, pick
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
+from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
-from petmjx.engines.sinking import MOST_IMPEDANCE
-from petmjx.engines.warp.records import lane_bytes
-from petmjx.engines.warp.step import PalletStepper
+from petmjx.engines.cost import MEASURED
+from petmjx.engines.warp.march import SLICE_NS, Shape
+from petmjx.engines.warp.newton import MAX_DOFS
+from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.stock import StockStepper
-from petmjx.errors import EngineUnavailable
+from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
+from petmjx.verdict import Flag, Outcome
+from petmjx.world.job import Job
 
-TOLERANCE = 1e-8
-"""MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
+GROUP_WORLDS = 32_768
+"""Worlds whose states are on the device at the same time: 16 kB each with 80 boxes."""
 
-ITERATIONS, LINE_SEARCH_ITERATIONS = 20, 20
-"""Limits of the Newton solver and of its line search; MuJoCo's are 100 and 50. The slowest world decides how long a
-step takes. A world that is stopped goes on in the next step, but with stiff friction it takes more steps to come to
-rest then. docs/performance.md ("How many iterations") has the speed and the verdicts with other limits."""
+PAIRS_PER_BOX = 10
+"""Pairs of near boxes reserved per box."""
 
-CONTACTS_PER_BOX = 6
-"""Contacts reserved per box, mean over lanes (all lanes share one pool). Full real pallets have 4.5."""
+CONTACTS_PER_BOX = 8
+"""Contacts reserved per box. Full real pallets have 4.5; the most that any of 2,000 sample plans needed was 6.4, in a
+collapse."""
 
-LANE_CONTACTS_PER_BOX = 8
-"""Contacts reserved per box in each lane. The most that any of 2,000 sample plans needed was 6.4, in a collapse."""
+STOCK_CONTACTS_PER_BOX = 6
+"""The same with MJX's own step, mean over its lanes, which share one pool."""
 
-PREFERRED_LANES = 2048
-"""Lanes that nearly fill an H100 at every capacity: 4,096 are not faster (docs/performance.md)."""
+STOCK_LANES = 2048
+"""Worlds side by side with MJX's own step, at most; with as many an H100 is full."""
 
-DEFAULT_MEMORY = 8 << 30
-"""Assumed if a device does not tell its memory, bytes."""
+STOCK_LINE_SEARCH = 20
+"""Most iterations of its line search; MuJoCo's are 50."""
+
+MAX_BOXES = MAX_DOFS // 6 - 1
+"""Boxes of the largest plan: the carrier is a body, too."""
+
+MORE_BOXES = 2
+"""The carrier, and one that small plans need more."""
 
 
-def friction_damping(physics: Physics) -> float:
-    """Damping of friction, 1/s, as MuJoCo has it (its documentation, "Modeling", "Solver parameters"); 0 if it is that
-    of contacts."""
-    if not physics.has_own_friction:
-        return 0.0
-    time_s, damping = physics.solreffriction
-    high = min(physics.solimp[1], MOST_IMPEDANCE)
-    return -damping / high if time_s < 0 else 2 / (high * max(time_s, 2 * physics.timestep_s))
+@dataclass(frozen=True)
+class RolloutKey:
+    """What compiled programs and buffers depend on."""
+
+    sim: Simulation
+    n_boxes: int
+    growth: int
+    table_steps: int
+    table_boxes: int
 
 
 class MjxWarpEngine(MjxEngine):
-    """Batched worlds on Warp's kernels.
+    """Worlds on Warp's kernels.
+
+    With Newton's method (the default) a world goes at its own pace, in a thread block of its own
+    (petmjx/engines/warp/march.py). With conjugate gradients worlds go side by side in MJX's own step.
 
     Args:
+        lanes: most worlds at the same time; None: as many as the device has room for.
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device: slow, for tests.
+        slice_ns: time between two looks at which worlds have ended, ns.
 
     Raises:
         EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
@@ -62,38 +83,161 @@ class MjxWarpEngine(MjxEngine):
 
     name = "mjx-warp"
 
-    def __init__(self, lanes: int | None = None, *, allow_cpu: bool = False, **options: Any) -> None:
+    def __init__(
+        self,
+        lanes: int | None = None,
+        *,
+        allow_cpu: bool = False,
+        group_size: int = GROUP_WORLDS,
+        slice_ns: int = SLICE_NS,
+        **options: Any,
+    ) -> None:
         problem = None if allow_cpu else why_no_warp()
         if problem:
             raise EngineUnavailable(f"engine mjx-warp cannot run here: {problem}")
         set_up_warp()
-        super().__init__(lanes, **options)
+        super().__init__(lanes, group_size=group_size, **options)
+        self.slice_ns = slice_ns
+        self._kept: tuple[RolloutKey, Rollout] | None = None
 
     def release(self) -> None:
         """Drop the CUDA graphs that Warp captured of MJX's own step: each one keeps the workspace of its solver."""
         warp.clear_jax_callable_graph_cache()
 
+    def _drop(self) -> None:
+        """Free the memory of the programs that are kept."""
+        if self._kept is not None:
+            self._kept[1].close()
+            self._kept = None
+
     def default_lanes(self, capacity: int) -> int:
-        """``PREFERRED_LANES``, or as many as fit into two thirds of the device's free memory."""
-        stats: dict[str, int] = jax.devices()[0].memory_stats() or {}
-        free = stats.get("bytes_limit", DEFAULT_MEMORY) - stats.get("bytes_in_use", 0)
-        fit = int(free * 2 / 3 / lane_bytes(capacity + 1, LANE_CONTACTS_PER_BOX * (capacity + 2)))
-        return max(MIN_LANES, 1 << (min(PREFERRED_LANES, fit).bit_length() - 1))
+        return STOCK_LANES
 
     def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
-        newton = sim.solver is Solver.NEWTON
         template = padded_template(
             capacity,
             sim.physics,
             held=held,
             solver=sim.solver,
-            tolerance=sim.solver_tolerance or (TOLERANCE if newton else FLOAT32_TOLERANCE),
-            iterations=sim.solver_iterations or (ITERATIONS if newton else MAX_ITERATIONS),
+            tolerance=sim.solver_tolerance or FLOAT32_TOLERANCE,
+            iterations=sim.solver_iterations or MAX_ITERATIONS,
             native_ccd=False,
-            line_search_iterations=LINE_SEARCH_ITERATIONS,
+            line_search_iterations=STOCK_LINE_SEARCH,
         )
-        pool = CONTACTS_PER_BOX * (capacity + 2) * lanes * growth
-        room = LANE_CONTACTS_PER_BOX * (capacity + 2) * growth
-        if newton:
-            return PalletStepper(template, lanes, pool, room, friction_damping(sim.physics))
-        return StockStepper(template, lanes, sim.physics, pool, ROWS_PER_CONTACT[sim.physics.cone] * room)
+        room = (capacity + MORE_BOXES) * growth
+        rows = ROWS_PER_CONTACT[sim.physics.cone] * CONTACTS_PER_BOX * room
+        return StockStepper(template, lanes, sim.physics, STOCK_CONTACTS_PER_BOX * room * lanes, rows)
+
+    def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
+        if sim.solver is not Solver.NEWTON:
+            return super()._choose_capacities(jobs, sim)
+        largest = max(job.scene.n_boxes for job in jobs)
+        if largest > MAX_BOXES:
+            raise InputError(
+                f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
+                "choose the engine mujoco"
+            )
+        return {"": [round_up(largest)]}
+
+    def _run_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
+        if run.sim.solver is not Solver.NEWTON:
+            self._drop()
+            yield from super()._run_group(run, jobs, first_job)
+            return
+        answered = np.zeros(len(jobs), bool)
+        try:
+            for outcome in self._march(run, jobs, first_job):
+                answered[outcome.job - first_job] = True
+                yield outcome
+        except Exception as error:
+            if not is_out_of_memory(error):
+                raise
+        # if memory ran out, the states of all worlds are lost with it: the others again, half of them at a time
+        for part in np.array_split(np.flatnonzero(~answered), 2):
+            if len(jobs) == len(part) == 1:
+                yield from self._march(run, jobs, first_job, simulate=False)
+            elif len(part):
+                run.progress.message = f"out of device memory, again with {len(part)} worlds at a time"
+                for outcome in self._run_group(run, [jobs[row] for row in part.tolist()], 0):
+                    outcome.job = first_job + int(part[outcome.job])
+                    yield outcome
+
+    def _march(self, run: Run, jobs: Sequence[Job], first_job: int, *, simulate: bool = True) -> Iterator[Outcome]:
+        """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
+        worlds that ended in the one before. With ``simulate`` off all worlds are given up, since memory has run out."""
+        group = self._load_group(run, jobs, first_job)
+        spare = np.arange(len(group.table.status)) >= len(jobs)
+        group.table = group.table._replace(status=jnp.where(spare, Status.FINISHED, group.table.status))
+        costs = MEASURED.of_jobs(jobs, run.sim)
+        queue = np.concatenate([np.argsort(-costs, kind="stable"), np.flatnonzero(spare)])
+        order = jnp.asarray(queue, jnp.int32)
+        emitted = np.zeros(len(jobs), bool)
+        rollout = self._rollout(group) if simulate else None
+        try:
+            if rollout is None:
+                group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
+            else:
+                rollout.start(group, order)
+            while not emitted.all():
+                status = group.status() if rollout is None else rollout.wait(group)
+                full = np.flatnonzero(status == Status.OVERFLOWED)
+                if len(full):
+                    rollout = self._make_room(group, full)
+                    status = group.status()
+                ended = [row for row in np.flatnonzero(~emitted).tolist() if handed_on(int(status[row]), jobs[row])]
+                rows = np.array(ended, np.int64)
+                emitted[rows] = True
+                picked = pick(rows, group.table, group.worlds, run.sim)
+                if rollout is not None and not emitted.all():
+                    rollout.start(group, order)
+                yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim)
+        except BaseException:
+            self._drop()  # the memory of a call that did not come back is gone
+            raise
+
+    def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
+        """Larger buffers for worlds that are stopped since they need them; at ``MAX_GROWTH`` they are given up."""
+        key = (group.run.sim.physics.cone, 0)
+        growth = self._growth.get(key, 1)
+        if growth >= MAX_GROWTH:
+            group.give_up(rows, Flag.NONE)
+            return self._rollout(group)
+        self._growth[key] = growth = 2 * growth
+        group.run.progress.message = f"{len(rows)} worlds overflowed their buffers, on with {growth}× as large ones"
+        group.retry(rows)
+        group.table = group.table._replace(status=group.table.status.at[rows].set(Status.RUNNING))
+        rollout = self._rollout(group)
+        if rollout is None:
+            status = group.status().tolist()
+            left = [row for row, job in enumerate(group.jobs) if not handed_on(status[row], job)]
+            group.give_up(np.array(left, np.int64), Flag.OUT_OF_MEMORY)
+        return rollout
+
+    def _rollout(self, group: Group) -> Rollout | None:
+        """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit."""
+        run = group.run
+        n_boxes = group.table.pose.shape[1]
+        growth = self._growth.get((run.sim.physics.cone, 0), 1)
+        key = RolloutKey(run.sim, n_boxes, growth, len(run.timetable.clock), len(run.timetable.settled_nominally))
+        if self._kept is not None and self._kept[0] == key:
+            return self._kept[1]
+        self._drop()
+        boxes = growth * (n_boxes + MORE_BOXES)
+        most = Shape.here().lanes
+        lanes = min(self.lanes or most, most)
+        fewest = min(MIN_LANES, lanes)
+        while lanes >= fewest:
+            try:
+                rollout = Rollout(run, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes, lanes, self.slice_ns)
+            except Exception as error:
+                if not is_out_of_memory(error):
+                    raise
+                lanes //= 2
+                self.stages.clear()
+                self._warm.clear()
+                self.release()
+                run.progress.message = f"out of device memory, again with {lanes} lanes"
+            else:
+                self._kept = (key, rollout)
+                return rollout
+        return None

@@ -1,4 +1,4 @@
-// The constraint solver of mjx-warp for one world: MuJoCo's Newton method. newton.py explains it.
+// The constraint solver of mjx-warp for the world of a lane: MuJoCo's Newton method. newton.py explains it.
 //
 // Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it.
 
@@ -49,9 +49,9 @@ inline CUDA_CALLABLE Part gradient(const World& world, float* rhs, int thread, i
                 }
             }
         }
+        sum_over_share(value);
         #pragma unroll
         for (int i = 0; i < 6; ++i) {
-            sum_over_share(value[i]);
             if (b >= world.bodies || i % SHARE != share_of) continue;
             const int at = 6 * b + i;
             const double whole = value[i] + world.mass[at] * (world.a[at] - world.idle[at]);
@@ -94,16 +94,14 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
                 }
             }
         }
+        sum_over_share(own);
         int e = 0;
         #pragma unroll
         for (int q = 0; q < 6; ++q) {
             #pragma unroll
             for (int p = 0; p <= q; ++p) {
-                float value = own[e];
-                sum_over_share(value);
                 if (b < world.bodies && e % SHARE == share_of)
-                    system.A[(size_t)(6 * b + p) * system.ld + 6 * b + q]
-                        = value + (p == q ? world.mass[6 * b + p] : 0.0f);
+                    system.entry(6 * b + p, 6 * b + q) = own[e] + (p == q ? world.mass[6 * b + p] : 0.0f);
                 ++e;
             }
         }
@@ -134,47 +132,45 @@ inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, 
             ++k;
         } while (k < world.contacts && block[2 * k] == one && block[2 * k + 1] == two);
         #pragma unroll
-        for (int i = 0; i < 6; ++i) system.A[(size_t)(6 * one + p) * system.ld + 6 * two + i] = shared[i];
+        for (int i = 0; i < 6; ++i) system.entry(6 * one + p, 6 * two + i) = shared[i];
     }
 }
 
 // H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles. Rows beyond its end: identity.
 inline CUDA_CALLABLE void hessian(const World& world, const System& system, int pairs, int thread, int threads) {
-    for (int J = 0; J < system.panels; ++J) {
-        float* corner = system.A + (size_t)system.top[J] * B * system.ld + J * B;
-        const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
-        for (int i = thread; i < (J + 1 - system.top[J]) * B * 4; i += threads)
-            store_four(corner + (size_t)(i / 4) * system.ld + i % 4 * 4, nothing);
-    }
+    const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    for (int i = 4 * thread; i < system.base[system.panels]; i += 4 * threads) store_four(system.A + i, nothing);
     wait_for_all();
     for (int c = world.n + thread; c < system.panels * B; c += threads) {
-        system.A[(size_t)c * system.ld + c] = 1.0f;
+        system.entry(c, c) = 1.0f;
         system.rhs[c] = 0.0f;
     }
     own_blocks(world, system, thread, threads);
     pair_blocks(world, system, pairs, thread, threads);
+    wait_for_all();
 }
 
-// Accelerations and contact forces of a world, beginning at its warm start. All `threads` of a block must call it,
-// since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS: sizes on the Python side.
-template <int PANELS, int PANEL, int ROW_WORDS, class Model, class State, class Workspace, class Out>
+// Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
+// `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
+// sizes on the Python side. `near`: shared memory for `near_words` numbers, where the Hessian goes if it fits.
+template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    int w, int thread, int threads, const Model& model, const State& state, const Workspace& work, const Out& out
+    int lane, int thread, int threads, const Model& model, const Workspace& work, float* near, int near_words
 ) {
     static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;
     PETMJX_SHARED float rhs[PANELS * B];
     PETMJX_SHARED int top[PANELS];
+    PETMJX_SHARED int base[PANELS + 1];
     PETMJX_SHARED int pairs;
     PETMJX_SHARED double partial[2 * VIRTUAL / 32];
 
     const int pyramidal = model.pyramidal;
-    const int room = model.room;
+    const size_t at = lane, room = model.room;
     World world;
-    world.contacts = out.contacts.data[w] < room ? out.contacts.data[w] : room;
-    world.bodies = work.n_blocks.data[w];
+    world.contacts = work.contacts.data[at];
+    world.bodies = work.n_blocks.data[at];
     world.n = 6 * world.bodies;
-    const size_t at = w;
     world.row = work.rows.data + at * room * ROW;
     world.block = work.blocks.data + at * room * 2;
     world.begin_of = work.link_begin.data + at * work.link_begin.shape[1];
@@ -190,7 +186,6 @@ inline CUDA_CALLABLE void newton(
     world.curve = work.curvature.data + at * room * 6;
     world.pair = work.pair_begin.data + at * room;
     const int* low = work.lowest.data + at * work.lowest.shape[1];
-    const float* warm = state.warmstart.data + at * state.warmstart.shape[1];
     const int contacts = world.contacts, bodies = world.bodies, n = world.n;
     const float* row = world.row;
     const int* block = world.block;
@@ -199,29 +194,32 @@ inline CUDA_CALLABLE void newton(
     double* jar = world.jar;
     double* jv = world.jv;
     System system;
-    system.ld = work.hessian.shape[2];
-    system.A = work.hessian.data + at * work.hessian.shape[1] * system.ld;
     system.panels = (n + B - 1) / B;
     system.top = top;
+    system.base = base;
     system.rhs = rhs;
 
-    if (thread == 0) out.iterations.data[w] = 0;
+    if (thread == 0) work.iterations.data[at] = 0;
     if (bodies == 0) return;
     const Part nothing{};
     Part trace;
-    for (int i = thread; i < n; i += threads) {
-        trace.add(world.mass[i], i, threads);
-        a[i] = warm[i];
-    }
+    for (int i = thread; i < n; i += threads) trace.add(world.mass[i], i, threads);
     for (int K = thread; K < system.panels; K += threads) {
         int first = low[K * B / 6];
         const int last = (K * B + B - 1) / 6 < bodies - 1 ? (K * B + B - 1) / 6 : bodies - 1;
         for (int b = K * B / 6 + 1; b <= last; ++b) first = low[b] < first ? low[b] : first;
         top[K] = 6 * first / B;
+        base[K] = (K + 1 - top[K]) * B * B;
     }
     if (thread == 0) pairs = 0;
+    wait_for_all();
+    prefix_sums(base, system.panels, thread);
     // MuJoCo measures costs in units of the inertia's trace.
     const double enough = model.tolerance * sum_over_block(thread, threads, partial, trace, nothing).x;
+    const bool fits = base[system.panels] <= near_words;
+    system.A = fits ? near : work.hessian.data + at * work.hessian.shape[1];
+    system.strip = fits ? nullptr : near;
+    system.strip_columns = near_words / B / 4 * 4;
     // The first contact of each pair of moving bodies: the contacts of a pair follow one another.
     for (int k = thread; k < contacts; k += threads) {
         const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
@@ -245,7 +243,7 @@ inline CUDA_CALLABLE void newton(
             = sum_over_block(thread, threads, partial, gradient(world, rhs, thread, threads), nothing).x;
         // Since H ≥ M, the cost can decrease by at most this.
         if (!(0.5 * bound > enough)) break;
-        if (thread == 0) out.iterations.data[w] = iteration + 1;
+        if (thread == 0) work.iterations.data[at] = iteration + 1;
         hessian(world, system, pairs, thread, threads);
         factor_and_solve(system, factoring, thread, threads);
 

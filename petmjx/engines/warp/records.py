@@ -1,11 +1,12 @@
-"""The data that the step's kernels share, as records: model, state, workspace, output, and collisions.
+"""The data that the GPU engine's kernel works on, as records: constants, worlds, their state, workspace, and results.
 
-Each array is declared only here, with its element type and its axes. Kernels and C++ take whole records. JAX passes the
-arrays of ``State``, ``Model`` and ``Out``, in this order. The workspace is one buffer, divided by these shapes.
+Each array is declared only here, with its element type and its axes. The kernel and its C++ take whole records. JAX
+passes the arrays of ``Tables`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
+the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
 
-Axes. ``world``: a lane. ``block``: a body that moves; ``dof``: one of its six rows; ``pose``: one of its seven
-coordinates. ``slot``: a contact of one lane; ``contact``: a contact of the pool that all lanes share. ``body`` and
-``geom``: as in MuJoCo. ``box``: in packing order. Units are SI.
+Axes. ``world``: a row of the tables. ``lane``: a thread block, which has one world at a time. ``block``: a body that
+moves; ``dof``: one of its six rows. ``geom``: floor, carrier, boxes in packing order. ``pair``: two geoms that are
+near one another; ``slot``: a contact. Units are SI.
 """
 
 from __future__ import annotations
@@ -16,15 +17,12 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
 import warp as wp
-from mujoco.mjx.third_party.mujoco_warp._src.types import vec5
-
-from petmjx.engines.batch.capacities import round_up
 
 PANEL = 16
 """Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
 
-MAX_PANELS = 104
-"""Panels of the largest system, limited by shared memory, which holds the right-hand side."""
+MAX_PANELS = 193
+"""Panels of the largest system: 513 boxes and the carrier. Shared memory limits it: it holds the right-hand side."""
 
 ROW_WORDS = 32
 """Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness of a row
@@ -45,112 +43,193 @@ def record(cls: type) -> Any:
 
 @record
 class Model:
-    """Constants of a step: numbers of the template, then arrays that differ between worlds, named as MJX's fields."""
+    """Constants of a run: contacts and solver, then the numbers of the rules (docs/rules.md)."""
 
-    held: int  # 1 if the carrier is clamped: its body is then no block
-    pyramidal: int  # 1 with pyramidal friction cones
     timestep: float
+    gravity: float
     floor_z: float
-    n_geoms: int
-    pool: int  # most contacts of all worlds together
-    room: int  # most contacts of one world
+    solref: wp.vec2
+    low_impedance: float
+    high_impedance: float
+    impedance_width: float
+    pyramidal: int  # 1 with pyramidal friction cones
+    friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
+    slack: wp.float64  # 1 / √impratio
+    tolerance: wp.float64  # of the solver, as MuJoCo's
     limit: int  # most iterations of the solver
     trials: int  # most iterations of its line search
-    tolerance: wp.float64  # of the solver, as MuJoCo's
-    slack: wp.float64  # 1 / √impratio
-    friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
 
-    body_mass: Annotated[wp.array2d[float], "world body"]
-    body_inertia: Annotated[wp.array3d[float], "world body 3"]
-    body_invweight0: Annotated[wp.array3d[float], "world body 2"]
-    geom_size: Annotated[wp.array2d[wp.vec3], "world geom"]
-    geom_rbound: Annotated[wp.array2d[float], "world geom"]
-    geom_aabb: Annotated[wp.array3d[wp.vec3], "world geom 2"]
-    geom_friction: Annotated[wp.array2d[wp.vec3], "world geom"]
+    pairs: int  # most pairs of near geoms of a world
+    room: int  # most contacts of a world
+
+    fixed: int  # 1 with the fixed schedule
+    waits_for_creep: int
+    early_stop: int
+    soft_start: int  # steps
+    sample_every: int
+    rest_steps: int
+    static_end: int  # last step of the placement of a static check; NEVER with boxes one by one
+    shift: float
+    shift_floor: float
+    tilt: float  # degrees
+    drop_z: float
+    linear_acceleration: float
+    angular_acceleration: float
+    quiet_linear: float
+    quiet_angular: float
+    rest_share: float
+    slowing: float
+    quiet_steps: int
+    min_steps: int
+    poll_steps: int
+
+    due: wp.array[int]  # by the step after which the last box was placed; as in Timetable
+    settled: wp.array[int]
+    settled_nominally: wp.array[int]  # by number of boxes
+
+
+@record
+class Tables:
+    """Constants of worlds: fields of ``batch.state.Worlds``. And ``profiles``, whose rows are excitations."""
+
+    n_boxes: Annotated[wp.array[int], "world"]
+    half: Annotated[wp.array3d[float], "world box 3"]
+    mass: Annotated[wp.array2d[float], "world box"]
+    target: Annotated[wp.array3d[float], "world box 3"]
+    start: Annotated[wp.array3d[float], "world box 7"]
+    carrier_half: Annotated[wp.array2d[float], "world 3"]
+    carrier_mass: Annotated[wp.array[float], "world"]
+    friction: Annotated[wp.array3d[float], "world 3 3"]
+    profile: Annotated[wp.array[int], "world"]
+    drive_scale: Annotated[wp.array[float], "world"]
+    drive_yaw: Annotated[wp.array2d[float], "world 2"]
+    held: Annotated[wp.array[wp.bool], "world"]
+    settles: Annotated[wp.array[wp.bool], "world"]
+    profiles: Annotated[wp.array3d[float], "profile step 3"]
+    order: Annotated[wp.array[int], "world"]  # in which worlds take lanes
 
 
 @record
 class State:
-    """The state before a step."""
+    """The state of worlds: fields of ``batch.state.State`` and its metrics."""
 
-    qpos: Annotated[wp.array2d[float], "world pose"]
-    qvel: Annotated[wp.array2d[float], "world dof"]
-    warmstart: Annotated[wp.array2d[float], "world dof"]  # accelerations with which the solver starts
-    carrier_force: Annotated[wp.array2d[float], "world 3"]
-    gravity: Annotated[wp.array2d[float], "world 3"]
-    carrier_pose: Annotated[wp.array2d[float], "world 7"]  # used if the carrier is held
+    pose: Annotated[wp.array3d[float], "world box 7"]
+    vel: Annotated[wp.array3d[float], "world box 6"]
+    warm: Annotated[wp.array3d[float], "world box 6"]
+    carrier_pose: Annotated[wp.array2d[float], "world 7"]
+    carrier_vel: Annotated[wp.array2d[float], "world 6"]
+    carrier_warm: Annotated[wp.array2d[float], "world 6"]
+    step: Annotated[wp.array[int], "world"]
+    placed: Annotated[wp.array[int], "world"]
+    last_placed_at: Annotated[wp.array[int], "world"]
+    quiet_steps: Annotated[wp.array[int], "world"]
+    quiet_pace: Annotated[wp.array2d[float], "world box"]
+    violent_since: Annotated[wp.array[int], "world"]
+    driven_from: Annotated[wp.array[int], "world"]
+    rest_from: Annotated[wp.array[int], "world"]
+    end: Annotated[wp.array[int], "world"]
+    status: Annotated[wp.array[int], "world"]
+    flags: Annotated[wp.array[int], "world"]
+    steps_done: Annotated[wp.array[int], "world"]
+    max_tilt: Annotated[wp.array2d[float], "world box"]
+    max_lin_acc: Annotated[wp.array2d[float], "world box"]
+    max_ang_acc: Annotated[wp.array2d[float], "world box"]
+    max_top_force: Annotated[wp.array2d[float], "world box"]
+    rest_force_sum: Annotated[wp.array2d[float], "world box"]
+    rest_samples: Annotated[wp.array[int], "world"]
+    drop_step: Annotated[wp.array2d[int], "world box"]
+    max_sway: Annotated[wp.array2d[float], "world box"]
+    sway_anchor: Annotated[wp.array3d[float], "world box 2"]
+    culprit: Annotated[wp.array[int], "world"]
+    sign_step: Annotated[wp.array[int], "world"]
 
 
 @record
 class Workspace:
-    """Arrays that are used within one step. Elements of eight bytes come first, so that every array is aligned."""
+    """Arrays of a lane, used within a step. Each array begins at a multiple of 16 bytes."""
 
-    acceleration: Annotated[wp.array2d[wp.float64], "world dof"]
-    direction: Annotated[wp.array2d[wp.float64], "world dof"]
-    gradient: Annotated[wp.array2d[wp.float64], "world dof"]
-    residual: Annotated[wp.array3d[wp.float64], "world slot 3"]  # J·a − r
-    slope: Annotated[wp.array3d[wp.float64], "world slot 3"]  # J·direction
-    force: Annotated[wp.array3d[wp.float64], "world slot 3"]  # of a contact, in its frame
-    contact_key: Annotated[wp.array2d[wp.int64], "world slot"]
-    hessian: Annotated[wp.array3d[float], "world padded_dof padded_dof"]
-    rows: Annotated[wp.array3d[float], "world slot row_word"]
-    curvature: Annotated[wp.array3d[float], "world slot 6"]
-    inertia: Annotated[wp.array2d[float], "world dof"]  # diagonal of the inertia matrix
-    smooth: Annotated[wp.array2d[float], "world dof"]  # accelerations without contacts
-    blocks: Annotated[wp.array3d[int], "world slot 2"]  # of a contact, lower first; negative: does not move
-    links: Annotated[wp.array2d[int], "world link"]  # 2 × slot + side, block after block
-    link_begin: Annotated[wp.array2d[int], "world block_end"]
-    lowest: Annotated[wp.array2d[int], "world block"]  # the lowest block that a block touches, or itself
-    pair_begin: Annotated[wp.array2d[int], "world slot"]  # first contact of each pair of blocks, in no order
-    n_blocks: Annotated[wp.array[int], "world"]  # up to the highest block with a contact
+    acceleration: Annotated[wp.array2d[wp.float64], "lane dof"]
+    direction: Annotated[wp.array2d[wp.float64], "lane dof"]
+    gradient: Annotated[wp.array2d[wp.float64], "lane dof"]
+    residual: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # J·a − r
+    slope: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # J·direction
+    force: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # of a contact, in its frame
+    worst: Annotated[wp.array[wp.int64], "lane"]  # the largest excess and its box
+    hessian: Annotated[wp.array2d[float], "lane entry"]  # its envelope, if shared memory has no room for it
+    rows: Annotated[wp.array3d[float], "lane slot row_word"]
+    curvature: Annotated[wp.array3d[float], "lane slot 6"]
+    inertia: Annotated[wp.array2d[float], "lane dof"]  # diagonal of the inertia matrix
+    smooth: Annotated[wp.array2d[float], "lane dof"]  # accelerations without contacts
+    place: Annotated[wp.array2d[wp.vec3], "lane geom"]  # centres
+    turn: Annotated[wp.array2d[wp.mat33], "lane geom"]
+    reach: Annotated[wp.array2d[wp.vec3], "lane geom"]  # half extents of the box around a geom, along x, y, z
+    home: Annotated[wp.array2d[wp.vec3], "lane geom"]  # place and reach when pairs were listed
+    home_reach: Annotated[wp.array2d[wp.vec3], "lane geom"]
+    seen: Annotated[wp.array3d[float], "lane box 7"]  # poses at the beginning of a step
+    top_force: Annotated[wp.array2d[float], "lane box"]
+    first: Annotated[wp.array2d[int], "lane pair"]  # the lower geom of a pair
+    second: Annotated[wp.array2d[int], "lane pair"]
+    normal: Annotated[wp.array2d[wp.vec3], "lane pair"]
+    points: Annotated[wp.array3d[wp.vec4], "lane pair 8"]  # where a pair touches, and its distance there
+    pair_of: Annotated[wp.array2d[int], "lane geom_end"]  # the first pair of each lower geom
+    lower: Annotated[wp.array2d[int], "lane pair"]  # the pairs of each higher geom
+    lower_of: Annotated[wp.array2d[int], "lane geom_end"]  # where they begin
+    contact_of: Annotated[wp.array2d[int], "lane pair_end"]  # the first contact of each pair
+    pair_at: Annotated[wp.array2d[int], "lane slot"]  # of a contact
+    blocks: Annotated[wp.array3d[int], "lane slot 2"]  # of a contact, lower first; negative: does not move
+    links: Annotated[wp.array2d[int], "lane link"]  # 2 × slot + side, block after block
+    link_begin: Annotated[wp.array2d[int], "lane block_end"]
+    lowest: Annotated[wp.array2d[int], "lane block"]  # the lowest block that a block touches, or itself
+    pair_begin: Annotated[wp.array2d[int], "lane slot"]  # first contact of each pair of blocks, in no order
+    contacts: Annotated[wp.array[int], "lane"]
+    n_blocks: Annotated[wp.array[int], "lane"]  # up to the highest block with a contact
+    iterations: Annotated[wp.array[int], "lane"]  # of the solver
+    world: Annotated[wp.array[int], "lane"]  # which a lane has; negative: none
 
 
 @record
-class Out:
-    """The results of a step."""
+class Counts:
+    """What a call counts. ``taken``: worlds that lanes have taken, so far."""
 
-    next_qpos: Annotated[wp.array2d[float], "world pose"]
-    next_qvel: Annotated[wp.array2d[float], "world dof"]
-    qacc: Annotated[wp.array2d[float], "world dof"]
-    top_force: Annotated[wp.array2d[float], "world box"]
-    overflow: Annotated[wp.array[int], "world"]  # flag bits
-    contacts: Annotated[wp.array[int], "world"]  # number found, which may be more than fit
-    iterations: Annotated[wp.array[int], "world"]  # of the solver
+    taken: Annotated[wp.array[int], "1"]
+    steps: Annotated[wp.array[int], "1"]
+    iterations: Annotated[wp.array[int], "1"]
+    contacts: Annotated[wp.array[int], "1"]  # most of a world
 
 
 @record
-class Collisions:
-    """Arrays of mujoco_warp's collision pipeline: poses of geoms (input) and the pool of contacts (output)."""
+class Lane:
+    """A thread of a lane, and its lane's world."""
 
-    geom_xpos: Annotated[wp.array2d[wp.vec3], "world geom"]
-    geom_xmat: Annotated[wp.array2d[wp.mat33], "world geom"]
-    nacon: Annotated[wp.array[int], "1"]  # number of contacts
-    ncollision: Annotated[wp.array[int], "1"]  # number of pairs of geoms that were checked
-    worldid: Annotated[wp.array[int], "contact"]
-    geom: Annotated[wp.array[wp.vec2i], "contact"]
-    dist: Annotated[wp.array[float], "contact"]
-    pos: Annotated[wp.array[wp.vec3], "contact"]
-    frame: Annotated[wp.array[wp.mat33], "contact"]
-    friction: Annotated[wp.array[vec5], "contact"]
-    solref: Annotated[wp.array[wp.vec2], "contact"]
-    solimp: Annotated[wp.array[vec5], "contact"]
+    lane: int
+    thread: int
+    threads: int
+    world: int
+    placed: int  # boxes that stand
+    held: int  # 1 if the carrier is held fast: its body is then no block
 
 
-def axes(lanes: int, n_blocks: int, room: int, n_boxes: int) -> dict[str, int]:
-    """Sizes of the step's axes.
+def axes(lanes: int, n_boxes: int, pairs: int, room: int) -> dict[str, int]:
+    """Sizes of the axes of a lane.
 
     Args:
-        n_blocks: bodies of a lane that move.
-        room: most contacts of a lane.
+        n_boxes: most boxes of a world.
+        pairs: most pairs of near geoms of a world.
+        room: most contacts of a world.
     """
+    n_blocks = n_boxes + 1
+    panels = -(-6 * n_blocks // PANEL)
     return {
-        "world": lanes,
+        "lane": lanes,
+        "box": n_boxes,
+        "geom": n_boxes + 2,
+        "geom_end": n_boxes + 3,
         "block": n_blocks,
         "block_end": n_blocks + 1,
-        "box": n_boxes,
-        "pose": 7 * n_blocks,
         "dof": 6 * n_blocks,
-        "padded_dof": round_up(6 * n_blocks, PANEL),
+        "entry": panels * (panels + 1) // 2 * PANEL**2,
+        "pair": pairs,
+        "pair_end": pairs + 1,
         "slot": room,
         "link": 2 * room,
         "row_word": ROW_WORDS,
@@ -183,16 +262,16 @@ def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...]
     types = array_types(Workspace)
     for name, shape in array_shapes(Workspace, sizes).items():
         words = wp.types.type_size_in_bytes(types[name].dtype) // 4 * math.prod(shape)
-        yield name, types[name].dtype, shape, words + words % 2
+        yield name, types[name].dtype, shape, words + -words % 4
 
 
 def buffer_shape(sizes: Mapping[str, int]) -> tuple[int, int]:
-    """(world, word) of the buffer that holds the workspace; in it lane lies after lane within each array.
+    """(lane, word) of the buffer that holds the workspace; in it lane lies after lane within each array.
 
     Args:
         sizes: axis → size.
     """
-    return sizes["world"], -(-sum(words for *_, words in _parts(sizes)) // sizes["world"])
+    return sizes["lane"], -(-sum(words for *_, words in _parts(sizes)) // sizes["lane"])
 
 
 def in_buffer(buffer: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
@@ -205,6 +284,6 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
     return views
 
 
-def lane_bytes(n_blocks: int, room: int) -> int:
-    """Device memory of a lane, bytes. Nearly all of it is the workspace."""
-    return 4 * buffer_shape(axes(1, n_blocks, room, 0))[1]
+def lane_bytes(n_boxes: int, pairs: int, room: int) -> int:
+    """Device memory of a lane, bytes."""
+    return 4 * buffer_shape(axes(1, n_boxes, pairs, room))[1]

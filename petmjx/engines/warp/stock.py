@@ -1,4 +1,4 @@
-"""MJX's own Warp step and solver: for conjugate gradients, and in tests as a twin of petmjx/engines/warp/step.py."""
+"""MJX's own Warp step and solver, for conjugate gradients."""
 
 from __future__ import annotations
 

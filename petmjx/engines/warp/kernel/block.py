@@ -1,0 +1,21 @@
+"""What the threads of a block do together: Warp functions for the C++ of petmjx/engines/warp/block.cuh."""
+
+from __future__ import annotations
+
+import warp as wp
+
+
+@wp.func_native("petmjx::wait_for_all();")
+def wait_for_all() -> None: ...
+
+
+@wp.func_native("return petmjx::any_of_all(mine);")
+def any_of_all(mine: bool) -> bool: ...
+
+
+@wp.func_native("petmjx::prefix_sums(values.data + (size_t)row * values.shape[1], count, thread);")
+def prefix_sums(values: wp.array2d[int], row: int, count: int, thread: int) -> None: ...
+
+
+@wp.func_native("return petmjx::clock();")
+def clock() -> wp.int64: ...

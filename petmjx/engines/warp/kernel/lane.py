@@ -1,0 +1,162 @@
+"""A lane: takes worlds from the queue, one after the other, and steps each one to its end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from petmjx.engines.batch.state import Status
+from petmjx.engines.warp.kernel.block import any_of_all, clock, wait_for_all
+from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_blocks, list_pairs, make_rows
+from petmjx.engines.warp.kernel.motion import begin_step, end_step
+from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
+from petmjx.engines.warp.kernel.solve import newton
+from petmjx.engines.warp.records import Counts, Lane, Model, State, Tables, Workspace
+from petmjx.verdict import Flag
+
+OVERFLOWED = wp.constant(Status.OVERFLOWED)
+CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
+
+
+@wp.func
+def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
+    """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
+    step = state.step[world]
+    ramp = wp.clamp(float(step + model.soft_start) / float(model.soft_start), 0.0, 1.0)
+    gravity = wp.vec3(0.0, 0.0, -ramp * model.gravity)
+    push = wp.vec3(0.0, 0.0, 0.0)
+    if state.driven_from[world] != NEVER:
+        at = step - state.driven_from[world]
+        if at >= 0 and at < tables.profiles.shape[1]:
+            sample = tables.profiles[tables.profile[world], at]
+            scale = tables.drive_scale[world]
+            cos = tables.drive_yaw[world, 0]
+            sin = tables.drive_yaw[world, 1]
+            x = scale * sample[0]
+            y = scale * sample[1]
+            turned = wp.vec3(cos * x - sin * y, sin * x + cos * y, scale * sample[2])
+            if tables.held[world]:
+                gravity -= turned
+            else:
+                push = turned
+    return gravity, push
+
+
+@wp.func
+def overflow(state: State, at: Lane) -> None:
+    """Stop a world, as it was before the step, since a buffer is too small for it."""
+    if at.thread == 0:
+        state.status[at.world] = OVERFLOWED
+        state.flags[at.world] = state.flags[at.world] | CONTACT_OVERFLOW
+    wait_for_all()
+
+
+@wp.func
+def advance(
+    model: Model,
+    tables: Tables,
+    state: State,
+    work: Workspace,
+    counts: Counts,
+    at: Lane,
+    near: Any,
+    near_words: int,
+    listed: int,
+) -> int:
+    """One step of a lane's world and all that follows from it.
+
+    Args:
+        near: a tile in shared memory for ``near_words`` numbers.
+        listed: near pairs that are listed; negative: none are.
+
+    Returns:
+        Near pairs that are listed for the next step; negative: none are.
+    """
+    gravity, push = excitation(model, tables, state, at.world)
+    step = state.step[at.world] + 1
+    sample = step > 0 and step % model.sample_every == 0
+    measured = sample or step > state.rest_from[at.world]
+    left = any_of_all(begin_step(model, tables, state, work, at, gravity, push, sample))
+    n_pairs = listed
+    if left or n_pairs < 0:
+        n_pairs = list_pairs(model, work, at, APART)
+        listed = n_pairs
+        if n_pairs > model.pairs:
+            # without the pairs that only may touch soon, so that it does not depend on when they were listed
+            n_pairs = list_pairs(model, work, at, NEAR)
+            listed = -1
+        if n_pairs > model.pairs:
+            overflow(state, at)
+            return -1
+    n_contacts = collide(model, tables, work, at, n_pairs)
+    if at.thread == 0:
+        work.contacts[at.lane] = n_contacts
+        wp.atomic_max(counts.contacts, 0, n_contacts)
+    if n_contacts > model.room:
+        overflow(state, at)
+        return -1
+    make_rows(model, tables, state, work, at, n_contacts)
+    link_blocks(work, at)
+    newton(at.lane, at.thread, at.threads, model, work, near, near_words)
+    wait_for_all()
+    astray = any_of_all(end_step(model, state, work, at, measured))
+    after_step(model, tables, state, work, at, astray)
+    return listed
+
+
+@wp.func
+def run_lane(
+    lane: int,
+    thread: int,
+    threads: int,
+    n_worlds: int,
+    slice_ns: wp.int64,
+    model: Model,
+    tables: Tables,
+    state: State,
+    work: Workspace,
+    counts: Counts,
+    near: Any,
+    near_words: int,
+) -> None:
+    """Take worlds and step them, until the queue is empty or the call's time is over.
+
+    Args:
+        n_worlds: length of the queue.
+        slice_ns: time of the call, ns; with 0 a lane takes one step.
+        near: a tile in shared memory for ``near_words`` numbers.
+    """
+    begin = clock()
+    late = bool(False)
+    while not late:
+        if thread == 0:
+            number = wp.atomic_add(counts.taken, 0, 1)
+            work.world[lane] = wp.where(number < n_worlds, number, -1)
+        wait_for_all()
+        number = work.world[lane]
+        wait_for_all()
+        if number < 0:
+            break
+        at = Lane()
+        at.lane = lane
+        at.thread = thread
+        at.threads = threads
+        at.world = tables.order[number]
+        steps = int(0)
+        iterations = int(0)
+        stood = int(-1)  # boxes for which pairs are listed
+        listed = int(-1)
+        while state.status[at.world] == RUNNING and not late:
+            at.placed = state.placed[at.world]
+            at.held = wp.where(state.driven_from[at.world] != NEVER and tables.held[at.world], 1, 0)
+            if at.placed != stood:
+                listed = -1
+            stood = at.placed
+            listed = advance(model, tables, state, work, counts, at, near, near_words, listed)
+            steps += 1
+            iterations += work.iterations[lane]
+            late = any_of_all(thread == 0 and clock() - begin >= slice_ns)
+        if thread == 0:
+            wp.atomic_add(counts.steps, 0, steps)
+            wp.atomic_add(counts.iterations, 0, iterations)

@@ -1,0 +1,269 @@
+"""Motion of a world's bodies: from poses to accelerations without contacts, and from accelerations to the next poses.
+
+All bodies are free boxes (or a carrier that is held fast). A block is a body that moves; it has six rows in the
+equations. Blocks are the carrier and the boxes, or only the boxes if the carrier is held. The block of a geom is its
+number − 1, or − 2 if the carrier is held; negative blocks do not move.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.batch.rules import UNBELIEVABLE
+from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
+from petmjx.metrics import force_jax as force_metrics
+
+VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
+MOST = wp.constant(UNBELIEVABLE)
+
+ROOM = wp.constant(2e-3)
+"""How far a body may go from where pairs were listed, m: half of what pairs may be apart (contacts.APART)."""
+
+vec6 = wp.types.vector(length=6, dtype=float)
+
+
+@wp.func
+def half_size(tables: Tables, world: int, geom: int) -> wp.vec3:
+    """Half extents of the carrier or a box, m."""
+    if geom == 1:
+        return wp.vec3(tables.carrier_half[world, 0], tables.carrier_half[world, 1], tables.carrier_half[world, 2])
+    box = geom - 2
+    return wp.vec3(tables.half[world, box, 0], tables.half[world, box, 1], tables.half[world, box, 2])
+
+
+@wp.func
+def mass_of(tables: Tables, world: int, geom: int) -> float:
+    """Mass of the carrier or a box, kg."""
+    if geom == 1:
+        return tables.carrier_mass[world]
+    return tables.mass[world, geom - 2]
+
+
+@wp.func
+def moments(half: wp.vec3, mass: float) -> wp.vec3:
+    """Principal moments of a solid box, kg·m²: m/3 · (b² + c²)."""
+    squares = wp.cw_mul(half, half)
+    whole = squares[0] + squares[1] + squares[2]
+    return mass / 3.0 * wp.vec3(whole - squares[0], whole - squares[1], whole - squares[2])
+
+
+@wp.func
+def center(state: State, world: int, geom: int) -> wp.vec3:
+    """Centre of the carrier or a box, m."""
+    if geom == 1:
+        return wp.vec3(state.carrier_pose[world, 0], state.carrier_pose[world, 1], state.carrier_pose[world, 2])
+    box = geom - 2
+    return wp.vec3(state.pose[world, box, 0], state.pose[world, box, 1], state.pose[world, box, 2])
+
+
+@wp.func
+def orientation(state: State, world: int, geom: int) -> wp.vec4:
+    """Quaternion of the carrier or a box, w first."""
+    if geom == 1:
+        p = state.carrier_pose[world]
+        return wp.vec4(p[3], p[4], p[5], p[6])
+    q = state.pose[world, geom - 2]
+    return wp.vec4(q[3], q[4], q[5], q[6])
+
+
+@wp.func
+def linear_velocity(state: State, world: int, geom: int) -> wp.vec3:
+    """Velocity of the centre of the carrier or a box, m/s."""
+    if geom == 1:
+        return wp.vec3(state.carrier_vel[world, 0], state.carrier_vel[world, 1], state.carrier_vel[world, 2])
+    v = state.vel[world, geom - 2]
+    return wp.vec3(v[0], v[1], v[2])
+
+
+@wp.func
+def angular_velocity(state: State, world: int, geom: int) -> wp.vec3:
+    """Angular velocity of the carrier or a box in its own frame, rad/s."""
+    if geom == 1:
+        return wp.vec3(state.carrier_vel[world, 3], state.carrier_vel[world, 4], state.carrier_vel[world, 5])
+    v = state.vel[world, geom - 2]
+    return wp.vec3(v[3], v[4], v[5])
+
+
+@wp.func
+def rotation(q: wp.vec4) -> wp.mat33:
+    """Matrix of a quaternion of any length but zero."""
+    w = q[0]
+    x = q[1]
+    y = q[2]
+    z = q[3]
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return wp.mat33(
+        1.0 - s * (y * y + z * z),
+        s * (x * y - w * z),
+        s * (x * z + w * y),
+        s * (x * y + w * z),
+        1.0 - s * (x * x + z * z),
+        s * (y * z - w * x),
+        s * (x * z - w * y),
+        s * (y * z + w * x),
+        1.0 - s * (x * x + y * y),
+    )
+
+
+@wp.func
+def begin_step(
+    model: Model, tables: Tables, state: State, work: Workspace, at: Lane, gravity: wp.vec3, push: wp.vec3, sample: bool
+) -> bool:
+    """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts, the solver's start.
+
+    A free body's angular velocity is in its own frame, so Euler's equation gives the torque −ω × I·ω. All loads come
+    before the first store, so that they run at the same time.
+
+    Args:
+        push: force on the carrier, N.
+        sample: keep the poses.
+
+    Returns:
+        Whether a thread's bodies have left the room for which pairs were listed.
+    """
+    lane = at.lane
+    world = at.world
+    left = bool(False)
+    if at.thread == 0:
+        work.place[lane, 0] = wp.vec3(0.0, 0.0, model.floor_z)
+        work.turn[lane, 0] = wp.identity(n=3, dtype=float)
+        work.reach[lane, 0] = wp.vec3(0.0, 0.0, 0.0)
+        work.n_blocks[lane] = 0
+        work.worst[lane] = wp.int64(0)
+    for geom in range(1 + at.thread, at.placed + 2, at.threads):
+        place = center(state, world, geom)
+        q = orientation(state, world, geom)
+        spin = angular_velocity(state, world, geom)
+        half = half_size(tables, world, geom)
+        mass = mass_of(tables, world, geom)
+        home = work.home[lane, geom]
+        home_reach = work.home_reach[lane, geom]
+        start = vec6()
+        for i in range(6):
+            if geom == 1:
+                start[i] = state.carrier_warm[world, i]
+            else:
+                start[i] = state.warm[world, geom - 2, i]
+        turn = rotation(q)
+        reach = wp.vec3(wp.dot(wp.abs(turn[0]), half), wp.dot(wp.abs(turn[1]), half), wp.dot(wp.abs(turn[2]), half))
+        out = wp.abs(place - home) + reach - home_reach
+        if wp.max(out[0], wp.max(out[1], out[2])) > ROOM:
+            left = True
+        work.place[lane, geom] = place
+        work.turn[lane, geom] = turn
+        work.reach[lane, geom] = reach
+        if sample and geom >= 2:
+            for i in range(3):
+                work.seen[lane, geom - 2, i] = place[i]
+            for i in range(4):
+                work.seen[lane, geom - 2, 3 + i] = q[i]
+        block = geom - 1 - at.held
+        if block < 0:
+            continue
+        inertia = moments(half, mass)
+        torque = -wp.cross(spin, wp.cw_mul(inertia, spin))
+        dof = 6 * block
+        for i in range(3):
+            force = wp.where(geom == 1, push[i], 0.0)
+            work.inertia[lane, dof + i] = mass
+            work.inertia[lane, dof + 3 + i] = inertia[i]
+            work.smooth[lane, dof + i] = gravity[i] + force / mass
+            work.smooth[lane, dof + 3 + i] = torque[i] / inertia[i]
+        for i in range(6):
+            work.acceleration[lane, dof + i] = wp.float64(start[i])
+    return left
+
+
+@wp.func
+def _is_number(x: float) -> bool:
+    """Whether MuJoCo would call a position or velocity good."""
+    return wp.abs(x) < MOST
+
+
+@wp.func
+def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bool) -> bool:
+    """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
+
+    Args:
+        measured: find the force on each box's top, too.
+    """
+    lane = at.lane
+    world = at.world
+    astray = bool(False)
+    for geom in range(1 + at.held + at.thread, at.placed + 2, at.threads):
+        block = geom - 1 - at.held
+        dof = 6 * block
+        touched = block < work.n_blocks[lane]
+        a = vec6()
+        for i in range(6):
+            a[i] = work.smooth[lane, dof + i]
+            if touched:
+                a[i] = float(work.acceleration[lane, dof + i])
+        linear = linear_velocity(state, world, geom)
+        spin = angular_velocity(state, world, geom)
+        for i in range(3):
+            linear[i] = linear[i] + model.timestep * a[i]
+            spin[i] = spin[i] + model.timestep * a[3 + i]
+        where = center(state, world, geom)
+        for i in range(3):
+            where[i] = where[i] + model.timestep * linear[i]
+        speed = wp.length(spin)
+        angle = model.timestep * speed
+        sine = model.timestep * 0.5
+        if angle > 1e-6:
+            sine = wp.sin(angle * 0.5) / speed
+        cosine = wp.cos(angle * 0.5)
+        v = sine * spin
+        q = orientation(state, world, geom)
+        w = q[0]
+        u = wp.vec3(q[1], q[2], q[3])
+        turned_w = w * cosine - wp.dot(u, v)
+        turned = w * v + cosine * u + wp.cross(u, v)
+        size = wp.sqrt(turned_w * turned_w + wp.dot(turned, turned))
+        after = wp.vec4(turned_w / size, turned[0] / size, turned[1] / size, turned[2] / size)
+        for i in range(3):
+            good = _is_number(where[i]) and _is_number(linear[i]) and _is_number(spin[i]) and _is_number(after[1 + i])
+            if not good or not _is_number(after[0]):
+                astray = True
+        if geom == 1:
+            for i in range(3):
+                state.carrier_pose[world, i] = where[i]
+                state.carrier_vel[world, i] = linear[i]
+                state.carrier_vel[world, 3 + i] = spin[i]
+            for i in range(4):
+                state.carrier_pose[world, 3 + i] = after[i]
+            for i in range(6):
+                state.carrier_warm[world, i] = a[i]
+        else:
+            box = geom - 2
+            for i in range(3):
+                state.pose[world, box, i] = where[i]
+                state.vel[world, box, i] = linear[i]
+                state.vel[world, box, 3 + i] = spin[i]
+            for i in range(4):
+                state.pose[world, box, 3 + i] = after[i]
+            for i in range(6):
+                state.warm[world, box, i] = a[i]
+            if measured:
+                work.top_force[lane, box] = _top_force(work, lane, geom, block, at.held, touched)
+    return astray
+
+
+@wp.func
+def _top_force(work: Workspace, lane: int, geom: int, block: int, held: int, touched: bool) -> float:
+    """Force that presses on a box from above, N: of contacts within 45° of level with geoms whose centre is higher."""
+    total = wp.float64(0.0)
+    if touched:
+        z = work.place[lane, geom][2]
+        for entry in range(work.link_begin[lane, block], work.link_begin[lane, block + 1]):
+            link = work.links[lane, entry]
+            k = link // 2
+            side = link % 2
+            its_z = work.place[lane, work.blocks[lane, k, 1 - side] + 1 + held][2]
+            lower = z < its_z or (side == 1 and z == its_z)
+            if lower and wp.abs(work.rows[lane, k, 2]) >= VERTICAL_COSINE:
+                up = wp.float64(0.0)
+                for r in range(3):
+                    up += wp.float64(work.rows[lane, k, 3 * r + 2]) * work.force[lane, k, r]
+                total += wp.where(side == 1, -up, up)
+    return float(total)

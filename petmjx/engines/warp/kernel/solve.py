@@ -1,0 +1,22 @@
+"""The solver as a Warp function. The method: petmjx/engines/warp/newton.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from petmjx.engines.warp.records import MAX_PANELS, PANEL, ROW_WORDS, Model, Workspace
+
+
+@wp.func_native(
+    f"petmjx::newton<{MAX_PANELS}, {PANEL}, {ROW_WORDS}>"
+    "(lane, thread, threads, model, work, near.data.ptr, near_words);"
+)
+def newton(lane: int, thread: int, threads: int, model: Model, work: Workspace, near: Any, near_words: int) -> None:
+    """Accelerations and contact forces of a lane's world.
+
+    Reads the model's limits, the accelerations to start from, and rows and links of contacts. Writes ``acceleration``
+    and ``force`` (of each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as
+    scratch, and ``near``, a tile in shared memory, for the Hessian if it fits.
+    """

@@ -1,0 +1,169 @@
+"""Runs of mjx-warp: slices of time in which every world of a group goes on, and the outcomes of those that end."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import warp as wp
+from jaxtyping import Array, Int
+from numpy.typing import NDArray
+
+from petmjx.config import SOFT_START_STEPS, Check, Cone, Physics, Schedule, Simulation
+from petmjx.engines.batch.engine import Group, Run
+from petmjx.engines.batch.rules import Rules
+from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
+from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.sinking import MOST_IMPEDANCE
+from petmjx.engines.warp.march import SLICE_NS, March
+
+TOLERANCE = 1e-8
+"""MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
+
+ITERATIONS, LINE_SEARCH_ITERATIONS = 100, 50
+"""MuJoCo's limits of the Newton solver and of its line search. A world that needs many holds up no other."""
+
+
+def friction_damping(physics: Physics) -> float:
+    """Damping of friction, 1/s, as MuJoCo has it (its documentation, "Modeling", "Solver parameters"); 0 if it is that
+    of contacts."""
+    if not physics.has_own_friction:
+        return 0.0
+    time_s, damping = physics.solreffriction
+    high = min(physics.solimp[1], MOST_IMPEDANCE)
+    return -damping / high if time_s < 0 else 2 / (high * max(time_s, 2 * physics.timestep_s))
+
+
+def constants(sim: Simulation, timetable: Timetable, pairs: int, room: int) -> dict[str, Any]:
+    """What the kernel needs to know of a run: the fields of ``records.Model``.
+
+    Args:
+        pairs: most pairs of near geoms of a world.
+        room: most contacts of a world.
+    """
+    physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
+    low, high, width = physics.solimp
+    return {
+        "timestep": physics.timestep_s,
+        "gravity": physics.gravity_m_s2,
+        "floor_z": physics.floor_z_m,
+        "solref": wp.vec2(*physics.solref),
+        "low_impedance": low,
+        "high_impedance": high,
+        "impedance_width": width,
+        "pyramidal": int(physics.cone is Cone.PYRAMIDAL),
+        "friction_damping": friction_damping(physics),
+        "slack": physics.impratio**-0.5,
+        "tolerance": sim.solver_tolerance or TOLERANCE,
+        "limit": sim.solver_iterations or ITERATIONS,
+        "trials": LINE_SEARCH_ITERATIONS,
+        "pairs": pairs,
+        "room": room,
+        "fixed": int(sim.schedule is Schedule.FIXED),
+        "waits_for_creep": int(sim.waits_for_creep),
+        "early_stop": int(sim.early_stop),
+        "soft_start": SOFT_START_STEPS,
+        "sample_every": timetable.sample_every,
+        "rest_steps": timetable.rest_steps,
+        "static_end": timetable.static_end if sim.check is Check.STATIC else NEVER,
+        "shift": limits.shift_m,
+        "shift_floor": limits.shift_floor_m,
+        "tilt": limits.tilt_deg,
+        "drop_z": limits.drop_hull_z_m,
+        "linear_acceleration": limits.lin_acc_m_s2,
+        "angular_acceleration": limits.ang_acc_rad_s2,
+        "quiet_linear": quiet.lin_vel_m_s,
+        "quiet_angular": quiet.ang_vel_rad_s,
+        "rest_share": quiet.rest_share,
+        "slowing": quiet.slowing,
+        "quiet_steps": quiet.steps,
+        "min_steps": quiet.min_steps,
+        "poll_steps": quiet.poll_steps,
+        "due": wp.array(timetable.due, dtype=int),
+        "settled": wp.array(timetable.settled, dtype=int),
+        "settled_nominally": wp.array(timetable.settled_nominally, dtype=int),
+    }
+
+
+class Rollout:
+    """Programs and buffers for worlds of up to ``n_boxes`` boxes.
+
+    Args:
+        pairs, room: most pairs of near geoms, and contacts, of a world.
+        lanes: worlds at the same time, at most.
+        slice_ns: time of a call of the kernel, ns.
+    """
+
+    def __init__(self, run: Run, n_boxes: int, pairs: int, room: int, lanes: int, slice_ns: int = SLICE_NS) -> None:
+        self.march = March(constants(run.sim, run.timetable, pairs, room), n_boxes, lanes, slice_ns)
+        self.rules = Rules(run.sim, run.timetable, n_boxes, driven=True)
+        self.workspace = self.march.workspace().block_until_ready()
+        self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
+        self._programs: dict[tuple[int, ...], Any] = {}
+
+    def start(self, group: Group, order: Int[Array, " world"]) -> None:
+        """Begin a slice of time for all worlds of a group that run. ``wait`` waits for its end."""
+        arguments = (group.table, self.workspace, group.worlds, group.profiles, order)
+        shapes = (len(order), *group.profiles.shape)
+        if shapes not in self._programs:
+            begin, progress = time.perf_counter(), group.run.progress
+            progress.message = "compiling"
+            self.march.load()
+            self._programs[shapes] = self._advancing.lower(*arguments).compile()
+            progress.compile_s += time.perf_counter() - begin
+        self.began = time.perf_counter()
+        group.table, self.workspace, self.status, self.counts = self._programs[shapes](*arguments)
+
+    def close(self) -> None:
+        """Wait for a slice that is under way, and free the lanes' memory."""
+        if not self.workspace.is_deleted():
+            self.workspace.block_until_ready()
+            self.workspace.delete()
+
+    def wait(self, group: Group) -> NDArray[np.int32]:
+        """Statuses of a group's worlds after the slice."""
+        status = np.array(self.status)[: len(group.jobs)]
+        progress = group.run.progress
+        steps, iterations, contacts = (int(self.counts[name][0]) for name in ("steps", "iterations", "contacts"))
+        running = int((status == Status.RUNNING).sum())
+        progress.message = f"{running} worlds to go"
+        progress.world_steps += steps
+        extra = progress.extra
+        sums = {"seconds": time.perf_counter() - self.began, "steps": steps, "iterations": iterations}
+        for what, amount in sums.items():
+            extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
+        extra["march lanes"] = self.march.sizes["lane"]
+        extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
+        return status
+
+    def _advance(
+        self,
+        table: State,
+        workspace: jax.Array,
+        worlds: Worlds,
+        profiles: Array,
+        order: Int[Array, " world"],
+    ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array]]:
+        """A slice of time. Returns states, workspace, a copy of the statuses, and counts."""
+        table = self._begin_drives(table, worlds)
+        flat = table._asdict()
+        flat |= flat.pop("metrics")._asdict()
+        tables = worlds._asdict() | {"profiles": profiles, "order": order}
+        after, workspace, counts = self.march(tables, flat, workspace)
+        metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
+        table = State(**after, metrics=metrics)
+        return table, workspace, table.status + 0, counts
+
+    def _begin_drives(self, table: State, worlds: Worlds) -> State:
+        """Drives begin in worlds whose placement has settled."""
+        begins = (table.status == Status.SETTLED) & worlds.driven
+        entered = self.rules.enter(table, worlds)
+
+        def chosen(new: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(begins.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+        begun: State = jax.tree.map(chosen, entered, table)
+        return begun

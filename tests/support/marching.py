@@ -1,0 +1,87 @@
+"""One step of mjx-warp's kernel from a state that C MuJoCo has reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from petmjx.config import Check, Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.batch.engine import Group, Run
+from petmjx.engines.batch.timetable import build_timetable
+from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
+from petmjx.engines.warp.rollout import Rollout
+from petmjx.units import FloatArray
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """A world after a step. Rows: carrier, boxes; ``force``: on top of each box, N."""
+
+    pose: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    force: FloatArray
+    contacts: int
+    iterations: int
+    flags: int
+
+
+class OneStep:
+    """Takes single steps of a scene whose boxes all stand.
+
+    Args:
+        physics: name of a preset.
+    """
+
+    def __init__(self, scene: Scene, physics: str) -> None:
+        self.sim = Simulation(physics=physics, check=Check.STATIC)
+        run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), {"": [scene.n_boxes]}, Progress())
+        self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)], 0)
+        room = scene.n_boxes + MORE_BOXES
+        self.rollout = Rollout(run, scene.n_boxes, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room, lanes=1, slice_ns=0)
+        self.fresh = jax.tree.map(np.asarray, self.group.table)
+
+    def __call__(self, data: mujoco.MjData) -> Stepped:
+        """The step after that of C's data. Forces are there, since the rest window has begun."""
+
+        def rows(values: FloatArray, width: int) -> tuple[jax.Array, jax.Array]:
+            table = jnp.asarray(values.reshape(1, -1, width), jnp.float32)
+            return table[:, 0], table[:, 1:]
+
+        carrier_pose, pose = rows(data.qpos, 7)
+        carrier_vel, vel = rows(data.qvel, 6)
+        carrier_warm, warm = rows(data.qacc_warmstart, 6)
+        self.group.table = jax.tree.map(jnp.asarray, self.fresh)._replace(
+            carrier_pose=carrier_pose,
+            carrier_vel=carrier_vel,
+            carrier_warm=carrier_warm,
+            pose=pose,
+            vel=vel,
+            warm=warm,
+            step=jnp.zeros(1, jnp.int32),
+            rest_from=jnp.zeros(1, jnp.int32),
+        )
+        self.rollout.start(self.group, jnp.zeros(1, jnp.int32))
+        self.rollout.wait(self.group)
+        after, counts = jax.device_get((self.group.table, self.rollout.counts))
+        assert int(after.step[0]) == int(counts["steps"][0]) == 1
+
+        def joined(carrier: FloatArray, boxes: FloatArray) -> FloatArray:
+            return np.vstack([carrier, boxes[0]]).astype(float)
+
+        return Stepped(
+            pose=joined(after.carrier_pose, after.pose),
+            velocity=joined(after.carrier_vel, after.vel),
+            acceleration=joined(after.carrier_warm, after.warm),
+            force=after.metrics.rest_force_sum[0],
+            contacts=int(counts["contacts"][0]),
+            iterations=int(counts["iterations"][0]),
+            flags=int(after.flags[0]),
+        )
