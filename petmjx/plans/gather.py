@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import Final
 
 import numpy as np
 
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet, Skipped
-from petmjx.plans.read import DEFAULT_MAX_BOXES, load_plans
+from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
 from petmjx.text import counted
 from petmjx.units import MM_PER_M
-
-MOST_BOXES_OF_A_BATCH: Final = 256
-"""Boxes of the largest plan that the MJX engines take. A world of 256 boxes has 1,542 degrees of freedom; the solver of
-``mjx-warp`` has room for 1,664."""
 
 PathArgument = str | PathLike[str]
 PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet
@@ -56,15 +51,8 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
         [path for path in given if not isinstance(path, Plan)],
         limit=options.limit,
         strict=options.strict,
-        max_boxes=_most_boxes(options),
         carrier_extent_mm=None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M),
     )
-
-
-def _most_boxes(options: RunOptions) -> int:
-    """Boxes of the largest plan that every engine takes for which these options may stand."""
-    batched = isinstance(options.engine, str) and options.engine != "mujoco"
-    return MOST_BOXES_OF_A_BATCH if batched else DEFAULT_MAX_BOXES
 
 
 def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:
