@@ -16,7 +16,8 @@ SEED = 0
 """Seed of the generated sample plans."""
 
 STACK_PLAN = 33
-"""The sample plan of ``SEED`` from which stacks are cut, packed strictly: the first with at least 64 boxes (67)."""
+"""The sample plan of ``SEED`` from which stacks are cut, packed strictly: the first with at least 64 boxes (67).
+Larger stacks are of bricks."""
 
 MUJOCO = "mujoco"
 PLAIN_LOOP = "plain-loop"
@@ -47,7 +48,7 @@ class Case:
     way: Way = Way.FILES
     count: int = 2_000  # number of plans; with ``boxes`` of copies (0: as many as fill the engine)
     source: str = ""  # file of plans; empty: generated samples of ``SEED``. ``--plans`` replaces it
-    boxes: int = 0  # for ``Way.ENGINE``: copies of one stack, these many boxes of sample plan ``STACK_PLAN``
+    boxes: int = 0  # for ``Way.ENGINE``: copies of one stack, these many boxes of sample plan ``STACK_PLAN`` or bricks
     longest_first: bool = False  # plans with many boxes come first: at the end all threads have work
     simulation: Mapping[str, Any] = field(default_factory=dict)  # fields of ``petmjx.Simulation``
     sweep: str = ""  # a sweep's file or the name of a ready-made one; empty: each plan is scored once
@@ -77,7 +78,7 @@ _DECLARED: tuple[Case, ...] = (
     *(
         Case(f"stacks-{n}", "stacks", f"full stack of {n} boxes, static: what a step costs", Way.ENGINE, 0, boxes=n,
              simulation=_FULL_STACK)
-        for n in (8, 16, 24, 32, 40, 48, 64)
+        for n in (8, 16, 24, 32, 40, 48, 64, 128, 250)
     ),
     _w("W-adaptive", "adaptive schedule"),
     _w("W-adaptive-reference", "adaptive, physics reference", physics="reference"),
