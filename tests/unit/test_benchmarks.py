@@ -16,7 +16,7 @@ from benchmarks import table
 from benchmarks.__main__ import main
 from benchmarks.agreement import agreement
 from benchmarks.cases import CASES, GROUPS, STACK_PLAN, chosen_cases, oracle_case
-from benchmarks.measure import Bench, spread_over_sizes
+from benchmarks.measure import Bench, bricks, spread_over_sizes
 from benchmarks.record import COMMIT_VARIABLE, append_line, read_lines
 from petmjx.config import Schedule, Simulation
 from petmjx.engines.base import Progress
@@ -24,6 +24,7 @@ from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one
+from petmjx.plans.warnings import check_layout
 from petmjx.results.reader import load_run
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
@@ -242,14 +243,19 @@ def test_an_oracle_differs_in_its_schedule_alone() -> None:
     )  # fmt: skip
 
 
-def test_stacks_are_cut_from_a_plan_with_enough_boxes(tmp_path: Path) -> None:
-    _, placements = generate_one(STACK_PLAN, 0, loose_share=0.0)
-    assert len(placements) >= max(case.boxes for case in GROUPS["stacks"])
-    case = replace(CASES["stacks-8"], boxes=3, count=1)
+@pytest.mark.parametrize("boxes", [3, 70])
+def test_stacks_have_as_many_boxes_as_their_case_and_stand(boxes: int, tmp_path: Path) -> None:
+    """Up to 67 boxes from a sample plan, and bricks beyond."""
+    assert len(generate_one(STACK_PLAN, 0, loose_share=0.0)[1]) == 67
+    case = replace(CASES["stacks-8"], boxes=boxes, count=1)
     [result] = Bench(work=tmp_path, threads=1).run([case], ["mujoco"])
-    assert (result["plans"], result["boxes"], result["counts"]["stable"]) == (1, 3, 1)
-    with pytest.raises(InputError, match="no 99 boxes"):
-        list(Bench(work=tmp_path, threads=1).run([replace(case, boxes=99)], ["mujoco"]))
+    assert (result["plans"], result["boxes"], result["counts"]["stable"]) == (1, boxes, 1)
+
+
+@pytest.mark.parametrize("boxes", [128, 250])
+def test_bricks_are_packed_without_gaps_or_overlaps(boxes: int) -> None:
+    plan = bricks(boxes)
+    assert not check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm).any
 
 
 def test_any_beginning_is_spread_over_the_sizes() -> None:
