@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from petmjx.config import SOFT_START_STEPS, Physics
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import compiler_options
-from petmjx.engines.batch.state import State, Status, Worlds, narrow, put_rows, take_rows
+from petmjx.engines.batch.state import State, Status, Worlds, choose_rows, narrow, put_rows, take_rows
 from petmjx.engines.batch.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fields
 
 
@@ -163,16 +163,10 @@ class Stage:
         takes = free & (position < queue.length)
         row = jnp.where(takes, jnp.take(queue.rows, position, mode="clip"), jnp.where(free, n_rows, lanes.row))
 
-        def renew(fresh: Any, lane_record: Any) -> Any:
-            """Fresh values for lanes that take a world, the old ones for the others."""
-            return jax.tree.map(
-                lambda new, old: jnp.where(takes.reshape(-1, *[1] * (new.ndim - 1)), new, old), fresh, lane_record
-            )
-
         fresh_worlds = take_rows(narrow(worlds, self.rules.capacity), row)
-        new_worlds = renew(fresh_worlds, lanes.worlds)
+        new_worlds = choose_rows(takes, fresh_worlds, lanes.worlds)
         entered = self.rules.enter(take_rows(narrow(table, self.rules.capacity), row), fresh_worlds)
-        state = renew(entered, lanes.state)
+        state = choose_rows(takes, entered, lanes.state)
         idle = row >= n_rows
         state = state._replace(status=jnp.where(idle, Status.FINISHED, state.status))
         queue = queue._replace(head=queue.head + takes.sum())

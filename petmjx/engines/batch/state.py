@@ -150,6 +150,12 @@ def put_rows(table: State, rows: Int[Array, " lane"], lanes: State) -> State:
     return written
 
 
+def choose_rows(where: Bool[Array, " world"], new: Record, old: Record) -> Record:
+    """Rows of the new record where it says so, of the old one elsewhere."""
+    chosen: Record = jax.tree.map(lambda a, b: jnp.where(where.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
+    return chosen
+
+
 def take_rows(record: Record, rows: Int[Array, " lane"]) -> Record:
     """Rows of a record, in order; out-of-range rows give some valid row."""
     taken: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)

@@ -6,7 +6,6 @@ import time
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import warp as wp
 from jaxtyping import Array, Int
@@ -15,16 +14,14 @@ from numpy.typing import NDArray
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Physics, Schedule, Simulation
 from petmjx.engines.batch.engine import Group, Run
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
+from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds, choose_rows
+from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.sinking import MOST_IMPEDANCE
 from petmjx.engines.warp.march import SLICE_NS, March
 
 TOLERANCE = 1e-8
 """MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
-
-ITERATIONS, LINE_SEARCH_ITERATIONS = 100, 50
-"""MuJoCo's limits of the Newton solver and of its line search. A world that needs many holds up no other."""
 
 
 def friction_damping(physics: Physics) -> float:
@@ -58,7 +55,7 @@ def constants(sim: Simulation, timetable: Timetable, pairs: int, room: int) -> d
         "friction_damping": friction_damping(physics),
         "slack": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "limit": sim.solver_iterations or ITERATIONS,
+        "limit": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
         "trials": LINE_SEARCH_ITERATIONS,
         "pairs": pairs,
         "room": room,
@@ -161,9 +158,4 @@ class Rollout:
         """Drives begin in worlds whose placement has settled."""
         begins = (table.status == Status.SETTLED) & worlds.driven
         entered = self.rules.enter(table, worlds)
-
-        def chosen(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(begins.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-        begun: State = jax.tree.map(chosen, entered, table)
-        return begun
+        return choose_rows(begins, entered, table)
