@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -79,6 +80,15 @@ class Group:
     def status(self) -> NDArray[np.int32]:
         """Statuses of the jobs' rows, on the host."""
         return np.asarray(self.table.status)[: len(self.jobs)]
+
+    def handed_on(self, status: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Which jobs are at their end, by the statuses of their rows."""
+        return handed_on(status, self.driven)
+
+    @cached_property
+    def driven(self) -> NDArray[np.bool_]:
+        """Jobs with a drive."""
+        return np.array([job.drive is not None for job in self.jobs], bool)
 
     def overflowed(self) -> NDArray[np.int64]:
         """Rows that a stage returned unchanged, because a buffer was too small."""
@@ -167,13 +177,10 @@ class MjxEngine(ABC):
         emitted = np.zeros(len(jobs), bool)
 
         def finished() -> Iterator[Outcome]:
-            status = group.status()
-            rows = [row for row in np.flatnonzero(~emitted) if handed_on(int(status[row]), jobs[int(row)])]
-            if rows:
-                emitted[rows] = True
-                chosen = np.array(rows)
-                picked = pick(chosen, group.table, group.worlds, run.sim)
-                yield from outcomes(chosen, picked, jobs, first_job, run.timetable, run.sim)
+            rows = np.flatnonzero(group.handed_on(group.status()) & ~emitted)
+            emitted[rows] = True
+            picked = pick(rows, group.table, group.worlds, run.sim)
+            yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
         for kind in sorted(run.capacities, key=("", "force", "acceleration").index):

@@ -164,8 +164,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     return forked_states._replace(steps_done=fresh.steps_done)
 
 
-def handed_on(status: int, job: Job) -> bool:
-    """Whether a world of this status is at its end for this run of jobs (or goes on to another stage)."""
-    if status == Status.FINISHED:
-        return True
-    return status == Status.SETTLED and job.drive is None
+def handed_on(status: NDArray[np.int32], driven: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which worlds are at their end for this run of jobs, by status, and not on the way to another stage or a drive."""
+    ended: NDArray[np.bool_] = (status == Status.FINISHED) | ((status == Status.SETTLED) & ~driven)
+    return ended

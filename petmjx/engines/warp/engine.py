@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from petmjx.config import Simulation, Solver
 from petmjx.engines.batch.capacities import round_up
 from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine, Run, is_out_of_memory
-from petmjx.engines.batch.outcomes import handed_on, outcomes, pick
+from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
 from petmjx.engines.batch.state import Status
@@ -184,8 +184,7 @@ class MjxWarpEngine(MjxEngine):
                 if len(full):
                     rollout = self._make_room(group, full)
                     status = group.status()
-                ended = [row for row in np.flatnonzero(~emitted).tolist() if handed_on(int(status[row]), jobs[row])]
-                rows = np.array(ended, np.int64)
+                rows = np.flatnonzero(group.handed_on(status) & ~emitted)
                 emitted[rows] = True
                 picked = pick(rows, group.table, group.worlds, run.sim)
                 if rollout is not None and not emitted.all():
@@ -208,9 +207,7 @@ class MjxWarpEngine(MjxEngine):
         group.table = group.table._replace(status=group.table.status.at[rows].set(Status.RUNNING))
         rollout = self._rollout(group)
         if rollout is None:
-            status = group.status().tolist()
-            left = [row for row, job in enumerate(group.jobs) if not handed_on(status[row], job)]
-            group.give_up(np.array(left, np.int64), Flag.OUT_OF_MEMORY)
+            group.give_up(np.flatnonzero(~group.handed_on(group.status())), Flag.OUT_OF_MEMORY)
         return rollout
 
     def _rollout(self, group: Group) -> Rollout | None:
