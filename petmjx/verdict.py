@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
+from petmjx.history import History
 from petmjx.metrics.motion_np import excess
 from petmjx.units import FloatArray
 
@@ -102,6 +103,8 @@ class Outcome:
     """See :func:`margin_of`; filled in for all engines where their outcomes arrive (petmjx.engines.retry)."""
     message: str = ""
     """Why there is no result, in one line, if ``reason`` is ``failed``."""
+    history: History | None = None
+    """The frames, if the job asked for them."""
 
 
 INVALID_FLAGS: Final = (

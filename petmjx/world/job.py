@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
+from petmjx.history import Record
 from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.scene import Scene
 
@@ -55,10 +56,12 @@ class Job:
 
     ``start`` is the ``state`` of an earlier outcome of the same engine: the world then skips soft start and placement,
     and begins with its drive. ``keep_state`` asks for such a state, taken when the placement has settled. A job with
-    ``keep_state`` and no drive may end at that moment, without a rest window.
+    ``keep_state`` and no drive may end at that moment, without a rest window. ``record`` asks for the world's history;
+    it changes nothing else.
     """
 
     scene: Scene
     drive: Drive | None = None
     start: Any = None
     keep_state: bool = False
+    record: Record | None = None

@@ -14,7 +14,7 @@ import pytest
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"errors", "text", "units", "machine", "bounded", "checked", "config"}),
     frozenset({"run_options"}),
-    frozenset({"plans"}),
+    frozenset({"plans", "history"}),
     frozenset({"world"}),
     frozenset({"metrics"}),
     frozenset({"verdict"}),
@@ -22,8 +22,8 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"results"}),
     frozenset({"sweeps"}),
     frozenset({"simulate"}),
-    frozenset({"api", "doctor"}),
-    frozenset({"show"}),
+    frozenset({"api", "doctor", "story"}),
+    frozenset({"show", "pages", "pictures"}),
     frozenset({"cli", "__main__"}),
 )
 """Modules and packages of petmjx, from left to right. A module imports from its own layer or those before it; what has
