@@ -10,6 +10,7 @@ import typer
 
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
+from petmjx.cli.names import named_paths
 from petmjx.errors import InputError
 
 
@@ -65,7 +66,7 @@ def _compare_packers(runs: list[str], rows: int, out: Path | None, as_json: bool
     from petmjx.show.layout import line, print_each
     from petmjx.show.packer_tables import packer_tables
 
-    found = compare_packers(_named(runs))
+    found = compare_packers(named_paths(runs, "compare --packers") or runs)
     if out is not None:
         write_comparison(found, out)
     if as_json:
@@ -73,18 +74,3 @@ def _compare_packers(runs: list[str], rows: int, out: Path | None, as_json: bool
         return
     tables: list[Any] = [*packer_tables(found, max_rows=rows)]
     print_each([*tables, *([line(f"tables in {out}")] if out is not None else [])], results_console())
-
-
-def _named(runs: list[str]) -> dict[str, str] | list[str]:
-    """NAME=DIR as name → folder, if they are written so; what is a folder is one, even with a "=" in its name."""
-    split = [(each, "") if Path(each).exists() else tuple(each.split("=", 1)) for each in runs]
-    pairs = [pair for pair in split if len(pair) == 2 and pair[1]]
-    if not pairs:
-        return runs
-    if len(pairs) < len(runs):
-        raise InputError("give every run a name (NAME=DIR), or none")
-    names = [name for name, _ in pairs]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"packer {twice}: named twice")
-    return dict(pairs)

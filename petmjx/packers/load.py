@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,13 +42,11 @@ def opened(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
     if len(found) < 2:
         raise InputError("give at least two runs to compare")
     names = list(named) if named else _names([run.path for run in found])
-    for name, run in zip(names, found, strict=True):
-        if "sweep" in run.info.get("config", {}) and run.info["config"].get("command") == "sweep":
+    for run in found:
+        if run.info.get("config", {}).get("command") == "sweep":
             raise InputError(f"{run.path}: is a sweep; packers are compared by scores")
         if run.worlds.duplicated(["plan_id", "variant"]).any():
             raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
-        if not name:
-            raise InputError("the name of a packer must not be empty")
     return dict(zip(names, found, strict=True))
 
 
@@ -59,6 +57,17 @@ def _names(folders: Sequence[Path]) -> list[str]:
         if name in names[:number]:
             raise InputError(f"{shown(name)}: given twice; a packer is compared with others")
     return names
+
+
+def check_names(names: Iterable[str]) -> None:
+    """Names that can be those of folders.
+
+    Raises:
+        InputError: one cannot.
+    """
+    for name in names:
+        if not name or name in (".", "..") or "/" in name or "\\" in name or not name.isprintable():
+            raise InputError(f"packer {shown(name)!r}: the name must be usable as that of a folder")
 
 
 def plans_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:

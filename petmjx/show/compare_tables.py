@@ -108,7 +108,7 @@ def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[Fitted
             table.add(
                 name,
                 f"{row['n']:,}",
-                number(row["mean"], factor=factor, sign=True),
+                number(row["mean"], factor=factor, sign=bool(row["mean"])),
                 *(number(row[column], factor=factor) for column in ("median", "p95", "largest")),
                 "/".join(str(row[column]) for column in key) if differs else "",
                 *(number(row[side]) if differs else "" for side in "ab"),

@@ -58,13 +58,14 @@ def _not_compared(found: PackerComparison) -> Iterator[RenderableType]:
 
 def _packers_table(found: PackerComparison) -> FittedTable:
     whole = found.packers[found.packers["size"] == ALL_SIZES]
+    left_out = _left_out(found)
     table = FittedTable(
         Column("packer", "left", least=8, middle=True),
         Column("stand"),
         Column("share"),
         Column(_interval_header(found)),
         Column("boxes\nplaced", spare=2),
-        Column("left\nout", spare=3),
+        *left_out,
         Column("volume\nm³", spare=1),
         Column("height\nm"),
         Column("kpi_2"),
@@ -76,7 +77,8 @@ def _packers_table(found: PackerComparison) -> FittedTable:
             f"{row['n_stable']:,}",
             percent(row["share"]),
             _interval(row, ".1f"),
-            *(number(row[name], form) for name, form in (("boxes", ".1f"), ("left_out", ".2f"))),
+            number(row["boxes"], ".1f"),
+            *(number(row["left_out"], ".2f") for _ in left_out),
             *(number(row[name], ".3f") for name in ("volume_m3", "height_m", "kpi_2")),
         )
     return table
@@ -107,6 +109,7 @@ def _pairs_table(found: PackerComparison) -> FittedTable:
 
 def _sizes_table(found: PackerComparison) -> FittedTable:
     sized = found.packers[found.packers["size"] != ALL_SIZES]
+    left_out = _left_out(found)
     table = FittedTable(
         Column("boxes of\nthe order", "left"),
         Column("packer", "left", least=8, middle=True),
@@ -114,7 +117,7 @@ def _sizes_table(found: PackerComparison) -> FittedTable:
         Column("stand"),
         Column("share"),
         Column(_interval_header(found)),
-        Column("left\nout", spare=1),
+        *left_out,
         Column("kpi_2"),
         title="by size of the order",
     )
@@ -122,7 +125,7 @@ def _sizes_table(found: PackerComparison) -> FittedTable:
     for row in sized.to_dict("records"):
         size, last = ("" if row["size"] == last else row["size"]), row["size"]
         shares = (percent(row["share"]), _interval(row, ".1f"))
-        means = (number(row["left_out"], ".2f"), number(row["kpi_2"], ".3f"))
+        means = (*(number(row["left_out"], ".2f") for _ in left_out), number(row["kpi_2"], ".3f"))
         table.add(size, row["packer"], f"{row['n']:,}", f"{row['n_stable']:,}", *shares, *means)
     return table
 
@@ -147,6 +150,11 @@ def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableT
         ids = ", ".join(map(shown, rows["plan_id"].head(max_rows)))
         more = f" and {len(rows) - max_rows:,} more (all with -o)" if len(rows) > max_rows else ""
         yield line(f"{shown(winner)} stands, {shown(loser)} does not: {ids}{more}")
+
+
+def _left_out(found: PackerComparison) -> list[Column]:
+    """The column of boxes left out, if a run was compared with orders."""
+    return [Column("left\nout", spare=3)] if found.packers["left_out"].notna().any() else []
 
 
 def _interval_header(found: PackerComparison) -> str:
