@@ -74,18 +74,22 @@ class Balance:
             return Rest(load, None, np.zeros((0, 3)))
         low, high = np.maximum(self._low[:n], corner), np.minimum(self._high[:n], corner + base)
         touch = TOUCH_MM / MM_PER_M
-        below = ((high - low) > touch).all(axis=1) & (np.abs(self._top_mm[:n] - corner_mm[2]) <= TOUCH_MM)
+        side = high - low > touch
+        below = side[:, 0] & side[:, 1] & (np.abs(self._top_mm[:n] - corner_mm[2]) <= TOUCH_MM)
         under = np.flatnonzero(below)
         low, high = low[under], high[under]
         planes = hull_planes(low, high, min(MARGIN_M, MARGIN_SHARE * float(base.min())))
         if not len(under) or (planes @ load).max() > 0:
             return None
-        moments = _moments(low, high)
-        shares = moments @ np.linalg.inv(moments.sum(axis=0))
-        passed: FloatArray = np.einsum("inab,ibc->nac", self._passed[under, :n], shares)
+        if len(under) == 1:  # which takes the whole load
+            passed = self._passed[under[0], :n]
+        else:
+            moments = _moments(low, high)
+            shares = moments @ np.linalg.inv(moments.sum(axis=0))
+            passed = np.matmul(self._passed[under, :n], shares[:, None]).sum(axis=0)
         # the load of a plane's owner against that plane, for all hulls of the pile at a time
         after = self._load[:n] + passed @ load
-        if len(self._planes) and (self._planes * after[self._owner]).sum(axis=1).max() > _SLACK_KG_M:
+        if len(self._planes) and np.einsum("kc,kc->k", self._planes, after[self._owner]).max() > _SLACK_KG_M:
             return None
         return Rest(load, passed, planes)
 

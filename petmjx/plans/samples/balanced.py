@@ -11,6 +11,7 @@ Nothing is drawn at random: an order has one plan.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -24,21 +25,45 @@ from petmjx.units import FloatArray
 LEAST_SUPPORT: Final = 0.5
 """Least share of a base that rests on something. The balance is the rule that counts; this one keeps overhangs few."""
 
-# What the features of a candidate are worth, in mm of height of its place. Found by a search at random over 50 sets on
-# the first 40 orders of seed 0, by volume utilisation and boxes left out; between neighbours there is little to choose.
-_PER_BASE_SIDE: Final = 1.4
-"""Per mm of the square root of the base area."""
-_PER_LOG_WEIGHT: Final = 40.0
-"""Per unit of the natural logarithm of the weight."""
-_PER_HEIGHT: Final = 0.25
-_PER_OVERHANG: Final = 40.0
-"""For a base that hangs over as a whole."""
-_PER_DISTANCE: Final = 0.01
-"""Per mm of x + y: of places that are equally good, the one nearest to the corner."""
+
+@dataclass(frozen=True)
+class Taste:
+    """What the features of a candidate are worth, in mm of height of its place.
+
+    Attributes:
+        per_base_side: per mm of the square root of the base area.
+        per_log_weight: per unit of the natural logarithm of the weight.
+        per_height: per mm of the box's own height.
+        per_overhang: what a base loses that hangs over as a whole.
+        per_distance: what a place loses per mm of x + y: of places equally good, the one nearest to the corner.
+    """
+
+    per_base_side: float = 1.4
+    per_log_weight: float = 40.0
+    per_height: float = 0.25
+    per_overhang: float = 40.0
+    per_distance: float = 0.01
+
+
+TASTES: Final = (Taste(), Taste(per_height=0.6), Taste(per_overhang=0.0), Taste(per_base_side=1.0))
+"""The first one was found by a search at random over 50 sets on the first 40 orders of seed 0, by volume utilisation
+and boxes left out; between neighbours there is little to choose. The others are tried one after the other while boxes
+are left out: of 600 orders of seed 0 the first one leaves out 35 boxes of 10, all together none."""
 
 
 def pack_balanced(items: Sequence[Item], extent_mm: tuple[float, float]) -> list[Placed]:
     """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out."""
+    best: list[Placed] = []
+    for taste in TASTES:
+        placed = _pack(items, extent_mm, taste)
+        if len(placed) > len(best):
+            best = placed
+        if len(best) == len(items):
+            break
+    return best
+
+
+def _pack(items: Sequence[Item], extent_mm: tuple[float, float], taste: Taste) -> list[Placed]:
     kinds: dict[Item, list[Item]] = {}
     for item in items:
         kinds.setdefault(item, []).append(item)
@@ -55,10 +80,10 @@ def pack_balanced(items: Sequence[Item], extent_mm: tuple[float, float]) -> list
 
     table = Candidates(sizes[:, :2], sizes[:, 2], extent_mm, len(items))
     pile = Balance(len(items))
-    worth = _worth(sizes, weight)
+    worth = _worth(sizes, weight, taste)
     placed: list[Placed] = []
     while len(kind_of):
-        found = _best(table, pile, worth, weight)
+        found = _best(table, pile, worth, weight, taste)
         if found is None:
             break
         point, shape = found
@@ -78,17 +103,22 @@ def _size(item: Item, orientation: int) -> tuple[float, float, float]:
     return (*(base if orientation == 0 else base[::-1]), item.height_mm)
 
 
-def _worth(sizes: FloatArray, weight: FloatArray) -> FloatArray:
+def _worth(sizes: FloatArray, weight: FloatArray, taste: Taste) -> FloatArray:
     """(s,) what shapes are worth wherever they go, in mm; (s, 3) sizes, (s,) weights."""
     side = np.sqrt(sizes[:, 0] * sizes[:, 1])
-    worth: FloatArray = _PER_BASE_SIDE * side + _PER_LOG_WEIGHT * np.log(weight) + _PER_HEIGHT * sizes[:, 2]
+    worth: FloatArray = (
+        taste.per_base_side * side + taste.per_log_weight * np.log(weight) + taste.per_height * sizes[:, 2]
+    )
     return worth
 
 
-def _best(table: Candidates, pile: Balance, worth: FloatArray, weight: FloatArray) -> tuple[int, int] | None:
+def _best(
+    table: Candidates, pile: Balance, worth: FloatArray, weight: FloatArray, taste: Taste
+) -> tuple[int, int] | None:
     """Point and shape of the best candidate that keeps the balance, which the pile then has; None: there is none."""
-    support = table.carried / table.base.prod(axis=1)
-    cost = table.z - worth + _PER_OVERHANG * (1 - support) + _PER_DISTANCE * table.points.sum(axis=1)[:, None]
+    support = table.carried / table.area
+    cost = table.z - worth + taste.per_overhang * (1 - support)
+    cost += taste.per_distance * table.points.sum(axis=1)[:, None]
     fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - 1e-9)
     cost = np.where(table.open & fits, cost, np.inf)
     while True:

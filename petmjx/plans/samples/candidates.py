@@ -15,13 +15,17 @@ from numpy.typing import NDArray
 from petmjx.plans.samples.balance import TOUCH_MM
 from petmjx.units import FloatArray
 
+_SLIDING = np.array([1, 0, 0, 1])
+_OTHER = 1 - _SLIDING
+"""Of each of four slides, the axis along which it goes, and the other one."""
+
 
 class Candidates:
     """p points × s shapes; a shape is a kind of box in one orientation.
 
     Attributes:
         points: (p, 2) corners, mm.
-        base: (s, 2) sides along x and y, mm.
+        base: (s, 2) sides along x and y, mm; ``area``: (s,) their product.
         height: (s,) mm.
         z: (p, s) where the shape's bottom would rest, mm.
         carried: (p, s) area of its base that would rest there, mm².
@@ -29,7 +33,7 @@ class Candidates:
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
-        self.base, self.height = base, height
+        self.base, self.height, self.area = base, height, base.prod(axis=1)
         self.extent_mm = extent_mm
         self.points = np.zeros((0, 2))
         self.z = np.zeros((0, len(height)))
@@ -44,7 +48,7 @@ class Candidates:
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
         """Forget the shapes of which no box is left."""
-        self.base, self.height = self.base[kept], self.height[kept]
+        self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
         self.z, self.carried = self.z[:, kept], self.carried[:, kept]
         self.open, self._inside = self.open[:, kept], self._inside[:, kept]
 
@@ -85,7 +89,7 @@ class Candidates:
         carried = np.where(np.abs(tops - z[:, :, None]) <= TOUCH_MM, area, 0.0).sum(axis=2)
         self.points = np.concatenate([self.points, points])
         self.z = np.concatenate([self.z, z])
-        self.carried = np.concatenate([self.carried, np.where(z > 0, carried, self.base.prod(axis=1))])
+        self.carried = np.concatenate([self.carried, np.where(z > 0, carried, self.area)])
         self.open = np.concatenate([self.open, inside])
         self._inside = np.concatenate([self._inside, inside])
 
@@ -94,16 +98,26 @@ class Candidates:
     ) -> list[tuple[float, float]]:
         """Three corners of the newest box, each also moved towards the carrier's edges, beside the box and on it."""
         (x, y, z), (x_end, y_end, top) = corner, ends
-        beside = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
-        return [*beside, (x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
+        # slides along −y from the ends of x beside the box and from x on it, along −x from the ends of y likewise
+        start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
+        south, west, west_on_top, south_on_top = self._slide(start, across, np.array([z, z, top, top]))
+        beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]
+        return [*beside, (x, y), (west_on_top, y), (x, south_on_top)]
 
-    def _slide(self, axis: int, start: float, across: float, level: float) -> float:
-        """Where a point that slides along −``axis`` from ``start`` meets a box, or 0 at the carrier's edge."""
-        low, high = self._low[: self._n], self._high[: self._n]
-        other = 1 - axis
-        in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
-        ends = high[in_way & (high[:, axis] <= start + TOUCH_MM), axis]
-        return float(ends.max()) if len(ends) else 0.0
+    def _slide(self, start: FloatArray, across: FloatArray, level: FloatArray) -> list[float]:
+        """Where four points that slide along −y, −x, −x and −y meet a box, or 0 at the carrier's edge.
+
+        Args:
+            start, across: (4,) where they are along the axis in which they slide, and along the other one.
+            level: (4,) their heights.
+        """
+        low, high = self._low[: self._n].T, self._high[: self._n].T
+        across, level = across[:, None], level[:, None]
+        in_way = (low[_OTHER] <= across) & (across < high[_OTHER]) & (low[2] <= level) & (level < high[2])
+        ends = high[_SLIDING]
+        reached: FloatArray = np.where(in_way & (ends <= start[:, None] + TOUCH_MM), ends, 0.0).max(axis=1)
+        found: list[float] = reached.tolist()
+        return found
 
 
 def _overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
