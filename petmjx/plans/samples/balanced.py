@@ -121,10 +121,10 @@ def _best(
     cost += taste.per_distance * table.points.sum(axis=1)[:, None]
     fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - 1e-9)
     cost = np.where(table.open & fits, cost, np.inf)
-    while True:
+    while cost.size:
         point, shape = divmod(int(cost.argmin()), len(weight))
         if cost[point, shape] == np.inf:
-            return None
+            break
         width, depth = table.base[shape].tolist()
         corner = (*table.points[point].tolist(), float(table.z[point, shape]))
         rest = pile.rest(corner, (width, depth), float(weight[shape]))
@@ -133,3 +133,4 @@ def _best(
             return point, shape
         table.open[point, shape] = False
         cost[point, shape] = np.inf
+    return None
