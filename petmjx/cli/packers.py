@@ -9,6 +9,8 @@ from typing import Any
 
 from petmjx.cli.console import results_console
 from petmjx.cli.runs import brief, default_folder, remove_empty, run_watched
+from petmjx.errors import InputError
+from petmjx.text import printable
 
 
 def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool) -> None:
@@ -26,6 +28,9 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
     from petmjx.show.tables import run_tables
 
     check_names(plans)
+    for path in plans.values():
+        if not Path(path).exists():  # before the first packer's plans are simulated, not after
+            raise InputError(f"{printable(path)}: no such file or folder")
     made = None if "out" in options or options.get("resume") else default_folder()
     parent = options.get("out", made)
     console = results_console()
