@@ -18,7 +18,7 @@ def compare(
     runs: Annotated[
         list[str],
         typer.Argument(
-            metavar="DIR_A DIR_B", help="Folders of two runs; with --packers two or more, also as NAME=DIR."
+            metavar="DIR", help="Folders of two runs, a and b; with --packers two or more, also as NAME=DIR."
         ),
     ],
     packers: Annotated[
