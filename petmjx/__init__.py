@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         Thresholds,
     )
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+    from petmjx.packers.compare import compare_packers
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.results.compare import compare_runs
@@ -52,6 +53,7 @@ _HOME = {
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
+    "compare_packers": "petmjx.packers.compare",
     "compare_runs": "petmjx.results.compare",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
@@ -78,6 +80,7 @@ __all__ = [
     "Solver",
     "Thresholds",
     "__version__",
+    "compare_packers",
     "compare_runs",
     "load_plans",
     "load_run",
