@@ -97,8 +97,8 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
     hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         precision, recall = hit / (hit + false), hit / (hit + miss)
-        # roots one by one: the product of four counts of 10^5 is beyond the whole numbers of float64
-        below = np.sqrt(hit + false) * np.sqrt(hit + miss) * np.sqrt(right + false) * np.sqrt(right + miss)
+        # root by root: the product of all four is beyond the whole numbers that float64 holds
+        below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
         mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
     return precision, recall, mcc
 
