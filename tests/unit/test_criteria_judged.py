@@ -204,8 +204,8 @@ def test_unusable_options_are_one_line(options: dict[str, object], line: str) ->
 
 
 def test_hand_made_plans_fall_where_force_balance_says() -> None:
-    """Physics lets a box fall by 5 mm, which no criterion does. The lever rule puts forces at the middle of contacts, too
-    far in for a staircase."""
+    """Physics lets a box fall by 5 mm, which no criterion does. The lever rule puts forces at the middle of contacts,
+    too far in for a staircase."""
     plans = [plan for plan in petmjx.load_plans(bundled_path()) if plan.plan_id.startswith("hand-")]
     run = petmjx.score(plans, engine="mujoco")
     stands = run.worlds.set_index("plan_id")["verdict"] == "stable"
