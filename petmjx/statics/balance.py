@@ -33,10 +33,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.history import CARRIER
 from petmjx.statics.contacts import Contacts, IntArray, Sides, find_sides
 from petmjx.statics.friction import Friction, friction_slack
 from petmjx.statics.hulls import Hulls
-from petmjx.statics.largest import even_share, largest_slack
+from petmjx.statics.largest import Entries, even_share, largest_slack
 from petmjx.units import MM_PER_M, FloatArray
 
 NO_SLACK: Final = -1e-6
@@ -127,36 +128,36 @@ def _slack_alone(contacts: Contacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """Force and moments of every box by the vertical forces at corners, as a dense matrix of which structures take
-    part.
+    """Force and moments of every box by the vertical forces at corners, of which structures take parts.
 
-    Rows are force and two moments of each box, about its own centre, in units of the mean weight and metres. Columns
-    are the corners.
+    Each corner of a contact presses the box above upwards and the body below downwards. Rows of a box are its force and
+    two moments about its own centre, in mean weights and metres.
     """
 
     def __init__(self, contacts: Contacts) -> None:
-        n, c = contacts.n_boxes, len(contacts.upper)
         self._upper = contacts.upper
-        grounded = contacts.on_carrier
-        corners = contacts.corners_mm / MM_PER_M
-        self._matrix = np.zeros((n, 3, c, 4))
-        rows = np.arange(c)
-        for body, sign in ((contacts.upper, 1.0), (contacts.lower, -1.0)):
-            moving = rows[(body >= 0) & ~grounded[body]]
-            of = body[moving]
-            arm = corners[moving] - contacts.centre_mm[of, None, :2] / MM_PER_M
-            self._matrix[of, 0, moving] = sign
-            self._matrix[of, 1, moving] = sign * arm[..., 0]
-            self._matrix[of, 2, moving] = sign * arm[..., 1]
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)
+        # (2, c) the bodies that must balance: neither the carrier nor boxes on it
+        body = np.stack([contacts.upper, contacts.lower])
+        self._body = np.where((body == CARRIER) | contacts.on_carrier[body], CARRIER, body)
+        arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
+        # (2, c, 3, 4) by body, contact, row and corner
+        self._value = np.stack([np.ones(arm.shape[:-1]), arm[..., 0], arm[..., 1]], axis=2)
+        self._value[1] *= -1
 
     def slack(self, boxes: IntArray) -> float:
         """The largest slack of a structure of several boxes, all placed."""
-        member = np.zeros(len(self._weight), dtype=bool)
-        member[boxes] = True
-        chosen = np.flatnonzero(member[self._upper])
-        forces = self._matrix[boxes][:, :, chosen].reshape(3 * len(boxes), -1)
+        place = np.full(len(self._weight), -1)
+        place[boxes] = np.arange(len(boxes))
+        chosen = np.flatnonzero(place[self._upper] >= 0)
+        body = self._body[:, chosen]
+        side, contact = np.nonzero(body != CARRIER)
+        value = self._value[side, chosen[contact]]
+        row = 3 * place[body[side, contact]][:, None, None] + np.arange(3)[:, None]
+        column = 4 * contact[:, None, None] + np.arange(4)
+        row, column = np.broadcast_arrays(row, column)
         wanted = np.zeros((len(boxes), 3))
         wanted[:, 0] = self._weight[boxes]
+        forces = Entries(value.ravel(), row.ravel(), column.ravel())
         return largest_slack(forces, np.repeat(self._share[chosen], 4), wanted.ravel())

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import Contacts, IntArray, Sides
-from petmjx.statics.largest import even_share, largest_slack
+from petmjx.statics.largest import Entries, even_share, largest_slack
 from petmjx.units import MM_PER_M, FloatArray
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
 
 _DIRECTIONS = 5
 """Forces at a point: pressure, and friction both ways along the two other axes."""
@@ -70,9 +67,18 @@ def friction_slack(
     possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
     possible[:, 0] = True
     chosen = np.flatnonzero(possible)
-    forces = _wrenches(points, boxes, contacts.centre_mm / MM_PER_M)[:, chosen]
-    limits = _pyramids(points.friction)[:, chosen]
+    forces = _columns(_wrenches(points, boxes, contacts.centre_mm / MM_PER_M), chosen, possible.size)
+    limits = _columns(_pyramids(points.friction), chosen, possible.size)
     return largest_slack(forces, share.ravel()[chosen], wanted.ravel(), limits)
+
+
+def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
+    """The entries in some of n columns, which are counted anew."""
+    position = np.full(n, -1)
+    position[chosen] = np.arange(len(chosen))
+    column = position[entries.column]
+    kept = column >= 0
+    return Entries(entries.value[kept], entries.row[kept], column[kept])
 
 
 def _hanging_together(
@@ -123,10 +129,8 @@ def _side_corners(sides: Sides, own: IntArray) -> FloatArray:
     return corners
 
 
-def _wrenches(points: _Points, boxes: NDArray[np.bool_], centre_m: FloatArray) -> csc_array:
+def _wrenches(points: _Points, boxes: NDArray[np.bool_], centre_m: FloatArray) -> Entries:
     """(6 b, 5 p): force and moment about its centre of every box by the forces at points."""
-    from scipy.sparse import csc_array
-
     direction = _directions(points.axis)
     row_of = np.cumsum(boxes) - 1
     column_of = np.arange(len(direction) * _DIRECTIONS).reshape(-1, _DIRECTIONS)
@@ -140,8 +144,7 @@ def _wrenches(points: _Points, boxes: NDArray[np.bool_], centre_m: FloatArray) -
         values.append(wrench.ravel())
         rows.append(row.ravel())
         columns.append(np.repeat(column_of[at].ravel(), 6))
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return csc_array(entries, shape=(6 * int(boxes.sum()), column_of.size))
+    return Entries(np.concatenate(values), np.concatenate(rows), np.concatenate(columns))
 
 
 def _directions(axis: IntArray) -> FloatArray:
@@ -151,12 +154,8 @@ def _directions(axis: IntArray) -> FloatArray:
     return np.stack([along, one, -one, other, -other], axis=1)
 
 
-def _pyramids(friction: FloatArray) -> csc_array:
+def _pyramids(friction: FloatArray) -> Entries:
     """(p, 5 p): friction less μ times pressure at each point."""
-    from scipy.sparse import csc_array
-
-    shape = (len(friction), _DIRECTIONS)
-    values = np.ones(shape)
+    values = np.ones((len(friction), _DIRECTIONS))
     values[:, 0] = -friction
-    at = np.repeat(np.arange(len(friction)), _DIRECTIONS)
-    return csc_array((values.ravel(), (at, np.arange(values.size))), shape=(len(friction), values.size))
+    return Entries(values.ravel(), np.repeat(np.arange(len(friction)), _DIRECTIONS), np.arange(values.size))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ pytest.importorskip("scipy")
 pytest.importorskip("shapely")
 
 import petmjx
+from benchmarks.criteria_study import study
 from petmjx.errors import InputError
 from petmjx.plans.samples import bundled_path
 from petmjx.statics.judged import (
@@ -212,6 +214,10 @@ def test_hand_made_plans_fall_where_force_balance_says() -> None:
     said = petmjx.criteria(plans, run=run).plans.set_index("plan_id")
     for name, wrong in (("force_balance", []), ("equilibrium", []), ("stacking_tree", ["hand-staircase"])):
         assert said.index[said[name] != stands[said.index]].tolist() == [*wrong, "hand-drop-of-5-mm"], name
+    text = study(petmjx.criteria(plans, run=run), run)
+    assert "**12 plans** with" in text
+    assert "| `stacking_tree` | stable | falls | 1 | `hand-staircase` (" in text
+    assert "| `force_balance_leaning` | not stable | stands | 1 | `hand-drop-of-5-mm` (none; " in text
     failed = said["force_balance_first"].dropna()
     culprit = run.worlds.set_index("plan_id")["culprit"].dropna()
     assert failed[culprit.index].tolist() == culprit.tolist()
@@ -225,6 +231,17 @@ def test_a_run_of_other_plans_is_refused(tmp_path: Path) -> None:
         petmjx.criteria(make_plan("stands", stack(2)), run=run)
     with pytest.raises(InputError, match="no such folder"):
         petmjx.criteria(PLANS, run=tmp_path / "nowhere")
+
+
+def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "shapely", None)
+    with pytest.raises(InputError, match=r"criteria need shapely: pip install 'petmjx\[packers\]'"):
+        petmjx.criteria(PLANS)
+
+
+def test_the_document_names_every_criterion(repository: Path) -> None:
+    text = (repository / "docs" / "criteria.md").read_text(encoding="utf-8")
+    assert [name for name in NAMES if f"`{name}`" not in text] == []
 
 
 def test_names_are_in_one_order() -> None:
