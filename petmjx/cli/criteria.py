@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.machine import cpu_threads
+from petmjx.statics.options import CriteriaOptions
 
 ASKED = "What is asked"
 """Heading of the options of the criteria."""
 
 
+@opt.takes("limit", "strict", "friction", "side_friction", "tolerance_mm", "seed", more=((CriteriaOptions, ASKED),))
 def criteria(
     plans: opt.PlanPaths = None,
     run: Annotated[
@@ -30,40 +32,17 @@ def criteria(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            "--only", metavar="NAME", help="Ask this criterion; may be given several times.", rich_help_panel=ASKED
-        ),
-    ] = None,
-    friction: Annotated[
-        float | None,
-        typer.Option(
-            "--friction", metavar="MU", help="Friction where boxes lie. [default: 0.5]", rich_help_panel=ASKED
-        ),
-    ] = None,
-    side_friction: Annotated[
-        float | None,
-        typer.Option(
-            "--side-friction",
-            metavar="MU",
-            help="Friction where boxes touch side by side. [default: 0]",
+            "--only",
+            metavar="NAME",
+            help="Ask this criterion, such as support_75; may be given several times. Without it: all.",
             rich_help_panel=ASKED,
         ),
     ] = None,
-    tolerance_mm: Annotated[
-        float | None,
-        typer.Option(
-            "--tolerance-mm",
-            metavar="MM",
-            help="Gaps and overlaps up to this count as touching. [default: 0.5]",
-            rich_help_panel=ASKED,
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Of the halves of the plans and intervals.")] = 0,
-    limit: Annotated[int | None, typer.Option("--limit", metavar="N", help="At most so many plans.")] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first unusable plan.")] = False,
     processes: Annotated[
         int | None, typer.Option("--processes", metavar="N", help="Processes. [default: one for each CPU thread]")
     ] = None,
     as_json: opt.JsonOption = False,
+    **options: Any,
 ) -> None:
     """Ask closed-form criteria of static stability of packing plans, and physics about them.
 
@@ -77,7 +56,6 @@ def criteria(
     from petmjx.show.progress import progress
     from petmjx.statics.run import criteria as ask
 
-    given = {"friction": friction, "side_friction": side_friction, "tolerance_mm": tolerance_mm, "only": only}
     bar = None
     with ExitStack() as until_done:
 
@@ -91,12 +69,10 @@ def criteria(
             run=run,
             out=out,
             overwrite=overwrite,
-            limit=limit,
-            strict=strict,
+            only=only or None,
             processes=cpu_threads() if processes is None else processes,
-            seed=seed,
             progress=show,
-            **{name: value for name, value in given.items() if value is not None},
+            **options,
         )
     if as_json:
         tables = {"judged": results.judged, "thresholds": results.thresholds}

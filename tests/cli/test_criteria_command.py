@@ -55,7 +55,7 @@ def test_json_has_all_that_the_tables_have(physics: str, capsys: pytest.CaptureF
     [
         (("--only", "support"), "criteria: there is no support; did you mean support_"),
         (("--run", "nowhere"), "nowhere: no such folder"),
-        (("--friction", "-1"), "friction must be"),
+        (("--friction", "-1"), "--friction must be from 0 to 10, got -1"),
         (("nowhere.json",), "nowhere.json"),
     ],
 )
