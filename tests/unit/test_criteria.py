@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from petmjx.errors import InputError
 from petmjx.history import CARRIER
 from petmjx.statics.answers import NO, NOT_ASKED, YES, Answers, answer
-from petmjx.statics.balance import balance_slack
+from petmjx.statics.balance import _slack_alone, _VerticalSystem, balance_slack
 from petmjx.statics.base import support_share
 from petmjx.statics.contacts import Contacts, find_contacts, find_sides
 from petmjx.statics.friction import Friction
@@ -278,6 +278,20 @@ def test_force_balance_agrees_with_rays_on_random_stacks(lean: bool) -> None:
             answers.append(bool(found.min() > 0))
             assert answers[-1] == balanced_by_rays(boxes[: len(found)], 0.3, lean), boxes
     assert 0.2 < np.mean(answers) < 0.8
+
+
+def test_the_closed_form_of_one_box_is_what_its_linear_programme_finds() -> None:
+    rng = np.random.default_rng(11)
+    compared = 0
+    for _ in range(60):
+        contacts = find_contacts(make_plan(boxes=random_stack(rng, 4)))
+        system, alone = _VerticalSystem(contacts), _slack_alone(contacts, contact_hulls(contacts))
+        for each in np.flatnonzero(~contacts.on_carrier):
+            if not contacts.on_carrier[contacts.lower[contacts.upper == each]].all():
+                continue  # part of a larger structure
+            assert system.slack(np.array([each])) == pytest.approx(min(alone[each], 1), abs=1e-6)
+            compared += 1
+    assert compared > 60
 
 
 def test_friction_can_hold_what_vertical_forces_cannot() -> None:
