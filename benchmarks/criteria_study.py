@@ -103,11 +103,16 @@ def _of_one(both: pd.DataFrame, criterion: Criterion) -> Iterator[list[str]]:
             ["by_margin", slack], ascending=[not stands, stands]
         )
         named = [
-            f"`{shown(row['plan_id'])}` ({_number(row[slack])}{unit}; {_number(row['margin'])})"
+            f"`{_id(row['plan_id'])}` ({_number(row[slack])}{unit}; {_number(row['margin'])})"
             for row in clearest.head(CLEAREST).to_dict("records")
         ]
         says, is_so = "stable" if accepted else "not stable", "stands" if stands else "falls"
         yield [f"`{criterion.name}`", says, is_so, f"{len(wrong):,}", ", ".join(named) or "none"]
+
+
+def _id(plan_id: str) -> str:
+    """A plan's id as code in a cell of a table."""
+    return shown(plan_id).replace("`", "'").replace("|", "\\|")
 
 
 def _number(value: Any) -> str:

@@ -22,7 +22,7 @@ from petmjx.statics.judged import best_thresholds, judge
 from petmjx.statics.options import CriteriaOptions
 from petmjx.statics.record import CriteriaResults, check_free
 from petmjx.statics.tables import boxes_frame, plans_frame
-from petmjx.text import counted
+from petmjx.text import counted, shown
 
 CHUNK: Final = 16
 """Plans that a process takes at a time: half a second of force balance."""
@@ -147,7 +147,7 @@ def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:
     if len(other):
         first = other.iloc[0]
         raise InputError(
-            f"{run.path}: plan {first['plan_id']} has {first['n_boxes']} boxes there and "
+            f"{run.path}: plan {shown(str(first['plan_id']))} has {first['n_boxes']} boxes there and "
             f"{counts[first['plan_id']]} here: not the same plans"
         )
     return worlds
