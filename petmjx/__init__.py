@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
     from petmjx.run_options import RunOptions
+    from petmjx.statics.record import CriteriaResults
+    from petmjx.statics.run import criteria
     from petmjx.sweeps.merge import merge_runs
 
 __version__ = "0.2.0.dev0"
@@ -36,6 +38,8 @@ __version__ = "0.2.0.dev0"
 _HOME = {
     "score": "petmjx.api",
     "sweep": "petmjx.api",
+    "criteria": "petmjx.statics.run",
+    "CriteriaResults": "petmjx.statics.record",
     "Carrier": "petmjx.config",
     "Check": "petmjx.config",
     "Cone": "petmjx.config",
@@ -66,6 +70,7 @@ __all__ = [
     "Carrier",
     "Check",
     "Cone",
+    "CriteriaResults",
     "EngineUnavailable",
     "InputError",
     "PetmjxError",
@@ -82,6 +87,7 @@ __all__ = [
     "__version__",
     "compare_packers",
     "compare_runs",
+    "criteria",
     "load_plans",
     "load_run",
     "merge_runs",

@@ -20,7 +20,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"verdict"}),
     frozenset({"engines"}),
     frozenset({"results"}),
-    frozenset({"sweeps"}),
+    frozenset({"sweeps", "statics"}),
     frozenset({"packers"}),
     frozenset({"simulate"}),
     frozenset({"api", "doctor", "story"}),
@@ -36,6 +36,7 @@ READERS = (
     "petmjx.packers.compare",
     "petmjx.show.tables",
     "petmjx.plans",
+    "petmjx.statics.run",
 )
 SIMULATORS = ("jax", "mujoco", "warp")
 
