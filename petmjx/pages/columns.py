@@ -1,7 +1,7 @@
 """Arrays in a page: compact, as base64 of deflated bytes. ``petmjx/pages/static/blocks.js`` reads them.
 
-A *block* is: length of the header (4 bytes), header (JSON, padded with spaces to a multiple of 8), the arrays, each from a
-multiple of 8; all little-endian, deflated (zlib), in base64.
+A *block* is: length of the header (4 bytes), header (JSON, padded with spaces to a multiple of 8), the arrays, each
+from a multiple of 8; all little-endian, deflated (zlib), in base64.
 """
 
 from __future__ import annotations
