@@ -36,12 +36,12 @@ export function driveArrows(info, frames) {
   const { kind, one_g: oneG } = info.drive;
   const vector = (frame) => [0, 1, 2].map((axis) => frames.drive[3 * frame + axis] / oneG);
   const level = (frame) => norm(vector(frame));
-  const { low, high } = info.frame;
   const reach = info.carrier.size.map((size) => size / 2);
 
   // seen from the carrier, gravity turns: g − a
   const felt = (frame) => sub([0, 0, -1], vector(frame));
-  const beside = [low[0] - 0.3, (low[1] + high[1]) / 2, Math.min(high[2], 1) * 0.8];
+  const { pos } = info.carrier;
+  const beside = [pos[0] - reach[0] - 0.3, pos[1] - reach[1], 0.5];
   const gravity = (frame) => ({ from: beside, vector: scaled(felt(frame), G_LENGTH), colour: ORANGE, radius: 0.014 });
 
   const push = (frame) => {
