@@ -1,4 +1,4 @@
-"""Pages in headless Chromium: one browser for all tests of a session. A plugin of pytest, named in tests/conftest.py."""
+"""Pages in headless Chromium: one browser for all tests of a session. A plugin of pytest (tests/conftest.py)."""
 
 from __future__ import annotations
 
@@ -62,6 +62,18 @@ class Opened:
         image = pytest.importorskip("PIL.Image", reason="pillow is not installed (extra: show)")
         shot = self.page.locator(selector).first.screenshot(animations="disabled")
         return np.asarray(image.open(io.BytesIO(shot)).convert("RGB"))
+
+    def until(self, condition: str, seconds: float = 10.0) -> None:
+        """Wait until an expression is true. Playwright's own waiting evaluates texts, which the pages' policy forbids.
+
+        Raises:
+            AssertionError: it is not true in time.
+        """
+        for _ in range(round(seconds / 0.02)):
+            if self.page.evaluate(condition):
+                return
+            self.page.wait_for_timeout(20)
+        raise AssertionError(f"{condition} is not true after {seconds:g} s")
 
     def settled(self) -> None:
         """Wait until what was asked for is drawn."""
