@@ -131,21 +131,21 @@ def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
     press on the lower body: their z is not positive.
     """
     strength = np.linalg.norm(contacts.force, axis=1)
-    keys = np.column_stack([contacts.body, contacts.frame])
-    rows, row_of = np.unique(keys, axis=0, return_inverse=True)
-    row_of = row_of.reshape(-1)
+    first, other, frame = (keys - keys.min(initial=0) for keys in (*contacts.body.T.astype(np.int64), contacts.frame))
+    ranks = (first * (other.max(initial=0) + 1) + other) * (frame.max(initial=0) + 1) + frame
+    _, sample, row_of = np.unique(ranks, return_index=True, return_inverse=True)
 
     def summed(values: FloatArray) -> FloatArray:
-        return np.column_stack([np.bincount(row_of, values[:, axis], len(rows)) for axis in range(3)])
+        return np.column_stack([np.bincount(row_of, values[:, axis]) for axis in range(3)])
 
-    weight = np.bincount(row_of, strength, len(rows))
+    weight = np.bincount(row_of, strength)
     felt = weight > 0
     force, centre = summed(contacts.force)[felt], summed(contacts.point * strength[:, None])[felt] / weight[felt, None]
-    rows = rows[felt]
+    sample = sample[felt]
     force *= np.where(force[:, 2] > 0, -1.0, 1.0)[:, None]
     return {
-        "pair": whole(rows[:, :2], steps=True),
-        "frame": whole(rows[:, 2], steps=True),
+        "pair": whole(contacts.body[sample], steps=True),
+        "frame": whole(contacts.frame[sample], steps=True),
         "point": quantised(centre, steps=True),
         "force": quantised(force, steps=True),
     }

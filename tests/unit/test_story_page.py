@@ -35,7 +35,7 @@ def opened_story(open_page: OpenPage, story: Story, **options: Any) -> Opened:
 
 def seen(opened: Opened) -> FloatArray:
     """The picture, without labels and legends above it, as numbers that can be subtracted."""
-    opened.page.evaluate("for (const label of document.querySelectorAll('#view > div')) label.style.opacity = 0")
+    opened.page.evaluate("for (const label of document.querySelectorAll('#view > .label')) label.style.opacity = 0")
     opened.settled()
     return opened.pixels("#canvas").astype(float)
 
@@ -286,8 +286,9 @@ def test_ghosts_and_forces_are_drawn(open_page: OpenPage) -> None:
     opened.page.check("#ghosts")
     assert changed(before, seen(opened)) > 0.001, "box 2 has left its ghost"
     opened.page.uncheck("#ghosts")
-    assert "100" in text(opened, "#force-scale")
     opened.page.check("#forces")
+    opened.until("document.getElementById('force-scale').textContent !== ''")
+    assert text(opened, "#force-scale") == "0.2 m of arrow: 200\xa0N", "the carrier bears 118 N"
     assert changed(before, seen(opened)) > 0.03
     opened.page.uncheck("#forces")
     assert changed(before, seen(opened)) < 0.001
