@@ -189,6 +189,8 @@ def test_a_click_names_the_box(open_page: OpenPage, box: int) -> None:
     opened.page.mouse.click(x, y)
     assert opened.page.locator("#box").input_value() == str(box)
     assert number_of(opened, "item") == f"item-{box}"
+    force_n = story.history.top_force_n[-1, box]
+    assert number_of(opened, "force on top now") == f"{force_n:.1f} N"
     assert number_of(opened, "size") == " × ".join(f"{size:g}" for size in story.plan.size_mm[box]) + " mm"
 
 
@@ -266,6 +268,19 @@ def test_the_mouse_turns_zooms_and_moves_the_view(open_page: OpenPage) -> None:
     pictures.append(seen(opened))
     assert all(changed(a, b) > 0.03 for a, b in pairwise(pictures))
     assert opened.page.locator("#box").input_value() == str(FALLING), "a drag is no click"
+
+
+def test_two_fingers_zoom(open_page: OpenPage) -> None:
+    opened = opened_story(open_page, falling_story(), has_touch=True)
+    before = seen(opened)
+    frame = opened.page.locator("#canvas").bounding_box()
+    x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
+    fingers = opened.page.context.new_cdp_session(opened.page)
+    for kind, apart in (("touchStart", 40), ("touchMove", 70), ("touchMove", 100), ("touchEnd", None)):
+        points = [] if apart is None else [{"x": x + side * apart, "y": y, "id": side + 1} for side in (-1, 1)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    assert changed(before, seen(opened)) > 0.05
+    assert opened.page.locator("#box").input_value() == str(FALLING), "a pinch is no click"
 
 
 def test_colours_follow_the_choice_and_have_a_scale(open_page: OpenPage) -> None:
