@@ -151,7 +151,7 @@ def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
     weight = np.bincount(row_of, strength)
     felt = weight > 0
     force, centre = summed(on_later)[felt], summed(contacts.point * strength[:, None])[felt] / weight[felt, None]
-    force *= np.where(force[:, 2] > 0, -1.0, 1.0)[:, None]
+    force = np.where(force[:, [2]] > 0, -force, force)
     return {
         "frame": whole(contacts.frame[sample[felt]], steps=True),
         "point": quantised(centre, steps=True),
