@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         Thresholds,
     )
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+    from petmjx.history import History
     from petmjx.packers.compare import compare_packers
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from petmjx.run_options import RunOptions
     from petmjx.statics.record import CriteriaResults
     from petmjx.statics.run import criteria
+    from petmjx.story import Story, tell
     from petmjx.sweeps.merge import merge_runs
 
 __version__ = "0.2.0.dev0"
@@ -54,11 +56,14 @@ _HOME = {
     "EngineUnavailable": "petmjx.errors",
     "InputError": "petmjx.errors",
     "PetmjxError": "petmjx.errors",
+    "History": "petmjx.history",
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
     "compare_packers": "petmjx.packers.compare",
     "compare_runs": "petmjx.results.compare",
+    "Story": "petmjx.story",
+    "tell": "petmjx.story",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
     "load_run": "petmjx.results.reader",
@@ -72,6 +77,7 @@ __all__ = [
     "Cone",
     "CriteriaResults",
     "EngineUnavailable",
+    "History",
     "InputError",
     "PetmjxError",
     "Physics",
@@ -83,6 +89,7 @@ __all__ = [
     "Schedule",
     "Simulation",
     "Solver",
+    "Story",
     "Thresholds",
     "__version__",
     "compare_packers",
@@ -93,6 +100,7 @@ __all__ = [
     "merge_runs",
     "score",
     "sweep",
+    "tell",
 ]
 
 

@@ -35,6 +35,7 @@ READERS = (
     "petmjx.results.compare",
     "petmjx.packers.compare",
     "petmjx.show.tables",
+    "petmjx.pages.story_page",
     "petmjx.plans",
     "petmjx.statics.run",
 )
