@@ -31,7 +31,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans, write_samples
 from petmjx.results.reader import load_run
-from petmjx.sweeps.run import SweptWorld
+from petmjx.sweeps.swept import SweptWorld
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene

@@ -23,11 +23,13 @@ if TYPE_CHECKING:
         Thresholds,
     )
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+    from petmjx.history import History
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
     from petmjx.run_options import RunOptions
+    from petmjx.story import Story, tell
     from petmjx.sweeps.merge import merge_runs
 
 __version__ = "0.2.0.dev0"
@@ -49,10 +51,13 @@ _HOME = {
     "EngineUnavailable": "petmjx.errors",
     "InputError": "petmjx.errors",
     "PetmjxError": "petmjx.errors",
+    "History": "petmjx.history",
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
     "compare_runs": "petmjx.results.compare",
+    "Story": "petmjx.story",
+    "tell": "petmjx.story",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
     "load_run": "petmjx.results.reader",
@@ -65,6 +70,7 @@ __all__ = [
     "Check",
     "Cone",
     "EngineUnavailable",
+    "History",
     "InputError",
     "PetmjxError",
     "Physics",
@@ -76,6 +82,7 @@ __all__ = [
     "Schedule",
     "Simulation",
     "Solver",
+    "Story",
     "Thresholds",
     "__version__",
     "compare_runs",
@@ -84,6 +91,7 @@ __all__ = [
     "merge_runs",
     "score",
     "sweep",
+    "tell",
 ]
 
 

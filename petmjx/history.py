@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,10 +49,25 @@ class Contacts:
     force: FloatArray
     distance: FloatArray
 
+    def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
+        """Those of the frames that are kept, with frames numbered higher by ``shift``."""
+        rows = kept[self.frame]
+        some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
+        return Contacts(**some | {"frame": some["frame"] + np.int32(shift)})
+
+    def then(self, later: Contacts) -> Contacts:
+        """These contacts and later ones."""
+        names = [field.name for field in fields(self)]
+        return Contacts(**{name: np.concatenate((getattr(self, name), getattr(later, name))) for name in names})
+
 
 @dataclass(frozen=True, eq=False)
 class History:
     """One world's f frames of n boxes, in packing order. Values of boxes that are not placed yet are NaN.
+
+    A frame is taken after a step. Its poses are those after the step. What acted during the step (forces,
+    accelerations, contacts, what shook the world) belongs to the step's beginning, where MuJoCo evaluates it. On a box
+    that was placed after the step nothing has acted yet: 0.
 
     Attributes:
         time_s: (f,) time since the soft start; the first frame is the first placement or, with check ``static``, 0.
@@ -77,3 +93,22 @@ class History:
     ang_acc: FloatArray | None = None
     penetration_m: FloatArray | None = None
     contacts: Contacts | None = None
+
+    def then(self, later: History) -> History:
+        """This history up to the first frame of a later one, and then the later one.
+
+        Of the moment at which both have a frame, this one's counts: the later world began there, and what acted before
+        its beginning is not known to it.
+        """
+        kept, after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
+        joined: dict[str, Any] = {}
+        for field in fields(self):
+            ours, theirs = getattr(self, field.name), getattr(later, field.name)
+            if ours is None or theirs is None:
+                joined[field.name] = None
+            elif isinstance(ours, Contacts):
+                first = int(kept.sum()) - int((~after).sum())
+                joined[field.name] = ours.of_frames(kept, 0).then(theirs.of_frames(after, first))
+            else:
+                joined[field.name] = np.concatenate((ours[kept], theirs[after]))
+        return History(**joined)

@@ -22,6 +22,13 @@ AUTO: Final = "auto"
 
 MOST_WORKERS: Final = 4096
 
+ALL: Final = "all"
+FAILED: Final = "failed"
+"""Words for the plans that are recorded."""
+
+FRAME_INTERVAL_S: Final = 0.05
+"""Between two frames: 20 a second, a film that a box can be followed in."""
+
 
 def _share(text: str | None) -> str | None:
     """I/N with 1 ≤ I ≤ N."""
@@ -104,6 +111,17 @@ class RunOptions(Checked):
     limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
     )
+    record: Annotated[str | tuple[str, ...] | None, Flag("--record", "failed|all|ID,…", "--record-plans")] = Field(
+        None,
+        description="keep histories, frame by frame, of the worlds that are not stable, of all, or of these plans; no "
+        "other result changes; in Python also a list of ids",
+    )
+    record_interval_s: Annotated[float, within(0.0001, 3600), Flag("--record-interval", "S")] = Field(
+        FRAME_INTERVAL_S, description="time between two frames of a history, s; each placement is a frame too"
+    )
+    record_details: Annotated[bool, Flag("--record-details")] = Field(
+        False, description="histories with accelerations, penetrations and contacts; engine mujoco only"
+    )
     orders: Annotated[Path | None, Flag("--orders", "FILE")] = Field(
         None,
         description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
@@ -136,6 +154,12 @@ class RunOptions(Checked):
             raise complaint("needs out: which run is to go on?", "resume")
         if self.resume and self.overwrite:
             raise complaint("contradicts overwrite: drop one of them", "resume")
+        return self
+
+    @model_validator(mode="after")
+    def _details_of_something(self) -> Self:
+        if self.record_details and self.record is None:
+            raise complaint("needs record: of which plans?", "record_details")
         return self
 
     @property

@@ -23,7 +23,8 @@ from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
-from petmjx.sweeps.run import Answer, Batching, SweepRun, SweptWorld
+from petmjx.sweeps.recording import Recording, recording_of
+from petmjx.sweeps.run import Batching, SweepRun
 from petmjx.sweeps.sliding import hopeless_profiles
 from petmjx.sweeps.summary import (
     ShareColumns,
@@ -33,6 +34,7 @@ from petmjx.sweeps.summary import (
     summarise_shares,
     summary_units,
 )
+from petmjx.sweeps.swept import Answer, SweptWorld
 from petmjx.text import shown
 
 
@@ -98,7 +100,8 @@ def simulate(
         orders = check_orders(options.orders, everything, takes=options.takes, all_plans=whole, strict=strict)
     found = replace(found, skipped=[*found.skipped, *plan.skipped])
     with engine_for(options, plan.work()) as (engine, choice):
-        run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice)
+        recording = recording_of(options, choice.name, everything)
+        run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording)
         if options.out is not None:
             return run.into(options.out, watcher, batching or Batching())
         # a folder that is deleted together with the returned results, or when the run fails
@@ -130,6 +133,7 @@ class _Run:
     confidence: int | None
     engine: Engine
     choice: Choice
+    recording: Recording
     progress: Progress = field(default_factory=Progress)
     answers: list[dict[str, Any]] = field(default_factory=list)
 
@@ -200,6 +204,7 @@ class _Run:
                 on_answer=self._take_answer,
                 values_of=columns.of if columns else lambda world: {},
                 recorded=writer.recorded,
+                recording=self.recording,
                 progress=self.progress,
                 batching=batching,
             )
@@ -237,7 +242,8 @@ class _Run:
         values = self.columns.of(world) if self.columns else None
         schedule = self.asked.simulation.schedule.value
         index = world.variant.index
-        writer.add(world.plan, index, self.choice.name, schedule, world.outcome, world.attempts, values)
+        outcome = self.recording.kept(world.outcome)
+        writer.add(world.plan, index, self.choice.name, schedule, outcome, world.attempts, values)
         if world.outcome.message:
             variant = f", variant {index}" if self.columns else ""
             writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")

@@ -3,11 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
-from petmjx.history import History
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.engines.choose import ENGINES, make_engine, resolve_engine
+from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.history import History, Record
+from petmjx.plans.gather import PlanSource, find_plan, usable_plans
 from petmjx.plans.plan import Plan
+from petmjx.results.files import RUN_FILE
+from petmjx.results.reader import RunResults, load_run
+from petmjx.results.worlds import world_row
+from petmjx.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
+from petmjx.sweeps.again import plan_of_run, sweep_of_run
+from petmjx.sweeps.file import Sweep, nominal_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.recording import Recording
+from petmjx.sweeps.run import SweepRun
+from petmjx.sweeps.summary import SweepColumns
+from petmjx.text import shown
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive
 from petmjx.world.scene import Scene
@@ -38,3 +56,132 @@ class Story:
     drive: Drive | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
+
+
+def tell(
+    plan_id: str,
+    source: RunResults | PlanSource | None = None,
+    *,
+    plans: PlanSource | None = None,
+    variant: int | None = None,
+    interval_s: float = FRAME_INTERVAL_S,
+    details: bool = True,
+    **options: Any,
+) -> Story:
+    """Simulate one world again, as a run did or with options of its own, and keep what happens, frame by frame.
+
+    ``petmjx.tell("s0-000016", "results")`` is the very world that the run in the folder ``results`` has in its table
+    ``worlds``: the same options, the same attempts, the same bits. Where the run's engine cannot run here, ``mujoco``
+    does it, and ``Story.note`` says what came of that.
+
+    Args:
+        plan_id: the plan.
+        source: a run (its folder, or what ``petmjx.load_run`` returned), or plans as ``petmjx.score`` takes them; None:
+            the bundled plans.
+        plans: of a run whose plan files are not where they were: where they are now.
+        variant: of a run with several worlds a plan, its index as in ``worlds``; by default the nominal one.
+        interval_s: time between two frames, s; each placement, and the end, is a frame too.
+        details: also accelerations, penetrations and contacts, on the engine ``mujoco``.
+        options: without a run, fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``.
+
+    Raises:
+        InputError: no such plan or variant, plans or a sweep file that are gone or have changed, or unusable options.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+    record = Record(interval_s, details)
+    run = _run_in(source)
+    if run is None:
+        if variant is not None or plans is not None:
+            raise InputError("variant and plans belong to the story of a run: name its folder")
+        assert not isinstance(source, RunResults)
+        return _of_plans(plan_id, source, record, options)
+    if options:
+        raise InputError(f"{next(iter(options))}: the options of a run's story are those of the run")
+    return _of_run(plan_id, run, plans, variant, record)
+
+
+def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
+    """The run that a source is, if it is one."""
+    if isinstance(source, RunResults):
+        return source
+    if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
+        return load_run(Path(source))
+    return None
+
+
+def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: Mapping[str, Any]) -> Story:
+    of_simulation, of_run = sorted_options(options)
+    sweep, run = nominal_sweep(Simulation(**of_simulation)), RunOptions(**of_run)
+    plan = find_plan(usable_plans(source, sweep.simulation, run), plan_id)
+    worlds = SweepPlan(sweep, [plan])
+    engine, _ = resolve_engine(run, worlds.work())
+    return _story(worlds, plan, 0, engine, record)
+
+
+def _of_run(plan_id: str, run: RunResults, plans: PlanSource | None, variant: int | None, record: Record) -> Story:
+    sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
+    worlds = SweepPlan(sweep, [plan])
+    index = _index(run, plan_id, sweep, variant)
+    engine, note = _engine_of(run.info["config"])
+    story = _story(worlds, plan, index, engine, record)
+    return replace(story, note="; ".join(filter(None, (note, _difference(story, run)))))
+
+
+def _index(run: RunResults, plan_id: str, sweep: Sweep, asked: int | None) -> int:
+    """Which world of a plan: the one that is asked for, else the nominal one."""
+    if asked is not None:
+        return asked
+    if sweep.nominal:
+        return 0
+    raise InputError(f"{run.path}: plan {shown(plan_id)} has many worlds: name a variant, as in the table worlds")
+
+
+def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
+    """The engine of a run, or the one that takes its place, and a note about that."""
+    name = config.get("engine")
+    if name not in ENGINES:
+        return make_engine("mujoco"), f"simulated on mujoco: the run's engine {shown(str(name))} is not petmjx's own"
+    try:
+        return make_engine(name, lanes=config.get("lanes") if name != "mujoco" else None), ""
+    except EngineUnavailable as error:
+        return make_engine("mujoco"), f"simulated on mujoco: {error}"
+
+
+def _story(worlds: SweepPlan, plan: Plan, index: int, engine: Engine, record: Record) -> Story:
+    recording = Recording(replace(record, details=record.details and engine.name == "mujoco"))
+    world = SweepRun(worlds, engine, recording=recording).world(plan.plan_id, index)
+    if world.outcome.history is None:
+        why = world.outcome.message or f"engine {engine.name} records no histories"
+        raise PetmjxError(f"plan {shown(plan.plan_id)}: there are no frames: {why}")
+    sweep = worlds.sweep
+    values = SweepColumns(worlds).of(world) if sweep.axes else {}
+    return Story(
+        plan=plan,
+        scene=world.scene,
+        outcome=replace(world.outcome, state=None),
+        history=world.outcome.history,
+        engine=engine.name,
+        variant=index,
+        values=values,
+        drive=worlds.drive(plan, world.variant) if world.driven else None,
+        options=sweep.simulation.model_dump(mode="json"),
+    )
+
+
+def _difference(story: Story, run: RunResults) -> str:
+    """How a story differs from the run's row of the same world, in a line; empty where it does not."""
+    row = world_row(run, story.plan.plan_id, story.variant)
+    if row is None:
+        return ""
+    here, there = _said(vars(story.outcome)), _said(row)
+    if here == there:
+        return "" if story.engine == run.info["config"].get("engine") else f"as in the run: {here}"
+    return f"in the run: {there}; here: {here}"
+
+
+def _said(world: Mapping[str, Any]) -> str:
+    """Verdict, reason, first box and its time of a world, in a few words."""
+    culprit = world["culprit"]
+    by = f" by {world['reason']}" if world["reason"] else ""
+    known = culprit is not None and culprit >= 0
+    return f"{world['verdict']}{by}" + (f", first box {culprit}" if known else "")

@@ -17,7 +17,7 @@ from rich.progress import Progress as RichProgress
 from rich.text import Text
 
 from petmjx.api import RunStart
-from petmjx.sweeps.run import SweptWorld
+from petmjx.sweeps.swept import SweptWorld
 from petmjx.text import counted, printable, three_digits, time_left
 
 REFRESH_S: Final = 0.5

@@ -11,7 +11,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, Skipped
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
-from petmjx.text import counted, duration, rounded
+from petmjx.text import counted, duration, rounded, shown
 from petmjx.units import deg_to_rad, seconds_to_steps
 from petmjx.world.job import Drive
 from petmjx.world.profiles.base import Profile
@@ -101,6 +101,24 @@ class SweepPlan(Design):
         for plan in self.plans:
             for number, (placement, variants) in enumerate(self.placements()):
                 yield PlacementGroup(plan, number, placement, variants)
+
+    def find(self, plan_id: str, index: int) -> tuple[PlacementGroup, Variant]:
+        """The world of a plan with that index, and the placement that it belongs to.
+
+        Raises:
+            InputError: the sweep has no such plan, or no such variant of it.
+        """
+        groups = (group for group in self.groups() if group.plan.plan_id == plan_id)
+        levels = len(self.sweep.search_levels)
+        for group in groups:
+            for variant in group.variants:
+                if variant.index == index:
+                    return group, variant
+            number, level = divmod(index - 1, levels) if levels and not group.variants else (-1, 0)
+            placement, item = divmod(number, max(len(self.search_items()), 1))
+            if not group.variants and placement == group.number:
+                return group, self.search_variant(group, item, level)
+        raise InputError(f"{self.sweep.file}: plan {shown(plan_id)} has no variant {index}")
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
         """The world of a placement that tests one level of an item of a search. Its index is the same in any order."""

@@ -15,14 +15,13 @@ from typing import Any
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
-from petmjx.plans.plan import Plan
 from petmjx.results.recorded import Recorded
-from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup, SweepPlan
-from petmjx.sweeps.search import Bisection, Found, Probe
-from petmjx.verdict import Attempt, Flag, Outcome, Verdict
+from petmjx.sweeps.recording import NO_RECORDING, Recording
+from petmjx.sweeps.search import Bisection, Probe
+from petmjx.sweeps.swept import Answer, Settled, SweptWorld
+from petmjx.verdict import Flag, Outcome, Verdict
 from petmjx.world.job import Job
-from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1)
@@ -43,59 +42,14 @@ class Batching:
         placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
         worlds: most variants into which these states are forked (a single placement may have more).
         drives: most forked worlds in one call of the engine; in a search also the tests of one round.
+        histories: most settled states whose histories are kept with them; one with 43 boxes takes 1 MB.
     """
 
     undriven: int = DEFAULT_CHUNK_WORLDS
     placements: int = 4096
     worlds: int = 65_536
     drives: int = 16_384
-
-
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """A placement that has settled: its outcome, with the state from which drives start."""
-
-    group: PlacementGroup
-    scene: Scene
-    outcome: Outcome
-    attempts: tuple[Attempt, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class SweptWorld:
-    """One world of a sweep with its final outcome.
-
-    Attributes:
-        settled: the placement it was forked from; None for a world that was simulated from its beginning.
-        driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
-            early stop it is shaken, too, but is not stable.
-    """
-
-    plan: Plan
-    variant: Variant
-    scene: Scene
-    outcome: Outcome
-    attempts: tuple[Attempt, ...]
-    settled: Settled | None = None
-    driven: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """The answer of a search for one placement, profile and direction.
-
-    Attributes:
-        largest_survived, first_failed: level in g, or scale; None where there is none.
-        at_largest, at_failure: what the worlds that say so came to; None where no world was simulated for it.
-    """
-
-    group: PlacementGroup
-    item: SearchItem
-    found: Found
-    largest_survived: float | None
-    first_failed: float | None
-    at_largest: Probe | None
-    at_failure: Probe | None
+    histories: int = 256
 
 
 @dataclass
@@ -137,6 +91,7 @@ class SweepRun:
         on_answer: called with each answer of a search.
         values_of: columns that the sweep adds to a world's row, column → value: answers are made from them.
         recorded: the worlds that the run already has; they are not simulated again.
+        recording: which worlds' histories are recorded, and kept.
     """
 
     plan: SweepPlan
@@ -144,6 +99,7 @@ class SweepRun:
     on_answer: Callable[[Answer], None] = lambda answer: None
     values_of: Callable[[SweptWorld], Mapping[str, Any]] = lambda world: {}
     recorded: Recorded = field(default_factory=Recorded)
+    recording: Recording = NO_RECORDING
     progress: Progress = field(default_factory=Progress)
     batching: Batching = field(default_factory=Batching)
     tally: Tally = field(default_factory=Tally)
@@ -166,6 +122,24 @@ class SweepRun:
             else:
                 yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
 
+    def world(self, plan_id: str, index: int) -> SweptWorld:
+        """One world alone, simulated as among all others.
+
+        Args:
+            index: of the variant, as in ``worlds``.
+
+        Raises:
+            InputError: the plan has no such variant.
+        """
+        group, variant = self.plan.find(plan_id, index)
+        if not _is_driven(group):
+            return next(world for world in self._run_placements([group]) if world.variant.index == index)
+        (start,) = self._settle([group])
+        if not self._can_be_driven(start):
+            return _undriven(start, variant)
+        ((_, world),) = self._drive([self._driving(start, variant)])
+        return world
+
     def _groups(self) -> Iterator[PlacementGroup]:
         """Placements with worlds that are missing; of a search every one, since its worlds follow from each other."""
         return (group for group in self.plan.groups() if not group.variants or self._missing(group))
@@ -183,14 +157,17 @@ class SweepRun:
             per_search = len(self.plan.search_items()) * search.sections
             most = self.batching.drives
         chunk: list[PlacementGroup] = []
-        worlds = 0
+        worlds = histories = 0
         for group in filter(_is_driven, self._groups()):
             more = len(group.variants) or per_search
-            if chunk and (worlds + more > most or len(chunk) >= self.batching.placements):
+            more_histories = int(self.recording.of(group.plan) is not None)
+            full = worlds + more > most or len(chunk) >= self.batching.placements
+            if chunk and (full or histories + more_histories > self.batching.histories):
                 yield chunk
-                chunk, worlds = [], 0
+                chunk, worlds, histories = [], 0, 0
             chunk.append(group)
             worlds += more
+            histories += more_histories
         if chunk:
             yield chunk
 
@@ -205,14 +182,16 @@ class SweepRun:
     def _place(self, groups: Iterable[PlacementGroup], chunk_worlds: int, keep_state: bool) -> Iterator[Settled]:
         begin = time.perf_counter()
         worlds = (
-            _Placing(group.plan, group.placement.index, Job(self.plan.scene(group), keep_state=keep_state), group)
-            for group in groups
+            _Placing(group.plan, group.placement.index, self._placement(group, keep_state), group) for group in groups
         )
         for result in self._score(worlds, chunk_worlds, forks=keep_state):
             self.tally.placements += 1
             self.tally.placement_steps += result.outcome.n_steps
             yield Settled(result.world.group, result.world.job.scene, result.outcome, result.attempts)
         self.tally.placement_s += time.perf_counter() - begin
+
+    def _placement(self, group: PlacementGroup, keep_state: bool) -> Job:
+        return Job(self.plan.scene(group), keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
         """Worlds without a drive: they have the placement's outcome, with rest window."""
@@ -253,7 +232,8 @@ class SweepRun:
 
     def _driving(self, start: Settled, variant: Variant, test: Test = (-1, -1)) -> _Driving:
         plan = start.group.plan
-        job = Job(start.scene, drive=self.plan.drive(plan, variant), start=start.outcome.state)
+        drive, record = self.plan.drive(plan, variant), self.recording.of(plan)
+        job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
         return _Driving(plan, variant.index, job, start, variant, test)
 
     def _drive(self, worlds: Iterable[_Driving]) -> Iterator[tuple[Test, SweptWorld]]:
@@ -263,7 +243,7 @@ class SweepRun:
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
-            final = _as_placed(outcome, world.settled.outcome)
+            final = _with_placement(_as_placed(outcome, world.settled.outcome), world.settled.outcome)
             swept = SweptWorld(
                 world.plan, world.change, world.job.scene, final, result.attempts, world.settled, driven=True
             )
@@ -381,6 +361,13 @@ def _as_placed(outcome: Outcome, placed: Outcome) -> Outcome:
     kept = ("verdict", "reason", "culprit", "first_sign_s")
     margin = min(outcome.margin, placed.margin)
     return replace(outcome, margin=margin, **{name: getattr(placed, name) for name in kept})
+
+
+def _with_placement(outcome: Outcome, placed: Outcome) -> Outcome:
+    """A fork's history begins with that of its placement."""
+    if outcome.history is None or placed.history is None:
+        return outcome
+    return replace(outcome, history=placed.history.then(outcome.history))
 
 
 def _undriven(start: Settled, variant: Variant) -> SweptWorld:

@@ -19,9 +19,9 @@ from petmjx.results.schema import Param
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.run import Answer, Settled, SweptWorld
 from petmjx.sweeps.search import failure_mode
 from petmjx.sweeps.shares import KEYS, by_plan_and_axis, share_standing
+from petmjx.sweeps.swept import Answer, Settled, SweptWorld
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
 

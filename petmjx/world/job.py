@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from petmjx.history import Record
 from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.scene import Scene
@@ -48,6 +50,17 @@ class Drive:
         because boxes weigh less.
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
+
+    def rows(self, total_mass: float) -> FloatArray:
+        """(n_steps, 3) what acts in world axes during each of its steps: N or m/s².
+
+        Args:
+            total_mass: of boxes and carrier, kg.
+        """
+        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        rows: FloatArray = (self.scale * self.excitation.samples @ turn.T) * self.unit(total_mass)
+        return rows
 
 
 @dataclass(frozen=True, eq=False)

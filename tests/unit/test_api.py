@@ -23,7 +23,7 @@ from petmjx.errors import InputError
 from petmjx.plans.gather import find_plan, gather_plans, usable_plans
 from petmjx.plans.plan import PlanSet, Skipped
 from petmjx.run_options import RunOptions
-from petmjx.sweeps.run import SweptWorld
+from petmjx.sweeps.swept import SweptWorld
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

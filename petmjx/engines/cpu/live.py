@@ -67,16 +67,18 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
+        pyramidal: whether friction cones are.
     """
 
     def __init__(self, scene: Scene, sim: Simulation, n_boxes: int = 0, shaken: bool = False) -> None:
         self.scene = scene
+        self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._sim = sim
         self._shaken = shaken
         self._ordered = sim.physics.cone is Cone.ELLIPTIC and scene.n_boxes >= ORDERED_FROM
         self._held: HeldCarrier | None = None
         self.n_placed = n_boxes
-        self._has_waiting = n_boxes < scene.n_boxes and sim.physics.cone is Cone.PYRAMIDAL
+        self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._build(n_boxes)
 
     def _build(self, capacity: int, contacts: NDArray[np.integer] = _NO_CONTACTS) -> None:
@@ -216,8 +218,23 @@ class LiveWorld:
 
     def top_forces(self) -> FloatArray:
         """(k,) force on top of each placed box in the last step, N."""
-        forces = top_forces(self.data, self.capacity, self._sim.physics.cone is Cone.PYRAMIDAL)
+        forces = top_forces(self.data, self.capacity, self.pyramidal)
         return forces[self._row[: self.n_placed]]
+
+    def accelerations(self) -> tuple[FloatArray, FloatArray]:
+        """(k, 3) linear (m/s²) and (k, 3) angular accelerations (rad/s²) of the placed boxes in the last step, in world
+        axes. MuJoCo has the angular ones of a free body in the body's own axes."""
+        acceleration = self.qacc[: self.n_placed]
+        rows = self._first_body + self._row[: self.n_placed]
+        turn = self.data.xmat[rows].reshape(-1, 3, 3)
+        return acceleration[:, :3], np.einsum("kij,kj->ki", turn, acceleration[:, 3:])
+
+    @property
+    def carrier_pose(self) -> FloatArray:
+        """(7,) position and quaternion of the carrier after the last step."""
+        if self._held is not None:
+            return np.concatenate((self._held.pos, self._held.quat))
+        return np.array(self.data.qpos[:7])
 
     def hold_carrier(self) -> None:
         """Clamp the carrier where it is. The boxes keep their poses and velocities."""

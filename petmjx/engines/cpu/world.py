@@ -11,6 +11,7 @@ import numpy as np
 from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
+from petmjx.engines.cpu.recorder import Recorder
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -92,6 +93,7 @@ class WorldRun:
         self._driving, self._drive_start = False, 0
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
+        self._recorder = Recorder(job.record, job, dt) if job.record is not None else None
 
     # ------------------------------------------------------------------ life of a world
 
@@ -132,6 +134,8 @@ class WorldRun:
             begun = begun and self._take_steps(1) == 1
         live.set_gravity(self._down)
         live.data.time = 0.0
+        if self._recorder is not None and live.n_placed:
+            self._recorder.look(0, live)
         return begun
 
     def _resume(self, start: SettledState) -> None:
@@ -140,6 +144,8 @@ class WorldRun:
         self._live = LiveWorld.resume(self._scene, self._sim, start.bodies, self._clock.time_s(start.step))
         self._metrics = start.metrics.fork()
         self._flags |= Flag.FORKED
+        if self._recorder is not None:
+            self._recorder.begin(self._step, self._live)
         self._begin_drive()
 
     def _loop(self) -> bool:
@@ -148,12 +154,14 @@ class WorldRun:
             if self._cancelled():
                 raise Cancelled
             target = self._next_event()
-            self._step += self._take_steps(target - self._step)
+            self._go_to(target)
             if self._step < target:
                 return False
             self._set_drive_row()
             if not self._observe():
                 return False
+            if self._recorder is not None and self._recorder.is_due(self._step):
+                self._recorder.look(self._step, self._live)
             self._transition()
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
@@ -163,6 +171,17 @@ class WorldRun:
             pose = self._live.pose[:k]
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
         return True
+
+    def _go_to(self, target: int) -> None:
+        """Step to the next event, with a look at the frames on the way; not so far where the world's time is up."""
+        recorder = self._recorder
+        while recorder is not None and (frame := recorder.next_after(self._step)) < target:
+            count = frame - self._step
+            self._step += (taken := self._take_steps(count))
+            if taken < count:
+                return
+            recorder.look(self._step, self._live)
+        self._step += self._take_steps(target - self._step)
 
     def _take_steps(self, count: int) -> int:
         """Take steps; returns how many: fewer where the world's time is up before."""
@@ -250,11 +269,17 @@ class WorldRun:
             return
         live = self._live
         if live.n_placed < self._scene.n_boxes:
+            if self._recorder is not None:
+                self._recorder.look(self._step, live)
             live.place_next()
+            if self._recorder is not None:
+                self._recorder.place(live)
             self._last_placement = self._step
             self._quiet.restart()
             self._set_deadline()
         elif self._goes_on:
+            if self._recorder is not None:
+                self._recorder.look(self._step, live)
             self._begin_drive()
         else:
             self._placing = False
@@ -305,9 +330,7 @@ class WorldRun:
         if drive is None:
             self._end = self._step + self._rest_steps
             return
-        cos, sin = np.cos(drive.yaw_rad), np.sin(drive.yaw_rad)
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        rows = (drive.scale * drive.excitation.samples @ turn.T) * drive.unit(self._scene.total_mass)
+        rows = drive.rows(self._scene.total_mass)
         # One row more than the excitation: nothing acts after it.
         self._rows: FloatArray = np.vstack((rows, np.zeros((1, 3))))
         changes = np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
@@ -362,6 +385,9 @@ class WorldRun:
             boxes=boxes,
             solver=self._sim.solver.value,
         )
+        if self._recorder is not None:
+            self._recorder.look(self._step, live)
+            outcome.history = self._recorder.history(self._clock.time_s, self._drive_start if self._driving else None)
         if self._job.keep_state:
             ended = SettledState(self._step, None, metrics, replace(outcome))
             outcome.state = self._kept if self._kept is not None else ended

@@ -1,0 +1,78 @@
+"""Which worlds of a run are recorded, and whose histories are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from petmjx.errors import InputError
+from petmjx.history import Record
+from petmjx.plans.plan import Plan
+from petmjx.run_options import ALL, FAILED, RunOptions
+from petmjx.text import counted, shown
+from petmjx.verdict import Outcome, Verdict
+
+MOST_NAMED = 5
+"""Unknown plans that a message names."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a run records.
+
+    Whether a world fails is known in the end, so with ``failed_only`` all are recorded, and the histories of those that
+    stand are let go at once: nothing is simulated twice, and memory holds the worlds that are under way.
+
+    Attributes:
+        record: what engines are asked for; None: nothing is recorded.
+        plan_ids: plans whose worlds are recorded; None: all.
+        failed_only: keep the histories of worlds that are not stable.
+    """
+
+    record: Record | None = None
+    plan_ids: frozenset[str] | None = None
+    failed_only: bool = False
+
+    def of(self, plan: Plan) -> Record | None:
+        """What is recorded of a plan's worlds."""
+        return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
+
+    def kept(self, outcome: Outcome) -> Outcome:
+        """The outcome, without its history where that is not to be kept."""
+        if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
+            return outcome
+        return replace(outcome, history=None)
+
+
+NO_RECORDING = Recording()
+
+
+def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Recording:
+    """What a run of these plans records.
+
+    Args:
+        engine: its name.
+
+    Raises:
+        InputError: a plan that is to be recorded is not there, or the engine cannot record what is asked for.
+    """
+    asked = options.record
+    if asked is None:
+        return NO_RECORDING
+    if options.record_details and engine != "mujoco":
+        raise InputError(f"record_details needs the engine mujoco, and the run's is {engine}")
+    record = Record(options.record_interval_s, options.record_details)
+    if asked in (ALL, FAILED):
+        return Recording(record, failed_only=asked == FAILED)
+    known = {plan.plan_id for plan in plans}
+    ids = frozenset(asked if not isinstance(asked, str) else [asked] if asked in known else _split(asked))
+    unknown = sorted(ids - known)
+    if unknown:
+        more = f" and {len(unknown) - MOST_NAMED} more" if len(unknown) > MOST_NAMED else ""
+        names = ", ".join(shown(each) for each in unknown[:MOST_NAMED])
+        raise InputError(f"record: {names}{more}: not among the {counted(len(known), 'plan')} of the run")
+    return Recording(record, ids)
+
+
+def _split(text: str) -> list[str]:
+    return [name for name in (part.strip() for part in text.split(",")) if name]
