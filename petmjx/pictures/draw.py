@@ -1,4 +1,4 @@
-"""Draws a story at one time: boxes with their edges, the carrier, shadows on the floor, planned places, contact forces."""
+"""Draws a story at one time: boxes with their edges, carrier, shadows on the floor, planned places, contact forces."""
 
 from __future__ import annotations
 

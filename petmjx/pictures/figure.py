@@ -1,4 +1,4 @@
-"""A row of pictures as a figure for a paper: PNG, or PDF and SVG, in which all labels and outlines are vectors and text."""
+"""A row of pictures as a figure for a paper: PNG, or PDF and SVG, whose labels and outlines are vectors and text."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def write_figure(story: Story, look: Look, moments: list[Moment], path: Path, ki
     panel_height = PANEL_IN * look.size[1] / look.size[0]
     width, height = PANEL_IN * len(moments), _HEAD_IN + _TITLE_IN + panel_height + _FOOT_IN
     # text stays text in SVG, fonts are embedded as TrueType in PDF, and nothing depends on the day
-    settings = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "petmjx", "font.family": "DejaVu Sans"}
+    settings: Any = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "petmjx", "font.family": "DejaVu Sans"}
     with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)  # ids may have characters that no font has
         figure = Figure(figsize=(width, height), facecolor="white")

@@ -1,4 +1,4 @@
-"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg that imageio-ffmpeg brings along."""
+"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg that imageio-ffmpeg brings."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """MuJoCo's renderer without a window: geoms go in, pixels come out.
 
-``mujoco.Renderer`` takes the OpenGL that was chosen when mujoco was first imported, which engines do before anybody thinks
-of pictures. Here the context is made when it is needed, by EGL unless ``MUJOCO_GL`` names another.
+``mujoco.Renderer`` takes the OpenGL that was chosen when mujoco was first imported, which engines do before anybody
+thinks of pictures. Here the context is made when it is needed, by EGL unless ``MUJOCO_GL`` names another.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _studio(size: tuple[int, int], line_px: float) -> Any:
     spec.visual.global_.linewidth = line_px
     spec.visual.quality.offsamples = SAMPLES
     spec.stat.extent = 1.0
-    white = dict.fromkeys(("rgb1", "rgb2"), [1.0, 1.0, 1.0])
+    white = {name: [1.0, 1.0, 1.0] for name in ("rgb1", "rgb2")}
     kind, flat = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_FLAT
     spec.add_texture(name="sky", type=kind, builtin=flat, width=8, height=8, **white)
     return spec.compile()

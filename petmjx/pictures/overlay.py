@@ -80,10 +80,11 @@ class Overlay:
         high = np.ceil(np.clip(outline.max(axis=0) + 2 * wide, 0, image.size)).astype(int)
         if (high <= low).any():
             return
-        mask = Image.new("L", tuple(int(part) for part in fine * (high - low)))
+        wide_px, high_px = (int(part) for part in high - low)
+        mask = Image.new("L", (fine * wide_px, fine * high_px))
         points = [tuple(point) for point in fine * (np.vstack((outline, outline[:2])) - low)]
         ImageDraw.Draw(mask).line(points, fill=255, width=round(fine * wide), joint="curve")
-        reduced = mask.resize(tuple(int(part) for part in high - low), Image.Resampling.BOX)
+        reduced = mask.resize((wide_px, high_px), Image.Resampling.BOX)
         image.paste(_whole(FIRST), (int(low[0]), int(low[1])), reduced)
 
     def _legend(self, image: Image, pen: ImageDraw) -> None:

@@ -146,7 +146,7 @@ def shift_mm(story: Story, poses: Poses) -> FloatArray:
 
 def tilts_deg(poses: Poses) -> FloatArray:
     """(k,) tilt of each placed box, degrees."""
-    return tilt_deg(poses.quat)
+    return np.asarray(tilt_deg(poses.quat))
 
 
 def corners(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:
