@@ -1,0 +1,103 @@
+// A camera that turns around a target. Angles in radians, lengths in metres, z is up.
+
+import { add, clamped, cross, dot, looking, perspective, product, scaled, sub, transformed, unit } from "./vectors.js";
+
+const SLOPE = Math.tan((32 * Math.PI) / 360); // half of a vertical angle of view of 32°
+const MARGIN = 1.06; // room around what is framed
+const STEEPEST = (88 * Math.PI) / 180; // straight from above "up" would have no direction
+const UP = [0, 0, 1];
+
+export class Camera {
+  constructor() {
+    this.aspect = 1;
+    this.frame([-1, -1, -1], [1, 1, 1], -0.65, 0.4);
+  }
+
+  // Looks at the box from `low` to `high` from the nearest place where all of it is seen.
+  frame(low, high, azimuth = this.azimuth, elevation = this.elevation) {
+    Object.assign(this, { low, high, azimuth, elevation });
+    this.target = scaled(add(low, high), 0.5);
+    this.distance = MARGIN * this.fitting();
+    this.home = { azimuth, elevation };
+    this.moved = false;
+  }
+
+  // Back to where `frame` looked from; `resized` does it for a camera that nobody has moved.
+  reset() {
+    this.frame(this.low, this.high, this.home.azimuth, this.home.elevation);
+  }
+
+  resized(aspect) {
+    this.aspect = aspect;
+    if (!this.moved) this.reset();
+  }
+
+  // Least distance at which the corners of the framed box are within the angles of view.
+  fitting() {
+    const { right, top, forward } = this.axes();
+    let distance = 0.1;
+    for (let k = 0; k < 8; k++) {
+      const corner = [0, 1, 2].map((axis) => ((k >> axis) & 1 ? this.high : this.low)[axis]);
+      const from = sub(corner, this.target);
+      const width = Math.abs(dot(from, right)) / (SLOPE * this.aspect);
+      const height = Math.abs(dot(from, top)) / SLOPE;
+      distance = Math.max(distance, Math.max(width, height) - dot(from, forward));
+    }
+    return distance;
+  }
+
+  axes() {
+    const flat = Math.cos(this.elevation);
+    const back = [Math.sin(this.azimuth) * flat, -Math.cos(this.azimuth) * flat, Math.sin(this.elevation)];
+    const right = unit(cross(UP, back));
+    return { right, top: cross(back, right), forward: scaled(back, -1) };
+  }
+
+  eye() {
+    return sub(this.target, scaled(this.axes().forward, this.distance));
+  }
+
+  matrix() {
+    const near = this.distance * 0.02;
+    const far = this.distance * 4 + 40;
+    return product(perspective(SLOPE, this.aspect, near, far), looking(this.eye(), this.target, UP));
+  }
+
+  turn(right, up) {
+    this.moved = true;
+    this.azimuth -= right;
+    this.elevation = clamped(this.elevation + up, -0.1, STEEPEST);
+  }
+
+  zoom(factor) {
+    this.moved = true;
+    this.distance = clamped(this.distance * factor, 0.2, 60);
+  }
+
+  // Moves what is looked at, by shares of the picture's height.
+  pan(right, up) {
+    this.moved = true;
+    const axes = this.axes();
+    const height = 2 * SLOPE * this.distance;
+    const step = add(scaled(axes.right, -right * height), scaled(axes.top, -up * height));
+    this.target = add(this.target, step);
+  }
+
+  // The line of sight through a point of the picture, x and y from −1 to 1 (right, up).
+  ray(x, y) {
+    const { right, top, forward } = this.axes();
+    const side = add(scaled(right, x * SLOPE * this.aspect), scaled(top, y * SLOPE));
+    return { from: this.eye(), along: unit(add(forward, side)) };
+  }
+
+  // Where a point is in the picture, x and y from −1 to 1; null behind the camera.
+  project(point) {
+    const [x, y, , w] = transformed(this.matrix(), point);
+    return w > 0 ? [x / w, y / w] : null;
+  }
+
+  // Metres that a pixel covers at the target, in a picture of this height.
+  metresPerPixel(height) {
+    return (2 * SLOPE * this.distance) / height;
+  }
+}

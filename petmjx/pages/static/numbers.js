@@ -1,0 +1,38 @@
+// The numbers of one box: what it is, and how it is at a time.
+
+import { make } from "./dom.js";
+
+const DASH = "–";
+const fixed = (value, digits, unit) =>
+  value === null || value === undefined || Number.isNaN(value) ? DASH : `${value.toFixed(digits)} ${unit}`;
+
+// Fills a definition list.
+export function showNumbers(list, box, info, frames, time) {
+  if (box < 0) {
+    list.replaceChildren(make("dd", { class: "faint" }, "Click a box."));
+    return;
+  }
+  const { boxes, limits } = info;
+  const now = (name) => frames.values(name, time)[box];
+  const shift = now("shift_mm");
+  const tilt = now("tilt_deg");
+  const rows = [
+    ["article", boxes.article[box]],
+    ["item", boxes.item[box]],
+    ["size", `${boxes.size_mm[box].join(" × ")} mm`],
+    ["mass", fixed(boxes.mass_kg[box], 2, "kg")],
+    ["packed as", `${box} of ${boxes.article.length}, from 0`],
+    ["in the order", `${boxes.sequence[box]}`],
+    ["placed at", fixed(boxes.placed_s[box], 2, "s")],
+    ["shift now", fixed(shift, 1, "mm"), shift > limits.shift_mm],
+    ["tilt now", fixed(tilt, 1, "°"), tilt > limits.tilt_deg],
+    ["force on top now", fixed(now("force_n"), 1, "N")],
+    ["at rest", fixed(boxes.rest_force_n[box], 1, "N")],
+    ["largest", fixed(boxes.max_force_n[box], 1, "N")],
+    ["dropped at", fixed(boxes.drop_s[box], 2, "s"), boxes.drop_s[box] !== null],
+  ];
+  if (info.first && info.first.box === box) rows.push(["first sign", fixed(info.first.time, 2, "s"), true]);
+  list.replaceChildren(
+    ...rows.flatMap(([name, value, over]) => [make("dt", {}, name), make("dd", over ? { class: "over" } : {}, value)]),
+  );
+}

@@ -1,0 +1,301 @@
+// A view of boxes on a carrier in WebGL 2, without third-party code. It knows nothing of stories and reports.
+//
+//   const viewer = createViewer(canvas, {sizes, carrier, floorZ});   null where there is no WebGL 2
+//
+// Lengths are metres, z is up, quaternions (w, x, y, z), colours sRGB from 0 to 1, angles radians. Arrays are flat:
+// `sizes` has 3 numbers a box, the whole extents. `carrier` is {size: [x, y, z], pos: [x, y, z]}; `floorZ` its floor.
+//
+//   setScene({sizes, carrier, floorZ})  other boxes in the same canvas; everything else is as after createViewer
+//   setPoses(pos, quat)                 3 and 4 numbers a box; a box whose pos is NaN is not drawn
+//   setCarrier(pos, quat)               where the carrier is, if not where the scene says
+//   setColours(rgb)                     3 numbers a box
+//   setOpacity(share)                   1: solid boxes (as at first); less: boxes as glass, so that arrows inside are seen
+//   setGhosts(pos, quat)                transparent boxes at other poses; () removes them
+//   setArrows(list)                     [{from: [x, y, z], vector: [x, y, z], colour: [r, g, b], radius}, …]
+//   setMarks(list)                      [{box, colour: [r, g, b]}, …]: thick edges, seen through other boxes, too
+//   frame(low, high, {azimuth, elevation})  shows all of the box from low to high; azimuth 0 looks along +y, and grows
+//                                       towards +x; elevation is above the horizon. Without angles: as before
+//   turn(right, up), zoom(factor), pan(right, up), reset()   as mouse and fingers do; pan in shares of the height
+//   pick(x, y)                          the box at a point of the canvas in CSS pixels, from 0, or −1
+//   project([x, y, z])                  where a point is on the canvas, {x, y} in CSS pixels, or null behind the eye
+//   onClick = (box) => …                what a click does; box −1: beside all boxes
+//   onDraw = () => …                    after each drawing: for labels that lie above the canvas
+//   redraw()                            asks for a drawing; all of the above do it themselves. One drawing a frame
+//   dispose()                           stops and lets go of the graphics card
+//
+// Colours of floor and edges follow the browser's light or dark mode; the page shines through as background. A lost
+// context comes back by itself.
+
+import { Camera } from "./camera.js";
+import { listen } from "./gestures.js";
+import { ARROW_NUMBERS, BOX_NUMBERS, Painter } from "./painter.js";
+import { dot, norm, sub, turnedBack } from "./vectors.js";
+
+const BOX_STRIDE = BOX_NUMBERS.reduce((a, b) => a + b);
+const ARROW_STRIDE = ARROW_NUMBERS.reduce((a, b) => a + b);
+const WOOD = [0.66, 0.52, 0.36];
+const CARDBOARD = [0.8, 0.66, 0.47];
+const EDGE = { width: 1.1, light: [0.12, 0.1, 0.08], dark: [0.05, 0.05, 0.06] };
+const MARK_WIDTH = 3.5;
+const GHOST = { opacity: 0.1, light: [0.1, 0.12, 0.16], dark: [0.86, 0.88, 0.92] };
+const MOST_PIXELS = 2; // of the screen per CSS pixel; more costs time and is not seen
+
+export function createViewer(canvas, scene) {
+  const gl = canvas.getContext("webgl2", { antialias: true, premultipliedAlpha: true });
+  return gl ? new Viewer(canvas, gl, scene) : null;
+}
+
+class Viewer {
+  constructor(canvas, gl, scene) {
+    Object.assign(this, { canvas, gl, camera: new Camera(), onClick: () => {}, onDraw: () => {} });
+    this.painter = new Painter(gl);
+    this.night = matchMedia("(prefers-color-scheme: dark)");
+    this.stop = new AbortController();
+    const signal = this.stop.signal;
+    this.night.addEventListener("change", () => this.redraw(), { signal });
+    canvas.addEventListener("webglcontextlost", (event) => this.lose(event), { signal });
+    canvas.addEventListener("webglcontextrestored", () => this.recover(), { signal });
+    this.sizes = new ResizeObserver(() => this.resize());
+    this.sizes.observe(canvas);
+    this.deafen = listen(canvas, {
+      turn: (right, up) => this.turn(right, up),
+      pan: (right, up) => this.pan(right, up),
+      zoom: (factor) => this.zoom(factor),
+      click: (x, y) => this.clicked(x, y),
+    });
+    this.setScene(scene);
+  }
+
+  setScene({ sizes, carrier, floorZ }) {
+    const n = sizes.length / 3;
+    this.n = n;
+    this.half = Float32Array.from(sizes, (size) => size / 2);
+    this.floorZ = floorZ;
+    this.carrier = { half: carrier.size.map((size) => size / 2), pos: carrier.pos, quat: [1, 0, 0, 0] };
+    this.pos = new Float32Array(3 * n).fill(NaN);
+    this.quat = new Float32Array(4 * n);
+    this.colours = new Float32Array(3 * n).map((_, k) => CARDBOARD[k % 3]);
+    this.opacity = 1;
+    this.ghosts = null;
+    this.arrows = [];
+    this.marks = [];
+    this.values = new Float32Array((n + 1) * BOX_STRIDE);
+    this.glass = new Float32Array(2 * n * BOX_STRIDE);
+    const reach = carrier.size.map((size) => size / 2);
+    this.frame(sub(carrier.pos, reach), [carrier.pos[0] + reach[0], carrier.pos[1] + reach[1], 1]);
+    this.resize();
+  }
+
+  setPoses(pos, quat) {
+    this.pos = pos;
+    this.quat = quat;
+    this.redraw();
+  }
+
+  setCarrier(pos, quat) {
+    Object.assign(this.carrier, { pos, quat });
+    this.redraw();
+  }
+
+  setColours(rgb) {
+    this.colours = rgb;
+    this.redraw();
+  }
+
+  setOpacity(share) {
+    this.opacity = share;
+    this.redraw();
+  }
+
+  setGhosts(pos = null, quat = null) {
+    this.ghosts = pos && { pos, quat };
+    this.redraw();
+  }
+
+  setArrows(list) {
+    this.arrows = list;
+    this.redraw();
+  }
+
+  setMarks(list) {
+    this.marks = list;
+    this.redraw();
+  }
+
+  frame(low, high, { azimuth, elevation } = {}) {
+    this.camera.frame(low, high, azimuth, elevation);
+    const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2];
+    this.bounds = { middle, reach: Math.max(norm(sub(high, low)) / 2, 0.5) * 1.15 };
+    this.redraw();
+  }
+
+  turn(right, up) {
+    this.camera.turn(right, up);
+    this.redraw();
+  }
+
+  zoom(factor) {
+    this.camera.zoom(factor);
+    this.redraw();
+  }
+
+  pan(right, up) {
+    this.camera.pan(right, up);
+    this.redraw();
+  }
+
+  reset() {
+    this.camera.reset();
+    this.redraw();
+  }
+
+  pick(x, y) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const { from, along } = this.camera.ray((2 * x) / width - 1, 1 - (2 * y) / height);
+    let nearest = this.distanceTo(this.carrier, from, along);
+    let picked = -1;
+    for (let box = 0; box < this.n; box++) {
+      const distance = this.distanceTo(this.box(box), from, along);
+      if (distance < nearest) [nearest, picked] = [distance, box];
+    }
+    return picked;
+  }
+
+  project(point) {
+    const seen = this.camera.project(point);
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    return seen && { x: ((seen[0] + 1) / 2) * width, y: ((1 - seen[1]) / 2) * height };
+  }
+
+  redraw() {
+    if (this.asked || this.stop.signal.aborted) return;
+    this.asked = requestAnimationFrame(() => {
+      this.asked = 0;
+      if (this.painter) this.draw();
+    });
+  }
+
+  dispose() {
+    this.stop.abort();
+    this.sizes.disconnect();
+    this.deafen();
+    cancelAnimationFrame(this.asked);
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  // ---- what follows is not for others
+
+  box(k) {
+    const slice = (values, size) => values.subarray(size * k, size * (k + 1));
+    return { pos: slice(this.pos, 3), quat: slice(this.quat, 4), half: slice(this.half, 3) };
+  }
+
+  // How far along a line of sight a box begins; Infinity where it misses (or has no place yet).
+  distanceTo({ pos, quat, half }, from, along) {
+    if (Number.isNaN(pos[0])) return Infinity;
+    const start = turnedBack(quat, sub(from, pos));
+    const way = turnedBack(quat, along);
+    let [enter, leave] = [0, Infinity];
+    for (let axis = 0; axis < 3; axis++) {
+      const ends = [-half[axis], half[axis]].map((side) => (side - start[axis]) / way[axis]);
+      enter = Math.max(enter, Math.min(...ends));
+      leave = Math.min(leave, Math.max(...ends));
+    }
+    return enter <= leave ? enter : Infinity;
+  }
+
+  clicked(pageX, pageY) {
+    const frame = this.canvas.getBoundingClientRect();
+    this.onClick(this.pick(pageX - frame.left, pageY - frame.top));
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const density = Math.min(devicePixelRatio || 1, MOST_PIXELS);
+    this.density = density;
+    this.canvas.width = Math.max(1, Math.round(width * density));
+    this.canvas.height = Math.max(1, Math.round(height * density));
+    this.camera.resized(this.canvas.width / this.canvas.height);
+    this.redraw();
+  }
+
+  lose(event) {
+    event.preventDefault(); // else it never comes back
+    this.painter = null;
+  }
+
+  recover() {
+    this.painter = new Painter(this.gl);
+    this.redraw();
+  }
+
+  draw() {
+    const edge = this.edge();
+    const solid = { values: this.values, count: 0 };
+    const glass = { values: this.glass, count: 0 };
+    const into = this.opacity < 1 ? glass : solid;
+    for (const box of this.farthestFirst()) this.write(into, this.box(box), this.colourOf(box), this.edgeOf(box, edge));
+    this.write(solid, this.carrier, [...WOOD, 1], edge);
+    const marked = { values: new Float32Array(this.marks.length * BOX_STRIDE), count: 0 };
+    for (const { box, colour } of this.marks) {
+      const line = [...colour, MARK_WIDTH * this.density];
+      if (!Number.isNaN(this.pos[3 * box])) this.write(marked, this.box(box), [...colour, 0], line);
+    }
+    this.writeGhosts(glass);
+    const { camera, bounds, floorZ } = this;
+    const dark = this.night.matches;
+    this.painter.draw({ camera, dark, ...bounds, floorZ, solid, glass, marked, arrows: this.arrowValues() });
+    this.onDraw();
+  }
+
+  colourOf(box) {
+    return [...this.colours.subarray(3 * box, 3 * box + 3), this.opacity];
+  }
+
+  edge() {
+    return [...(this.night.matches ? EDGE.dark : EDGE.light), EDGE.width * this.density];
+  }
+
+  edgeOf(box, edge) {
+    const mark = this.marks.find((each) => each.box === box);
+    return mark ? [...mark.colour, MARK_WIDTH * this.density] : edge;
+  }
+
+  // Placed boxes in the order in which glass has to be drawn.
+  farthestFirst() {
+    const placed = [...Array(this.n).keys()].filter((box) => !Number.isNaN(this.pos[3 * box]));
+    if (this.opacity >= 1) return placed;
+    const { forward } = this.camera.axes();
+    const depth = placed.map((box) => dot(forward, this.pos.subarray(3 * box, 3 * box + 3)));
+    return placed.map((_, k) => k).sort((a, b) => depth[b] - depth[a]).map((k) => placed[k]);
+  }
+
+  writeGhosts(glass) {
+    if (!this.ghosts) return;
+    const tint = this.night.matches ? GHOST.dark : GHOST.light;
+    const edge = [...tint, EDGE.width * this.density];
+    for (let k = 0; k < this.n; k++) {
+      const pos = this.ghosts.pos.subarray(3 * k, 3 * k + 3);
+      const quat = this.ghosts.quat.subarray(4 * k, 4 * k + 4);
+      this.write(glass, { pos, quat, half: this.half.subarray(3 * k, 3 * k + 3) }, [...tint, GHOST.opacity], edge);
+    }
+  }
+
+  write(list, { pos, quat, half }, colour, edge) {
+    const at = list.count * BOX_STRIDE;
+    list.values.set(pos, at);
+    list.values.set(quat, at + 3);
+    list.values.set(half, at + 7);
+    list.values.set(colour, at + 10);
+    list.values.set(edge, at + 14);
+    list.count += 1;
+  }
+
+  arrowValues() {
+    const values = new Float32Array(this.arrows.length * ARROW_STRIDE);
+    this.arrows.forEach(({ from, vector, colour, radius }, k) => {
+      values.set([...from, ...vector, ...colour, radius], k * ARROW_STRIDE);
+    });
+    return { values, count: this.arrows.length };
+  }
+}

@@ -1,0 +1,145 @@
+"""A still picture of boxes as SVG, for browsers without WebGL: seen from the front left, far things first."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.pages.page import escaped
+from petmjx.pages.palette import article_colours, hex_of, rgb_of
+from petmjx.pages.story_data import framed
+from petmjx.story import Story
+from petmjx.units import FloatArray
+
+# The same view as the first one of petmjx/pages/static/camera.js, without its perspective.
+_AZIMUTH: Final = -0.65
+_ELEVATION: Final = 0.4
+_TOWARDS: Final = np.array(
+    [np.sin(_AZIMUTH) * np.cos(_ELEVATION), -np.cos(_AZIMUTH) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
+)
+"""(3,) unit vector from what is seen to the eye."""
+_RIGHT: Final = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
+_DOWN: Final = -np.cross(_TOWARDS, _RIGHT)
+_SUNWARD: Final = np.array([-0.5, -0.34, 0.8])
+
+_WIDTH: Final = 800.0
+_MARGIN: Final = 12.0
+_WOOD: Final = "#a8855c"
+_TOUCHING_M: Final = 1e-3
+"""Boxes whose bodies are this deep in each other still count as side by side."""
+
+# Corners of a box by the signs of their half sizes, and the four corners around each face: −x, +x, −y, +y, −z, +z.
+_SIGNS: Final = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+_FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+
+
+def still_svg(story: Story) -> str:
+    """The last frame of a story; the first box to go is outlined."""
+    history, scene = story.history, story.scene
+    shown = np.flatnonzero(np.isfinite(history.pos[-1]).all(axis=1))
+    pos = np.vstack([history.pos[-1][shown], history.carrier_pos[-1]])
+    axes = _axes(np.vstack([history.quat[-1][shown], history.carrier_quat[-1]]))
+    half = np.vstack([scene.half_size[shown], scene.carrier_half_size])
+    colours = article_colours(story.plan.articles)
+    names = [*(f"{box} {story.plan.articles[box]}" for box in shown), "carrier"]
+    fills = [*(colours[box] for box in shown), _WOOD]
+    corners = pos[:, None, :] + np.einsum("kij,kcj->kci", axes, _SIGNS * half[:, None, :])
+    low, scale, height = _fitted(story, corners)
+    flat = (_projected(corners) - low) * scale + _MARGIN
+    parts = []
+    for k in drawing_order(pos, axes, half):
+        first = k < len(shown) and shown[k] == story.outcome.culprit
+        faces = "".join(_face(flat[k], axes[k], fills[k], number) for number in range(6))
+        mark = ' class="first"' if first else ""
+        parts.append(f"<g{mark}><title>{escaped(names[k])}</title>{faces}</g>")
+    label = f"Still picture of plan {story.plan.plan_id} as it ended"
+    return (
+        f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped(label)}" '
+        f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'
+    )
+
+
+def _axes(quat: FloatArray) -> FloatArray:
+    """(k, 3, 3) rotation matrices, whose columns are the axes of the boxes, of (k, 4) quaternions (w, x, y, z)."""
+    w, x, y, z = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _projected(points: FloatArray) -> FloatArray:
+    """(…, 2) places in the picture, m to the right and down."""
+    return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
+
+
+def _fitted(story: Story, corners: FloatArray) -> tuple[FloatArray, float, float]:
+    """Upper left corner (2,), pixels per m and height of a picture that shows all boxes but those far off."""
+    ends = np.array(framed(story))
+    room = _projected(np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)]))
+    flat = _projected(corners).reshape(-1, 2)
+    low, high = room.min(axis=0), room.max(axis=0)
+    seen = np.vstack([np.clip(flat, low - 0.2, high + 0.2), [low, high]])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    scale = (_WIDTH - 2 * _MARGIN) / max(high[0] - low[0], 1.25 * (high[1] - low[1]))
+    low[0] -= ((_WIDTH - 2 * _MARGIN) / scale - (high[0] - low[0])) / 2
+    return low, float(scale), float((high[1] - low[1]) * scale + 2 * _MARGIN)
+
+
+def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
+    """One face of a box as a polygon; "" for a face that looks away."""
+    normal = axes[:, number // 2] * (1 if number % 2 else -1)
+    if normal @ _TOWARDS <= 1e-9:
+        return ""
+    light = 0.62 + 0.38 * max(float(normal @ _SUNWARD), 0.0)
+    red, green, blue = (light * part for part in rgb_of(fill))
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in flat[list(_FACES[number])])
+    return f'<polygon points="{points}" fill="{hex_of((red, green, blue))}"/>'
+
+
+def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[int]:
+    """The order in which boxes are drawn so that near ones cover far ones.
+
+    A plane through a face of one box with the other box beyond it says which of the two is nearer. Boxes that no face
+    parts, and rings of boxes each behind the next, go by the distance of their centres.
+
+    Args:
+        pos: (k, 3) centres; axes: (k, 3, 3) columns are their axes; half: (k, 3) half sizes; all in m.
+    """
+    corners = pos[:, None, :] + np.einsum("kij,kcj->kci", axes, _SIGNS * half[:, None, :])
+    before = _before(pos, axes, half, corners)
+    depth = pos @ _TOWARDS
+    waiting = before.sum(axis=0)
+    order: list[int] = []
+    left = np.ones(len(pos), dtype=bool)
+    while left.any():
+        free = left & (waiting == 0)
+        among = np.flatnonzero(free if free.any() else left)
+        chosen = int(among[np.argmin(depth[among])])
+        order.append(chosen)
+        left[chosen] = False
+        waiting -= before[chosen]
+    return order
+
+
+def _before(pos: FloatArray, axes: FloatArray, half: FloatArray, corners: FloatArray) -> NDArray[np.bool_]:
+    """(k, k): whether the row's box must be drawn before the column's."""
+    flat = _projected(corners)
+    low, high = flat.min(axis=1), flat.max(axis=1)
+    apart = ((low[:, None] > high[None]) | (high[:, None] < low[None])).any(axis=2)
+    before = np.zeros(apart.shape, dtype=bool)
+    for k in range(len(pos)):
+        local = (corners - pos[k]) @ axes[k]
+        facing = _TOWARDS @ axes[k]
+        above = local.min(axis=1) >= half[k] - _TOUCHING_M
+        below = local.max(axis=1) <= -half[k] + _TOUCHING_M
+        nearer = (above & (facing > 0) | below & (facing < 0)).any(axis=1)
+        farther = (above & (facing < 0) | below & (facing > 0)).any(axis=1)
+        before[k] |= nearer & ~farther
+        before[:, k] |= farther & ~nearer
+    np.fill_diagonal(before, False)
+    return np.asarray(before & ~apart)

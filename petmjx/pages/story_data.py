@@ -1,0 +1,145 @@
+"""What the page of a story carries: values for its script, and its frames as arrays."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Thresholds
+from petmjx.history import Contacts, History
+from petmjx.metrics import motion_np
+from petmjx.pages.columns import Packed, block, quantised, whole
+from petmjx.pages.palette import article_colours, ramp
+from petmjx.pages.words import first_box_in_words, thresholds_of
+from petmjx.story import Story
+from petmjx.text import printable
+from petmjx.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
+from petmjx.world.job import FORCE
+
+_FAR_M: Final = 0.8
+"""Boxes that lie farther beside the pallet than this do not make the picture smaller."""
+
+
+def story_info(story: Story) -> dict[str, Any]:
+    """What the script reads by ``readInfo()``. Lengths in m unless the name says mm."""
+    limits, outcome = thresholds_of(story), story.outcome
+    first = None
+    if outcome.culprit >= 0:
+        first = {"box": outcome.culprit, "time": outcome.first_sign_s, "words": first_box_in_words(story)}
+    low, high = framed(story)
+    return {
+        "boxes": _boxes(story),
+        "first": first,
+        "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
+        "ramp": ramp(),
+        "carrier": {"size": 2 * story.scene.carrier_half_size, "pos": story.scene.carrier_pos},
+        "floorZ": story.scene.floor_z,
+        "frame": {"low": low, "high": high},
+        "drive": _drive(story),
+    }
+
+
+def _boxes(story: Story) -> dict[str, Any]:
+    """Columns of the boxes, in packing order."""
+    plan, metrics = story.plan, story.outcome.boxes
+    return {
+        "article": [printable(name) for name in plan.articles],
+        "item": [printable(name) for name in plan.item_ids],
+        "colour": article_colours(plan.articles),
+        "size": (2 * story.scene.half_size).ravel(),
+        "target": story.scene.target.ravel(),
+        "size_mm": plan.size_mm,
+        "mass_kg": story.scene.mass,
+        "sequence": plan.sequence,
+        "placed_s": placed_s(story.history),
+        "drop_s": metrics.drop_s,
+        "end_shift_mm": MM_PER_M * np.abs(metrics.shift_m).max(axis=1, initial=0.0),
+        "max_tilt_deg": metrics.max_tilt_deg,
+        "max_force_n": metrics.max_top_force_n,
+        "rest_force_n": metrics.rest_top_force_n,
+    }
+
+
+def placed_s(history: History) -> FloatArray:
+    """(n,) when each box was placed, s; NaN for boxes that were not."""
+    frame = np.searchsorted(history.n_placed, np.arange(history.pos.shape[1]), side="right")
+    times = np.append(history.time_s, np.nan)
+    return np.asarray(times[frame], dtype=np.float64)
+
+
+def _drive(story: Story) -> dict[str, Any] | None:
+    """What shakes the world: "force" or "acceleration" and what of it is 1 g; None where nothing does."""
+    if story.drive is None or not np.any(story.history.drive):
+        return None
+    kind = story.drive.excitation.kind
+    mass = story.scene.total_mass if kind == FORCE else 1.0
+    return {"kind": kind, "name": story.drive.excitation.name, "one_g": mass * STANDARD_GRAVITY}
+
+
+def framed(story: Story) -> tuple[FloatArray, FloatArray]:
+    """(3,) lowest and (3,) highest corner of what a picture shows: carrier, plan, boxes that lie near at the end."""
+    scene = story.scene
+    reach = np.vstack([scene.half_size, scene.carrier_half_size])
+    planned = np.vstack([scene.target, scene.carrier_pos])
+    low, high = (planned - reach).min(axis=0), (planned + reach).max(axis=0)
+    last = story.history.pos[-1]
+    last = last[np.isfinite(last).all(axis=1)]
+    near = np.clip(last, low - np.array([_FAR_M, _FAR_M, 0.0]), high + np.array([_FAR_M, _FAR_M, 0.2]))
+    return np.vstack([near, [low]]).min(axis=0), np.vstack([near, [high]]).max(axis=0)
+
+
+def story_blocks(story: Story) -> dict[str, str]:
+    """What the script reads by ``readBlock``: ``frames``, and ``contacts`` where they were recorded."""
+    blocks = {"frames": block(_frames(story, thresholds_of(story)))}
+    if story.history.contacts is not None:
+        blocks["contacts"] = block(_contacts(story.history.contacts))
+    return blocks
+
+
+def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed]:
+    """The columns of f frames of n boxes; ``shift_mm`` and ``tilt_deg`` are those that limits are for."""
+    history = story.history
+    n_frames, n = history.pos.shape[:2]
+    shift = np.abs(motion_np.shift(history.pos, story.scene.target, limits.shift_floor_m)).max(axis=2, initial=0.0)
+    tilt = motion_np.tilt_deg(history.quat.reshape(-1, 4)).reshape(n_frames, n)
+    return {
+        "time": history.time_s.astype(np.float64),
+        "placed": whole(history.n_placed, steps=True),
+        "pos": quantised(history.pos, steps=True),
+        "quat": quantised(history.quat, steps=True),
+        "shift_mm": quantised(MM_PER_M * shift, steps=True),
+        "tilt_deg": quantised(tilt, steps=True),
+        "force_n": quantised(history.top_force_n, steps=True),
+        "carrier_pos": quantised(history.carrier_pos, steps=True),
+        "carrier_quat": quantised(history.carrier_quat, steps=True),
+        "drive": history.drive.astype(np.float32),
+    }
+
+
+def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
+    """One force for each pair of bodies and frame: the sum of its contacts' forces at their centre of pressure.
+
+    Rows are in order of pairs, then frames, so that a row differs little from the one before and deflates well. Forces
+    press on the lower body: their z is not positive.
+    """
+    strength = np.linalg.norm(contacts.force, axis=1)
+    keys = np.column_stack([contacts.body, contacts.frame])
+    rows, row_of = np.unique(keys, axis=0, return_inverse=True)
+    row_of = row_of.reshape(-1)
+
+    def summed(values: FloatArray) -> FloatArray:
+        return np.column_stack([np.bincount(row_of, values[:, axis], len(rows)) for axis in range(3)])
+
+    weight = np.bincount(row_of, strength, len(rows))
+    felt = weight > 0
+    force, centre = summed(contacts.force)[felt], summed(contacts.point * strength[:, None])[felt] / weight[felt, None]
+    rows = rows[felt]
+    force *= np.where(force[:, 2] > 0, -1.0, 1.0)[:, None]
+    return {
+        "pair": whole(rows[:, :2], steps=True),
+        "frame": whole(rows[:, 2], steps=True),
+        "point": quantised(centre, steps=True),
+        "force": quantised(force, steps=True),
+    }

@@ -1,0 +1,94 @@
+"""A story in sentences: the verdict and its reason, which box went first, when and by what."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from petmjx.config import Thresholds
+from petmjx.metrics import motion_np
+from petmjx.story import Story
+from petmjx.text import shown
+from petmjx.units import MM_PER_M
+from petmjx.verdict import Reason, Verdict
+
+_INVALID: Final = {
+    Reason.NONFINITE: "the simulation gave numbers that are not finite",
+    Reason.OVERFLOW: "there were more contacts than the engine had room for",
+    Reason.EXPLOSION: "boxes were accelerated as no box can be, before any of them had moved",
+    Reason.OUT_OF_MEMORY: "the device had too little memory",
+    Reason.SINKING: "boxes sank into what bears them",
+    Reason.FAILED: "the simulation failed",
+    Reason.TIMEOUT: "the simulation took longer than it was given",
+}
+
+
+def thresholds_of(story: Story) -> Thresholds:
+    """The limits that the verdict was judged by."""
+    return Thresholds(**story.options.get("thresholds", {}))
+
+
+def reason_in_words(story: Story) -> str:
+    """Why the verdict is what it is, as a sentence without its full stop."""
+    outcome, limits = story.outcome, thresholds_of(story)
+    if outcome.verdict is Verdict.STABLE:
+        return f"no box shifted by more than {_mm(limits.shift_m)}, tilted by more than {limits.tilt_deg:g}° or dropped"
+    if outcome.verdict is Verdict.INVALID:
+        words = _INVALID[outcome.reason]
+        return f"{words}: {shown(outcome.message)}" if outcome.message else words
+    dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
+    return {
+        Reason.DROP: "a box dropped" if dropped == 1 else f"{dropped} boxes dropped",
+        Reason.TILT: f"a box tilted by more than {limits.tilt_deg:g}°",
+        Reason.SHIFT: f"a box shifted by more than {_mm(limits.shift_m)}",
+    }[outcome.reason]
+
+
+def first_box_in_words(story: Story) -> str:
+    """Which box went first, when and why, as a sentence; "" where none did."""
+    box = story.outcome.culprit
+    if box < 0:
+        return ""
+    when = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
+    name = shown(story.plan.articles[box])
+    return f"Box {box} ({name}) went first:{when} it {' and '.join(_signs(story, box)) or 'crossed a limit'}."
+
+
+def _signs(story: Story, box: int) -> list[str]:
+    """The limits that a box was beyond at the first sign, each with how far, as of the nearest frame."""
+    history, limits = story.history, thresholds_of(story)
+    frame = int(np.argmin(np.abs(history.time_s - story.outcome.first_sign_s)))
+    pos, quat = history.pos[frame, [box]], history.quat[frame, [box]]
+    if not np.isfinite(pos).all():
+        return []
+    shift = float(np.abs(motion_np.shift(pos, story.scene.target[[box]], limits.shift_floor_m)).max())
+    tilt = float(motion_np.tilt_deg(quat)[0])
+    said = []
+    if motion_np.has_dropped(pos, quat, story.scene.half_size[[box]], limits)[0]:
+        said.append("had dropped")
+    if tilt > limits.tilt_deg:
+        said.append(f"was tilted by {tilt:.1f}° (limit {limits.tilt_deg:g}°)")
+    if shift > limits.shift_m:
+        said.append(f"had shifted by {_mm(shift)} (limit {_mm(limits.shift_m)})")
+    return said
+
+
+def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
+    """Names and values of what the answer depends on most: engine, physics, check, schedule, carrier, solver."""
+    options, outcome = story.options, story.outcome
+    physics = options.get("physics", "")
+    facts = [("engine", story.engine), ("physics", str(physics if isinstance(physics, str) else physics.get("name")))]
+    facts += [(name, str(options[name])) for name in ("check", "schedule", "carrier") if name in options]
+    facts.append(("solver", outcome.solver if outcome.attempt == 1 else f"{outcome.solver}, attempt {outcome.attempt}"))
+    if story.drive is not None:
+        drive = story.drive
+        facts.append(("shaken by", f"{drive.excitation.name} × {drive.scale:g}, {math.degrees(drive.yaw_rad):g}°"))
+    facts += [(shown(str(name)), shown(str(value))) for name, value in story.values.items()]
+    facts.append(("simulated", f"{outcome.sim_time_s:.2f} s in {outcome.n_steps:,} steps"))
+    return [(name, value) for name, value in facts if value]
+
+
+def _mm(length_m: float) -> str:
+    return f"{MM_PER_M * length_m:.3g} mm" if length_m < 0.1 else f"{MM_PER_M * length_m:,.0f} mm"
