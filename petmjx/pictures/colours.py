@@ -1,37 +1,22 @@
-"""Which colour a box has, and what that means. Colours are told apart by the colour-blind as well.
-
-Categories have the hues of Okabe and Ito (https://jfly.uni-koeln.de/color/), values those of matplotlib's viridis.
-"""
+"""Which colour a box has, and what that means: the same colours as on pages (``petmjx.pages.palette``)."""
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
+from petmjx.pages.palette import RAMP_COLOURS, Rgb, article_colours, ramp, rgb_of
+from petmjx.pages.words import thresholds_of
+from petmjx.pictures.options import Colour
 from petmjx.pictures.poses import Poses, shift_mm, tilts_deg
 from petmjx.story import Story
 from petmjx.text import counted
 from petmjx.units import FloatArray
-
-Rgb = tuple[float, float, float]
-
-
-class Colour(StrEnum):
-    """What the colours of boxes stand for."""
-
-    ARTICLE = "article"
-    ORDER = "order"
-    SHIFT = "shift"
-    TILT = "tilt"
-    FORCE = "force"
-    PLANNED = "planned"
-
 
 FIRST: Final[Rgb] = (0.80, 0.0, 0.0)
 """The outline of the first box to fail."""
@@ -40,20 +25,13 @@ GHOST: Final[Rgb] = (0.0, 0.28, 0.55)
 CARRIER: Final[Rgb] = (0.70, 0.64, 0.56)
 CARTON: Final[Rgb] = (0.86, 0.74, 0.56)
 
-_HUES: Final = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7")
-_TINTS: Final = (0.0, 0.5, -0.35)
-"""The hues again for more than seven articles: as they are, towards white, towards black."""
-
-_DARKEST: Final = 0.18
-"""Where in viridis scales begin: before it black edges are hardly seen."""
-
 MOST_NAMED: Final = 7
 """Most articles that a legend names."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What the colours of values mean: from ``low`` to ``high``, in viridis; larger values have the last colour."""
+    """What the colours of values mean: from ``low`` to ``high``, dark to bright; larger values have the last colour."""
 
     label: str
     low: float
@@ -81,10 +59,10 @@ class Colouring:
         """(k, 3) red, green and blue of the placed boxes, 0 to 1."""
         if self.colour is Colour.PLANNED:
             return np.tile(np.array(CARTON), (poses.n_placed, 1))
-        if self.colour is Colour.ARTICLE:
-            shades = article_colours(self.story.plan.articles)
-            return np.array([shades[article] for article in self.story.plan.articles[: poses.n_placed]]).reshape(-1, 3)
-        return viridis(self._values(poses), self.scale)
+        if self.scale is None:
+            each = article_colours(self.story.plan.articles)[: poses.n_placed]
+            return np.array([rgb_of(colour) for colour in each]).reshape(-1, 3)
+        return ramp_colours((self._values(poses) - self.scale.low) / (self.scale.high - self.scale.low))
 
     def _values(self, poses: Poses) -> FloatArray:
         if self.colour is Colour.SHIFT:
@@ -99,7 +77,8 @@ class Colouring:
 def colouring(story: Story, colour: Colour) -> Colouring:
     """The colours of a story's boxes. Scales are the same for all of its frames."""
     if colour is Colour.ARTICLE:
-        shades = article_colours(story.plan.articles)
+        each = article_colours(story.plan.articles)
+        shades = {name: rgb_of(shade) for name, shade in zip(story.plan.articles, each, strict=True)}
         if len(shades) <= MOST_NAMED:
             return Colouring(story, colour, names=tuple(shades.items()))
         return Colouring(story, colour, note=f"a colour for each of {counted(len(shades), 'article')}")
@@ -109,7 +88,7 @@ def colouring(story: Story, colour: Colour) -> Colouring:
 
 
 def _scale(story: Story, colour: Colour) -> Scale:
-    limits = Thresholds(**story.options.get("thresholds", {}))
+    limits = thresholds_of(story)
     if colour is Colour.SHIFT:
         return Scale("shift, mm", 0.0, 2000 * limits.shift_m, True)
     if colour is Colour.TILT:
@@ -133,24 +112,12 @@ def round_up(value: float) -> float:
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1 - 1e-9))
 
 
-def article_colours(articles: tuple[str, ...]) -> dict[str, Rgb]:
-    """Article → its colour, in the order in which articles are first placed. Beyond 21 articles colours come again."""
-    names = list(dict.fromkeys(articles))
-    return {name: _shade(number) for number, name in enumerate(names)}
+def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:
+    """(k,) from 0 to 1 → (k, 3) colours, dark to bright; beyond the ends the first and the last."""
+    last = RAMP_COLOURS - 1
+    return _ramp()[np.clip(np.round(shares * last), 0, last).astype(np.intp)]
 
 
-def _shade(number: int) -> Rgb:
-    code = _HUES[number % len(_HUES)]
-    tint = _TINTS[number // len(_HUES) % len(_TINTS)]
-    red, green, blue = (int(code[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    towards = 1.0 if tint > 0 else 0.0
-    return tuple(part + abs(tint) * (towards - part) for part in (red, green, blue))  # type: ignore[return-value]
-
-
-def viridis(values: FloatArray, scale: Scale | None) -> NDArray[np.float64]:
-    """(k,) values → (k, 3) colours; without a scale values are from 0 to 1."""
-    from matplotlib import colormaps
-
-    low, high = (0.0, 1.0) if scale is None else (scale.low, scale.high)
-    share = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return np.asarray(colormaps["viridis"](_DARKEST + (1 - _DARKEST) * share))[:, :3]
+@functools.cache
+def _ramp() -> NDArray[np.float64]:
+    return np.array([rgb_of(colour) for colour in ramp()])

@@ -9,12 +9,14 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
 from petmjx.errors import InputError
 from petmjx.history import Contacts
+from petmjx.pages.palette import Rgb
+from petmjx.pages.words import thresholds_of
 from petmjx.pictures.camera import Camera
-from petmjx.pictures.colours import CARRIER, FIRST, GHOST, Colour, Colouring, Rgb, round_up
+from petmjx.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
 from petmjx.pictures.offscreen import Canvas
+from petmjx.pictures.options import Colour
 from petmjx.pictures.poses import Poses, corners, poses_of_frame, rotations, shift_mm, tilts_deg
 from petmjx.story import Story
 from petmjx.text import shown
@@ -201,6 +203,6 @@ def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
 
 def _away(story: Story, poses: Poses) -> list[int]:
     """Boxes that are not where the plan has them, nor nearly."""
-    limits = Thresholds(**story.options.get("thresholds", {}))
+    limits = thresholds_of(story)
     far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
     return [int(box) for box in np.flatnonzero(far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.pictures.camera import Camera, Margins
-from petmjx.pictures.colours import FIRST, Scale, viridis
+from petmjx.pictures.colours import FIRST, Scale, ramp_colours
 from petmjx.pictures.overlay import first_outline, scale_ends
 from petmjx.pictures.poses import Moment, poses_of_frame
 from petmjx.pictures.still import Look, draw_frames, frame_camera
@@ -115,7 +115,7 @@ def _foot(figure: Any, look: Look, width: float, height: float) -> None:
 
 def _bar(figure: Any, scale: Scale, width: float, height: float) -> None:
     axes = figure.add_axes((0.5 - 0.75 / width, 0.19 / height, 1.5 / width, 0.1 / height))
-    axes.imshow(viridis(np.linspace(0, 1, 256), None)[None], aspect="auto", extent=(0, 1, 0, 1))
+    axes.imshow(ramp_colours(np.linspace(0, 1, 256))[None], aspect="auto", extent=(0, 1, 0, 1))
     axes.set_axis_off()
     low, high = scale_ends(scale)
     axes.text(-0.03, 0.5, low, size=_POINTS, ha="right", va="center", transform=axes.transAxes)

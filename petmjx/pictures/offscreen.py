@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.errors import InputError
+from petmjx.pages.palette import Rgb
 from petmjx.pictures.camera import Camera
-from petmjx.pictures.colours import Rgb
 from petmjx.text import one_line
 from petmjx.units import FloatArray
 

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
+from enum import StrEnum
 from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field
 
-from petmjx.checked import Checked, got
+from petmjx.checked import Checked, got, hint
 from petmjx.config import Flag, within
 from petmjx.errors import InputError
 from petmjx.pictures.camera import VIEWS, view_of
-from petmjx.pictures.colours import Colour
-from petmjx.pictures.poses import moment_of
+from petmjx.text import shown
+
+START: Final = "start"
+BEFORE: Final = "before"
+FIRST_SIGN: Final = "first-sign"
+END: Final = "end"
+MOMENTS: Final = (START, BEFORE, FIRST_SIGN, END)
+"""Names of moments: the first frame; the last placement before the first sign; the first sign; the last frame."""
 
 LEAST_PX: Final = 64
 MOST_PX: Final = 4096
@@ -30,6 +38,35 @@ FILM_FPS: Final = 20.0
 _USUAL_SIZES: Final = "{}x{}, in a row {}x{}, GIF {}x{}, MP4 {}x{}".format(
     *STILL_SIZE, *PANEL_SIZE, *GIF_SIZE, *MP4_SIZE
 )
+
+
+class Colour(StrEnum):
+    """What the colours of boxes stand for."""
+
+    ARTICLE = "article"
+    ORDER = "order"
+    SHIFT = "shift"
+    TILT = "tilt"
+    FORCE = "force"
+    PLANNED = "planned"
+
+
+def moment_of(text: str) -> str | float:
+    """A name of ``MOMENTS``, or a time, s.
+
+    Raises:
+        InputError: neither.
+    """
+    name = text.strip()
+    if name in MOMENTS:
+        return name
+    try:
+        time_s = float(name)
+    except ValueError:
+        time_s = math.nan
+    if not math.isfinite(time_s):
+        raise InputError(f"unknown moment {shown(name)}; {hint(name, MOMENTS)} Or seconds: 2.5")
+    return time_s
 
 
 def size_of(text: str) -> tuple[int, int]:
@@ -77,10 +114,14 @@ def _moments(text: str) -> None:
 class PictureOptions(Checked):
     """How pictures and films of a story are drawn."""
 
-    at: Annotated[str | None, _checked_by(_moments), Flag("--at", "TIMES", default="before,first-sign,end where a box fails, else end")] = Field(
+    at: Annotated[
+        str | None,
+        _checked_by(_moments),
+        Flag("--at", "TIMES", default="before,first-sign,end where a box fails, else end"),
+    ] = Field(
         None,
-        description="moments of a picture, with commas between them: seconds, or start, before (the last placement "
-        "before the first sign), first-sign, end; several are a row of pictures",
+        description="moments of a picture, with commas between: seconds, or start, before (the last placement before "
+        "the first sign), first-sign, end; several are a row of pictures",
     )
     view: Annotated[str, _checked_by(view_of), Flag("--view")] = Field(
         "iso",
@@ -93,12 +134,16 @@ class PictureOptions(Checked):
     )
     colour: Annotated[Colour, Flag("--colour")] = Field(
         Colour.ARTICLE,
-        description="what colours mean: article, order, shift, tilt, force (on top), planned (where boxes were to be)",
+        description="what colours mean: article, order, shift, tilt, force (on top), planned (where boxes should be)",
     )
     arrows: Annotated[bool, Flag("--arrows")] = Field(
         False, description="draw contact forces as arrows, in boxes that are transparent; engine mujoco"
     )
-    speed: Annotated[float | None, within(0.01, 1000), Flag("--speed", "X", default="1, or so much faster that a film lasts 20 s at most")] = Field(
+    speed: Annotated[
+        float | None,
+        within(0.01, 1000),
+        Flag("--speed", "X", default="1, or so much faster that a film lasts 20 s at most"),
+    ] = Field(
         None,
         description="of films, as a multiple of real time",
     )

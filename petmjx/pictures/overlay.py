@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.pictures.camera import Camera, Margins
-from petmjx.pictures.colours import FIRST, Colouring, Scale, viridis
+from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.pictures.poses import Poses, corners
 from petmjx.show.story import headline
 from petmjx.story import Story
@@ -105,7 +105,7 @@ class Overlay:
 
         em, plain = self.text_px, font(self.text_px)
         length = round(min(14 * em, self.width / 3))
-        ramp = viridis(np.linspace(0.0, 1.0, length), None)
+        ramp = ramp_colours(np.linspace(0.0, 1.0, length))
         stripe = np.tile(np.round(255 * ramp).astype(np.uint8), (em, 1, 1))
         low, high = scale_ends(scale)
         left = em + plain.getlength(low) + 0.4 * em

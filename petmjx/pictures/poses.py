@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from petmjx.checked import hint
 from petmjx.errors import InputError
 from petmjx.history import History
 from petmjx.metrics.motion_np import shift, tilt_deg
+from petmjx.pictures.options import BEFORE, END, FIRST_SIGN, START, moment_of
 from petmjx.story import Story
 from petmjx.text import shown
 from petmjx.units import FloatArray
-
-START: Final = "start"
-BEFORE: Final = "before"
-FIRST_SIGN: Final = "first-sign"
-END: Final = "end"
-MOMENTS: Final = (START, BEFORE, FIRST_SIGN, END)
-"""Names of moments: the first frame; the last placement before the first sign; the first sign; the last frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,24 +84,6 @@ def nearest_frame(history: History, time_s: float) -> int:
     return int(np.flatnonzero(distance == distance.min())[-1])
 
 
-def moment_of(text: str) -> str | float:
-    """A name of ``MOMENTS``, or a time, s.
-
-    Raises:
-        InputError: neither.
-    """
-    name = text.strip()
-    if name in MOMENTS:
-        return name
-    try:
-        time_s = float(name)
-    except ValueError:
-        time_s = math.nan
-    if not math.isfinite(time_s):
-        raise InputError(f"unknown moment {shown(name)}; {hint(name, MOMENTS)} Or seconds: 2.5")
-    return time_s
-
-
 def moments(story: Story, asked: str | None) -> list[Moment]:
     """The moments that are asked for, in the order given.
 
@@ -146,7 +121,7 @@ def shift_mm(story: Story, poses: Poses) -> FloatArray:
 
 def tilts_deg(poses: Poses) -> FloatArray:
     """(k,) tilt of each placed box, degrees."""
-    return np.asarray(tilt_deg(poses.quat))
+    return np.asarray(tilt_deg(poses.quat), dtype=np.float64)
 
 
 def corners(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:

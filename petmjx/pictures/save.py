@@ -143,7 +143,7 @@ def _write_recording(story: Story, path: Path, options: PictureOptions, progress
 
 
 def _write_page(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
-    from petmjx.pages.story import story_page
+    from petmjx.pages.story_page import story_page
 
     path.write_text(story_page(story), encoding="utf-8")
 

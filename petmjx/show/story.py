@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 from rich.console import RenderableType
+from rich.table import Table
 from rich.text import Text
 
-from petmjx.config import Thresholds
-from petmjx.metrics.motion_np import tilt_deg
+from petmjx.pages.words import first_box_in_words, how_it_was_simulated, reason_in_words
 from petmjx.show.layout import Column, FittedTable, line, number
 from petmjx.story import Story
 from petmjx.text import counted, shown
@@ -48,18 +48,22 @@ def story_tables(story: Story) -> Iterator[RenderableType]:
     plan, outcome = story.plan, story.outcome
     yield Text.assemble(
         (f"plan {shown(plan.plan_id)}", "bold"),
-        f"  {_variant(story)}{counted(plan.n_boxes, 'box', 'boxes')}, {plan.mass_kg.sum():.1f} kg  ",
-        (headline(story), _STYLES[outcome.verdict]),
+        f", {counted(plan.n_boxes, 'box', 'boxes')}, {plan.mass_kg.sum():.1f} kg: ",
+        (outcome.verdict.value, _STYLES[outcome.verdict]),
+        f", {reason_in_words(story)}",
     )
-    yield line(_circumstances(story), style="dim")
+    yield line(", ".join(f"{name} {value}" for name, value in how_it_was_simulated(story)), style="dim")
     if story.note:
         yield line(f"note: {story.note}", style="yellow")
-    if outcome.message:
-        yield line(outcome.message, style="yellow")
     yield ""
     yield _events_table(story)
     yield ""
     yield _boxes_table(story)
+
+
+def _subject(story: Story, box: int) -> str:
+    """The name of a box at the beginning of a sentence."""
+    return "B" + box_name(story, box)[1:]
 
 
 def events(story: Story) -> list[tuple[float, str, str]]:
@@ -67,31 +71,16 @@ def events(story: Story) -> list[tuple[float, str, str]]:
     found = [*_placements(story), *_shaking(story), *_first_sign(story), *_drops(story)]
     found.sort(key=lambda event: event[0])
     end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
-    return [*found, (end_s, f"end: {_last_state(story)}", _STYLES[story.outcome.verdict])]
+    return [*found, (end_s, f"End: {_last_state(story)}", _STYLES[story.outcome.verdict])]
 
 
-def _events_table(story: Story) -> FittedTable:
-    table = FittedTable(Column("at\ns"), Column("what", "left", least=30))
+def _events_table(story: Story) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
+    table.add_column("at s", justify="right", no_wrap=True)
+    table.add_column("what", overflow="fold")
     for time_s, what, style in events(story):
-        table.add(f"{time_s:.2f}", Text(what, style=style))
+        table.add_row(f"{time_s:.2f}", line(what, style=style))
     return table
-
-
-def _variant(story: Story) -> str:
-    if not story.values:
-        return ""
-    return f"variant {story.variant} ({', '.join(f'{name} {value}' for name, value in story.values.items())}), "
-
-
-def _circumstances(story: Story) -> str:
-    """The engine and the options that readers ask for first."""
-    options = story.options
-    physics = options.get("physics")
-    named = physics.get("name") if isinstance(physics, dict) else physics
-    parts = [f"engine {story.engine}"]
-    parts += [f"{name} {options[name]}" for name in ("check", "schedule") if options.get(name)]
-    parts += [f"physics {named}"] if named else []
-    return ", ".join([*parts, counted(len(story.history.time_s), "frame")])
 
 
 def _placements(story: Story) -> Iterator[tuple[float, str, str]]:
@@ -104,8 +93,8 @@ def _placements(story: Story) -> Iterator[tuple[float, str, str]]:
     if len(grown) == 1:
         yield float(history.time_s[first]), f"{counted(placed, 'box', 'boxes')}{rest} placed at once", ""
         return
-    yield float(history.time_s[first]), f"{box_name(story, 0)} is placed, the first of {story.plan.n_boxes}", ""
-    yield float(history.time_s[last]), f"{box_name(story, placed - 1)} is placed, number {placed}{rest}", ""
+    yield float(history.time_s[first]), f"{_subject(story, 0)} is placed, the first of {story.plan.n_boxes}", ""
+    yield float(history.time_s[last]), f"{_subject(story, placed - 1)} is placed, number {placed}{rest}", ""
 
 
 def _shaking(story: Story) -> Iterator[tuple[float, str, str]]:
@@ -116,28 +105,20 @@ def _shaking(story: Story) -> Iterator[tuple[float, str, str]]:
         excitation = story.drive.excitation
         what = "forces on the carrier" if excitation.kind == FORCE else "accelerations of the carrier"
         name = f"{shown(excitation.name)}, scale {story.drive.scale:g}, {math.degrees(story.drive.yaw_rad):.0f}°"
-        yield float(story.history.time_s[pushed[0]]), f"shaking begins: {what} ({name})", ""
-        yield float(story.history.time_s[pushed[-1]]), "shaking ends", ""
+        yield float(story.history.time_s[pushed[0]]), f"Shaking begins: {what} ({name})", ""
+        yield float(story.history.time_s[pushed[-1]]), "Shaking ends", ""
 
 
 def _first_sign(story: Story) -> Iterator[tuple[float, str, str]]:
-    outcome, history, box = story.outcome, story.history, story.outcome.culprit
-    if box < 0 or not math.isfinite(outcome.first_sign_s):
-        return
-    frame = int(np.abs(history.time_s - outcome.first_sign_s).argmin())
-    limits = Thresholds(**story.options.get("thresholds", {}))
-    shift_mm = 1000 * float(np.abs(history.pos[frame, box] - story.scene.target[box]).max())
-    tilt = float(tilt_deg(history.quat[frame, box][None])[0])
-    state = f"{shift_mm:.0f} mm from its place (limit {1000 * limits.shift_m:g}), tilted by {tilt:.0f}°"
-    what = f"first sign: {box_name(story, box)} is {state} (limit {limits.tilt_deg:g})"
-    yield outcome.first_sign_s, what, "red"
+    if story.outcome.culprit >= 0 and math.isfinite(story.outcome.first_sign_s):
+        yield story.outcome.first_sign_s, first_box_in_words(story), "red"
 
 
 def _drops(story: Story) -> Iterator[tuple[float, str, str]]:
     times = story.outcome.boxes.drop_s
     dropped = [int(box) for box in np.argsort(times, kind="stable") if np.isfinite(times[box])]
     for box in dropped[:MOST_DROPS]:
-        yield float(times[box]), f"{box_name(story, box)} has dropped", ""
+        yield float(times[box]), f"{_subject(story, box)} has dropped", ""
     if len(dropped) > MOST_DROPS:
         yield float(times[dropped[MOST_DROPS]]), f"{len(dropped) - MOST_DROPS} more have dropped from here on", ""
 
@@ -180,3 +161,8 @@ def _boxes_table(story: Story) -> FittedTable:
             number(boxes.drop_s[box], ".2f"),
         )
     return table
+
+
+def how_to_draw() -> Text:
+    """The options that draw a story."""
+    return line("to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer", style="dim")

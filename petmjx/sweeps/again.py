@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from petmjx.checked import similar
 from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.gather import PlanSource, find_plan, gather_plans
@@ -33,7 +34,8 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """
     manifest = Manifest.read(run.path, run.info)
     if plan_id not in manifest.plans:
-        raise InputError(f"{run.path}: plan {shown(plan_id)} is not among its {counted(len(manifest.plans), 'plan')}")
+        among = f"is not among its {counted(len(manifest.plans), 'plan')}{similar(plan_id, manifest.plans)}"
+        raise InputError(f"{run.path}: plan {shown(plan_id)} {among}")
     digest, source = manifest.plans[plan_id]
     plan = find_plan(gather_plans(plans or _file(run, plan_id, source), Simulation(), RunOptions()), plan_id)
     if plan_digest(plan) != digest:
