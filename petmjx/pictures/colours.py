@@ -94,7 +94,12 @@ def _scale(story: Story, colour: Colour) -> Scale:
     if colour is Colour.TILT:
         return Scale("tilt, °", 0.0, 2 * limits.tilt_deg, True)
     if colour is Colour.FORCE:
-        return Scale("force on top, N", 0.0, round_up(_usual_force(story)), True)
+        return Scale(
+            "force on top, N",
+            0.0,
+            round_up(_usual_force(story), (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)),
+            True,
+        )
     return Scale("order of placement", 0.0, float(max(story.plan.n_boxes - 1, 1)), False)
 
 
@@ -106,10 +111,10 @@ def _usual_force(story: Story) -> float:
     return max(usual, float(np.nanmax(rest)) if np.isfinite(rest).any() else 0.0, 1.0)
 
 
-def round_up(value: float) -> float:
-    """The next 1, 2 or 5 × 10ⁿ of a positive value."""
+def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:
+    """The next step × 10ⁿ of a positive value."""
     power = 10.0 ** math.floor(math.log10(value))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1 - 1e-9))
+    return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
 
 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:

@@ -94,14 +94,15 @@ def write_gif(
     shown = 0
     with path.open("wb") as file:
         for number, (frame, last) in enumerate(_with_last(frames)):
-            indexed = frame.quantize(palette=palette, dither=Image.Dither.NONE)
-            pixels = np.asarray(indexed)
+            pixels = _indexed(frame, palette)
             until = round(100 * (number + 1) / fps) + (round(100 * HELD_S) if last else 0)
             wait, shown = 10 * (until - shown), until
             if previous is None:
-                header, _ = getheader(indexed, info={"loop": 0})
+                first = Image.fromarray(pixels)
+                first.putpalette(palette.getpalette() or [])
+                header, _ = getheader(first, info={"loop": 0})
                 file.writelines(header)
-                file.writelines(getdata(indexed, duration=wait, disposal=1))
+                file.writelines(getdata(first, duration=wait, disposal=1))
             else:
                 part, offset = _changes(previous, pixels)
                 file.writelines(getdata(part, offset, duration=wait, disposal=1, transparency=GIF_COLOURS))
@@ -137,6 +138,16 @@ def write_mp4(
             encoder.close()
     except (RuntimeError, OSError) as error:
         raise InputError(f"{path}: the film cannot be encoded: {one_line(error)}") from error
+
+
+def _indexed(frame: Image, palette: Image) -> NDArray[np.uint8]:
+    """(height, width) the index of each pixel's colour. White stays white: Pillow takes a colour that is near."""
+    from PIL import Image
+
+    indices = np.array(frame.quantize(palette=palette, dither=Image.Dither.NONE), dtype=np.uint8)
+    whitest = int(np.array(palette.getpalette()).reshape(-1, 3).sum(axis=1).argmax())
+    indices[(np.asarray(frame) == 255).all(axis=2)] = whitest
+    return indices
 
 
 def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image, tuple[int, int]]:

@@ -125,8 +125,8 @@ class PictureOptions(Checked):
     )
     view: Annotated[str, _checked_by(view_of), Flag("--view")] = Field(
         "iso",
-        description=f"where it is seen from: {', '.join(VIEWS)}, or AZIMUTH/ELEVATION in degrees, 0/0 in front, 90/0 on "
-        "the right",
+        description=f"where it is seen from: {', '.join(VIEWS)}, or AZIMUTH/ELEVATION in degrees, 0/0 in front, 90/0 "
+        "on the right",
     )
     size: Annotated[str | None, _checked_by(size_of), Flag("--size", "WxH", default=_USUAL_SIZES)] = Field(
         None,

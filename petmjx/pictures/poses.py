@@ -127,7 +127,7 @@ def tilts_deg(poses: Poses) -> FloatArray:
 def corners(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:
     """(k, 8, 3) corners of boxes, m."""
     signs = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(8, 3)
-    return pos[:, None] + np.einsum("kij,kcj->kci", rotations(quat), signs * half_size[:, None])
+    return np.asarray(pos[:, None] + np.einsum("kij,kcj->kci", rotations(quat), signs * half_size[:, None]))
 
 
 def rotations(quat: FloatArray) -> FloatArray:

@@ -78,9 +78,9 @@ def _curves(story: Story, poses: Poses) -> dict[str, float]:
     """The largest values of any placed box."""
     forces = np.nan_to_num(story.history.top_force_n[poses.frame, : poses.n_placed])
     return {
-        "largest shift, mm": float(shift_mm(story, poses).max(initial=0.0)),
-        "largest tilt, deg": float(tilts_deg(poses).max(initial=0.0)),
-        "largest force on top, N": float(forces.max(initial=0.0)),
+        "largest_shift_mm": float(shift_mm(story, poses).max(initial=0.0)),
+        "largest_tilt_deg": float(tilts_deg(poses).max(initial=0.0)),
+        "largest_top_force_n": float(forces.max(initial=0.0)),
     }
 
 
