@@ -25,6 +25,9 @@ GHOST: Final[Rgb] = (0.0, 0.28, 0.55)
 CARRIER: Final[Rgb] = (0.70, 0.64, 0.56)
 CARTON: Final[Rgb] = (0.86, 0.74, 0.56)
 
+_DARKEST: Final = 0.15
+"""Where on the ramp scales begin: before it black edges are hardly seen."""
+
 MOST_NAMED: Final = 7
 """Most articles that a legend names."""
 
@@ -120,7 +123,8 @@ def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:
     """(k,) from 0 to 1 → (k, 3) colours, dark to bright; beyond the ends the first and the last."""
     last = RAMP_COLOURS - 1
-    return _ramp()[np.clip(np.round(shares * last), 0, last).astype(np.intp)]
+    places = _DARKEST + (1 - _DARKEST) * np.clip(shares, 0.0, 1.0)
+    return np.asarray(_ramp()[np.round(places * last).astype(np.intp)])
 
 
 @functools.cache

@@ -47,8 +47,10 @@ _LEAST_FORCE: Final = 0.02
 _ARROW_SHARE: Final = 0.4
 """Length of the arrow of a usual force, as a share of the pallet's largest extent."""
 
-REACH: Final = 0.75
-"""What lies further from the planned load than this many times its largest extent is not framed."""
+REACH: Final = 1.0
+LEAST_REACH_M: Final = 1.0
+"""Boxes whose centre is further from the planned load than this many times its largest extent, and than this, are not
+framed: one that has rolled away would make all others small."""
 
 
 class Painter:
@@ -174,12 +176,12 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     carrier = corners(scene.carrier_pos[None], upright[:1], scene.carrier_half_size[None]).reshape(-1, 3)
     load = np.concatenate((planned, carrier))
     low, high = load.min(axis=0), load.max(axis=0)
-    reach = REACH * largest_extent_m(story)
+    reach = max(REACH * largest_extent_m(story), LEAST_REACH_M)
     seen = [load]
     for frame in frames:
         poses = poses_of_frame(story.history, frame)
         each = corners(poses.pos, poses.quat, scene.half_size[: poses.n_placed])
-        near = ((each >= low - reach) & (each <= high + reach)).all(axis=(1, 2))
+        near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
         moved = corners(poses.carrier_pos[None], poses.carrier_quat[None], scene.carrier_half_size[None])
         seen += [each[near].reshape(-1, 3), moved.reshape(-1, 3)]
     return np.concatenate(seen)

@@ -21,7 +21,7 @@ from petmjx.text import counted, printable, shown
 PANEL_IN: Final = 2.25
 """Width of one picture, inches: three of them are as wide as a page's text."""
 
-_MARGINS: Final = Margins(0.03, 0.03, 0.02, 0.03)
+_MARGINS: Final = Margins(0.03, 0.03, 0.07, 0.03)
 _POINTS: Final = 8.0
 """Size of text, points."""
 _HEAD_IN: Final = 0.36

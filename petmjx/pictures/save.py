@@ -7,6 +7,7 @@ import os
 import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -114,7 +115,6 @@ def _write_film(story: Story, path: Path, options: PictureOptions, progress: Pro
     look = _look(story, options, GIF_SIZE if kind == "gif" else MP4_SIZE)
     speed = options.speed or film.usual_speed(story)
     times = film.film_times(story, speed, options.fps)
-    frames = film.film_frames(story, look, speed, times)
 
     def count(done: int) -> None:
         if progress is not None:
@@ -122,8 +122,11 @@ def _write_film(story: Story, path: Path, options: PictureOptions, progress: Pro
 
     if kind == "gif":
         palette = film.palette_of(film.film_frames(story, look, speed, film.spread_times(story)))
-        film.write_gif(frames, path, palette, options.fps, count)
+        film.write_gif(film.film_frames(story, look, speed, times), path, palette, options.fps, count)
     else:
+        width, height = look.size
+        look = replace(look, size=(width - width % 2, height - height % 2))  # H.264 takes even sides
+        frames = film.film_frames(story, look, speed, times)
         film.write_mp4(frames, path, look.size, options.fps, count)
 
 
