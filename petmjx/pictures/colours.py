@@ -58,6 +58,11 @@ class Colouring:
     names: tuple[tuple[str, Rgb], ...] = ()
     note: str = ""
 
+    @property
+    def outlined(self) -> bool:
+        """Whether the colours of names are those of edges."""
+        return self.colour is Colour.PLANNED
+
     def of(self, poses: Poses) -> NDArray[np.float64]:
         """(k, 3) red, green and blue of the placed boxes, 0 to 1."""
         if self.colour is Colour.PLANNED:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.pictures.camera import Camera, Margins
-from petmjx.pictures.colours import FIRST, Scale, ramp_colours
+from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.pictures.overlay import first_outline, scale_ends
 from petmjx.pictures.poses import Moment, poses_of_frame
 from petmjx.pictures.still import Look, draw_frames, frame_camera
@@ -88,7 +88,8 @@ def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera,
         top = outline[outline[:, 1].argmin()]
         text = f"box {story.outcome.culprit}"
         spot = (min(max(top[0], 0.1 * camera.width), 0.9 * camera.width), max(top[1] - 0.02 * camera.height, 0))
-        axes.annotate(text, spot, color=FIRST, size=_POINTS - 1, ha="center", va="bottom", annotation_clip=False)
+        behind = {"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.6}
+        axes.text(*spot, text, color=FIRST, size=_POINTS - 1, ha="center", va="bottom", bbox=behind)
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height, 0)
 
@@ -106,7 +107,7 @@ def _foot(figure: Any, look: Look, width: float, height: float) -> None:
     if colours.scale is not None:
         _bar(figure, colours.scale, width, height)
     elif colours.names:
-        _names(figure, colours.names, row)
+        _names(figure, colours, row)
     else:
         figure.text(0.5, row, colours.note, size=_POINTS, color="0.35", ha="center", va="center")
     if look.arrows:
@@ -122,10 +123,14 @@ def _bar(figure: Any, scale: Scale, width: float, height: float) -> None:
     axes.text(1.03, 0.5, f"{high}   {scale.label}", size=_POINTS, va="center", transform=axes.transAxes)
 
 
-def _names(figure: Any, names: tuple[tuple[str, tuple[float, float, float]], ...], row: float) -> None:
+def _names(figure: Any, colours: Colouring, row: float) -> None:
     from matplotlib.patches import Patch
 
-    marks = [Patch(facecolor=rgb, edgecolor="0.1", linewidth=0.5) for _, rgb in names]
+    names = colours.names
+    if colours.outlined:
+        marks = [Patch(facecolor="white", edgecolor=rgb, linewidth=1.2) for _, rgb in names]
+    else:
+        marks = [Patch(facecolor=rgb, edgecolor="0.1", linewidth=0.5) for _, rgb in names]
     labels = [shown(name) for name, _ in names]
     widest = sum(len(label) + 5 for label in labels) * _POINTS * 0.6 / 72
     columns = max(1, math.floor(len(names) * min(1.0, figure.get_figwidth() / widest)))

@@ -130,7 +130,8 @@ class Overlay:
             top = bottom - em - (len(lines) - 1 - row) * 1.5 * em
             for text, rgb, left in entries:
                 square = (left, top + 0.12 * em, left + em, top + 1.12 * em)
-                pen.rectangle(square, fill=_whole(rgb), outline=INK)
+                inside, edge = ((255, 255, 255), _whole(rgb)) if self.colours.outlined else (_whole(rgb), INK)
+                pen.rectangle(square, fill=inside, outline=edge, width=max(1, em // 10))
                 pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
 
 
