@@ -15,7 +15,7 @@ COMMANDS = (
     "show s0-000016 --no-early-stop --gif collapse.gif --size 400x400 --speed 1 --fps 12.5",
     "show s0-000013 --png forces.png --colour force --arrows --size 560x640 --view 25/12",
     "show s0-001784 --png shifts.png --colour shift --size 400x360",
-    "show hand-overhang-55 --no-early-stop --png planned.png --colour planned --size 400x360 --at 0.5,0.9,end --view 20/12",
+    "show hand-overhang-55 --png planned.png --colour planned --size 400x360 --at 0.5,0.9,end --view 20/12",
 )
 """Each file of the folder is made by one of these."""
 

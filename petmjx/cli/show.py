@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -118,18 +119,22 @@ def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a bar for films, and say what was written."""
     from petmjx.pictures.save import draw
-    from petmjx.show.progress import progress
+    from petmjx.show.progress import Shown, progress
     from petmjx.show.story import headline
 
     print(printable(f"plan {story.plan.plan_id}: {headline(story)}"))
     if story.note:
         print(printable(f"note: {story.note}"))
     for file in files:
-        if file.suffix.lower() in (".gif", ".mp4"):
-            with progress(None, "frame") as bar:
-                draw(story, file, progress=lambda done, total: bar.update(done), **look)
-        else:
-            draw(story, file, **look)
+        with ExitStack() as shown:
+            bars: list[Shown] = []
+
+            def count(done: int, total: int, shown: ExitStack = shown, bars: list[Shown] = bars) -> None:
+                if not bars:  # films alone say how long they are, once they begin
+                    bars.append(shown.enter_context(progress(total, "frame")))
+                bars[0].update(done)
+
+            draw(story, file, progress=count, **look)
         print(printable(f"{file}  {_size(file.stat().st_size)}"))
 
 

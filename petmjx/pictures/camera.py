@@ -54,7 +54,7 @@ def view_of(text: str) -> View:
         raise InputError(f"unknown view {shown(text)}; {hint(text, VIEWS)} Or AZIMUTH/ELEVATION in degrees: 35/24")
     view = View(float(angles[1]), float(angles[2]))
     if abs(view.elevation_deg) > 90:
-        raise InputError(f"view {shown(text)}: the elevation must be from -90 to 90")
+        raise InputError(f"{shown(text)}: the elevation must be from -90 to 90")
     return view
 
 

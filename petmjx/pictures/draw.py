@@ -17,7 +17,7 @@ from petmjx.pictures.camera import Camera
 from petmjx.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
 from petmjx.pictures.offscreen import Canvas
 from petmjx.pictures.options import Colour
-from petmjx.pictures.poses import Poses, corners, poses_of_frame, rotations, shift_mm, tilts_deg
+from petmjx.pictures.poses import Poses, corners, poses_of_frame, rotations, shaking_g, shift_mm, tilts_deg
 from petmjx.story import Story
 from petmjx.text import shown
 from petmjx.units import FloatArray
@@ -47,7 +47,10 @@ _LEAST_FORCE: Final = 0.02
 _ARROW_SHARE: Final = 0.4
 """Length of the arrow of a usual force, as a share of the pallet's largest extent."""
 
-REACH: Final = 1.0
+LEAST_LEVEL_G: Final = 0.005
+"""Weaker shaking has no arrow and no words."""
+
+REACH: Final = 1.25
 LEAST_REACH_M: Final = 1.0
 """Boxes whose centre is further from the planned load than this many times its largest extent, and than this, are not
 framed: one that has rolled away would make all others small."""
@@ -72,7 +75,7 @@ class Painter:
         self.story, self.colours, self.newtons_per_m = colours.story, colours, newtons_per_m
         contacts = colours.story.history.contacts
         most_arrows = 0 if newtons_per_m is None or contacts is None else _most_in_a_frame(contacts)
-        self.canvas = Canvas(size, line_px, 4 * self.story.plan.n_boxes + most_arrows + 4)
+        self.canvas = Canvas(size, line_px, 4 * self.story.plan.n_boxes + most_arrows + 5)
 
     def __enter__(self) -> Self:
         self.canvas.__enter__()
@@ -94,6 +97,7 @@ class Painter:
             self._shadow(*solid)
         self.canvas.box(*carrier, CARRIER)
         self._edges(*carrier, EDGE, camera)
+        self._shaking(poses)
         if self.newtons_per_m is not None:
             self._forces(poses, self.newtons_per_m)
         alpha = 1.0 if self.newtons_per_m is None else _SEE_THROUGH
@@ -122,6 +126,15 @@ class Painter:
     def _edges(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb, camera: Camera) -> None:
         nearer = camera.pos + (1 - _TOWARDS_CAMERA) * (pos - camera.pos)
         self.canvas.edges((1 - _TOWARDS_CAMERA) * half_size, nearer, turned, rgb)
+
+    def _shaking(self, poses: Poses) -> None:
+        """An arrow above the load, the longer the stronger."""
+        level = shaking_g(self.story, poses)
+        if np.linalg.norm(level) > LEAST_LEVEL_G:
+            start, longest = _above(self.story)
+            peak = np.linalg.norm(self.story.history.drive, axis=1).max()
+            along = longest * self.story.history.drive[poses.frame] / peak
+            self.canvas.arrow(start - along / 2, start + along / 2, 0.03 * longest, EDGE)
 
     def _forces(self, poses: Poses, newtons_per_m: float) -> None:
         contacts = self.story.history.contacts
@@ -176,6 +189,9 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     carrier = corners(scene.carrier_pos[None], upright[:1], scene.carrier_half_size[None]).reshape(-1, 3)
     load = np.concatenate((planned, carrier))
     low, high = load.min(axis=0), load.max(axis=0)
+    if story.drive is not None:
+        middle, longest = _above(story)
+        load = np.concatenate((load, middle + longest / 2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])))
     reach = max(REACH * largest_extent_m(story), LEAST_REACH_M)
     seen = [load]
     for frame in frames:
@@ -185,6 +201,13 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
         moved = corners(poses.carrier_pos[None], poses.carrier_quat[None], scene.carrier_half_size[None])
         seen += [each[near].reshape(-1, 3), moved.reshape(-1, 3)]
     return np.concatenate(seen)
+
+
+def _above(story: Story) -> tuple[FloatArray, float]:
+    """Where the arrow of what shakes a world has its middle, (3,) m, and its length, m, at the strongest."""
+    scene, longest = story.scene, 0.5 * largest_extent_m(story)
+    top = float((scene.target + scene.half_size)[:, 2].max()) + 0.15 * longest
+    return np.array([*scene.carrier_pos[:2], top]), longest
 
 
 def largest_extent_m(story: Story) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
-from petmjx.pictures.overlay import first_outline, scale_ends
+from petmjx.pictures.overlay import first_outline, scale_ends, shaking_in_words
 from petmjx.pictures.poses import Moment, poses_of_frame
 from petmjx.pictures.still import Look, draw_frames, frame_camera
 from petmjx.show.story import headline
@@ -81,7 +81,10 @@ def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera,
     axes.set_axis_off()
     name = f"{_NAMES[moment.name]}, " if moment.name else ""
     placed = f"{poses.n_placed} of {counted(story.plan.n_boxes, 'box', 'boxes')}"
-    axes.set_title(f"{letter}{name}{poses.time_s:.2f} s\n{placed}", size=_POINTS, loc="center", pad=2, linespacing=1.1)
+    shaken = shaking_in_words(story, poses)
+    axes.set_title(
+        f"{letter}{name}{poses.time_s:.2f} s\n{placed}{shaken}", size=_POINTS, loc="center", pad=2, linespacing=1.1
+    )
     outline = first_outline(story, poses, camera)
     if outline is not None:
         axes.add_patch(_polygon(outline))

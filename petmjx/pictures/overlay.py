@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
-from petmjx.pictures.poses import Poses, corners
+from petmjx.pictures.draw import LEAST_LEVEL_G
+from petmjx.pictures.poses import Poses, corners, shaking_g
 from petmjx.show.story import headline
 from petmjx.story import Story
 from petmjx.text import counted, printable, three_digits
@@ -66,7 +67,8 @@ class Overlay:
         failed = self.story.outcome.culprit >= 0
         said = fitted(printable(headline(self.story)), plain, room)
         pen.text((em, 2.2 * em), said, fill=_whole(FIRST) if failed else FAINT, font=plain)
-        pen.text((em, 3.6 * em), f"{poses.time_s:.2f} s{self.pace}   {placed}", fill=INK, font=plain)
+        now = f"{poses.time_s:.2f} s{self.pace}   {placed}{shaking_in_words(self.story, poses)}"
+        pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
         """The first box to fail, also where others hide it. Drawn larger, then reduced: Pillow's lines have stairs."""
@@ -133,6 +135,12 @@ class Overlay:
                 inside, edge = ((255, 255, 255), _whole(rgb)) if self.colours.outlined else (_whole(rgb), INK)
                 pen.rectangle(square, fill=inside, outline=edge, width=max(1, em // 10))
                 pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
+
+
+def shaking_in_words(story: Story, poses: Poses) -> str:
+    """ ", shaken by 0.50 g", or "" while nothing shakes the carrier."""
+    level = float(np.linalg.norm(shaking_g(story, poses)))
+    return f", shaken by {level:.2f} g" if level > LEAST_LEVEL_G else ""
 
 
 def scale_ends(scale: Scale) -> tuple[str, str]:

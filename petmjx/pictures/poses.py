@@ -14,7 +14,8 @@ from petmjx.metrics.motion_np import shift, tilt_deg
 from petmjx.pictures.options import BEFORE, END, FIRST_SIGN, START, moment_of
 from petmjx.story import Story
 from petmjx.text import shown
-from petmjx.units import FloatArray
+from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.job import FORCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +123,15 @@ def shift_mm(story: Story, poses: Poses) -> FloatArray:
 def tilts_deg(poses: Poses) -> FloatArray:
     """(k,) tilt of each placed box, degrees."""
     return np.asarray(tilt_deg(poses.quat), dtype=np.float64)
+
+
+def shaking_g(story: Story, poses: Poses) -> FloatArray:
+    """(3,) what shakes the carrier, in g: its acceleration, or the force on it over the weight of all; zero without."""
+    if story.drive is None:
+        return np.zeros(3)
+    of_force = story.drive.excitation.kind == FORCE
+    unit = story.scene.total_mass * STANDARD_GRAVITY if of_force else STANDARD_GRAVITY
+    return np.asarray(story.history.drive[poses.frame] / unit)
 
 
 def corners(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:

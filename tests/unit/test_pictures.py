@@ -65,7 +65,7 @@ def test_views_are_from_where_their_names_say(name: str, nearest: list[int]) -> 
     ("option", "value", "message"),
     [
         ("view", "isso", "view: unknown view isso; did you mean iso?"),
-        ("view", "10/95", "view: view 10/95: the elevation must be from -90 to 90"),
+        ("view", "10/95", "view: 10/95: the elevation must be from -90 to 90"),
         ("at", "start,forst-sign", "at: unknown moment forst-sign; did you mean first-sign?"),
         ("at", "nan", "at: unknown moment nan"),
         ("size", "12x900", "size must be WIDTHxHEIGHT with sides from 64 to 4096 pixels, got '12x900'"),
