@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 
 import numpy as np
 import pytest
@@ -21,9 +22,8 @@ UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 @functools.cache
 def needs_pictures() -> pytest.MarkDecorator:
     """A test with this mark draws."""
-    pytest.importorskip("PIL", reason="Pillow is not installed (extra: show)")
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra: show)")
-    reason = why_no_pictures()
+    missing = [name for name in ("PIL", "matplotlib", "OpenGL") if importlib.util.find_spec(name) is None]
+    reason = f"{', '.join(missing)} not installed (extra: show)" if missing else why_no_pictures()
     return pytest.mark.skipif(bool(reason), reason=reason)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -396,3 +397,23 @@ def test_a_recording_for_rerun(tmp_path: Path) -> None:
     (file,) = petmjx.draw(STORY, tmp_path / "x.rrd")
     assert file.read_bytes()[:3] == b"RRF"
     assert file.stat().st_size > 5000
+
+
+def test_the_documents_have_the_pictures_that_the_script_makes(repository: Path) -> None:
+    script = runpy.run_path(str(repository / "docs" / "pictures.py"))
+    there = {path.name for path in (repository / "docs" / "pictures").iterdir()}
+    assert there == set(script["files"]())
+    documents = [repository / "README.md", repository / "docs" / "seeing.md"]
+    text = "".join(document.read_text(encoding="utf-8") for document in documents)
+    assert [name for name in there if f"pictures/{name})" not in text] == []
+    assert (repository / "docs" / "pictures" / "collapse.png").stat().st_size < 150_000
+    assert all((repository / "docs" / "pictures" / name).stat().st_size < 1_000_000 for name in there)
+
+
+@needs_pictures()
+def test_the_example_of_the_document_runs(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (repository / "docs" / "seeing.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    for program in re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE):
+        exec(program, {})
+    assert {path.name for path in tmp_path.iterdir()} >= {"fall.png", "fall.gif"}
