@@ -26,7 +26,7 @@ FLOOR: Final[Rgb] = (1.0, 1.0, 1.0)
 SHADOW: Final[Rgb] = (0.85, 0.86, 0.88)
 EDGE: Final[Rgb] = (0.0, 0.0, 0.0)
 
-_SUN: Final = (0.42, 0.55, -1.0)
+_SUN: Final = (0.26, 0.36, -1.0)
 """Direction of the light that casts the shadows on the floor."""
 
 _FLOOR_HALF_M: Final = 60.0
@@ -35,7 +35,7 @@ _TOWARDS_CAMERA: Final = 1.5e-3
 """Edges are drawn nearer to the camera than the faces that they bound, by this share of the distance, and smaller by
 the same share: at the same pixels, and in front."""
 
-_SEE_THROUGH: Final = 0.3
+_SEE_THROUGH: Final = 0.24
 """Opacity of boxes where contact forces are drawn."""
 
 _AWAY: Final = 0.25

@@ -280,7 +280,8 @@ def test_an_mp4_has_its_frames_its_size_and_its_time(tmp_path: Path) -> None:
 
 @needs_pictures()
 def test_figures_have_their_labels_as_text(tmp_path: Path) -> None:
-    files = petmjx.draw(falling_story("a $x$ <b> & plan"), tmp_path / "f.svg", tmp_path / "f.pdf", tmp_path / "f.png")
+    names = [tmp_path / f"f.{kind}" for kind in ("svg", "pdf", "png")]
+    files = petmjx.draw(falling_story("a $x$ <b> & plan"), *names, size=(200, 240))
     text = files[0].read_text(encoding="utf-8")
     said = re.findall(r"<text[^>]*>(.*?)</text>|<tspan[^>]*>(.*?)</tspan>", text)
     labels = " | ".join(part for pair in said for part in pair if part)
@@ -296,7 +297,7 @@ def test_figures_have_their_labels_as_text(tmp_path: Path) -> None:
         assert title in labels
     assert text.count("<image") == 3
     assert files[1].read_bytes().startswith(b"%PDF")
-    assert pixels_of(files[2]).shape[1] == 3 * 675
+    assert pixels_of(files[2]).shape[1] == 3 * 200
 
 
 @needs_pictures()
