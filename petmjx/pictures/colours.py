@@ -128,7 +128,7 @@ def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:
     """(k,) from 0 to 1 → (k, 3) colours, dark to bright; beyond the ends the first and the last."""
     last = RAMP_COLOURS - 1
-    places = _DARKEST + (1 - _DARKEST) * np.clip(shares, 0.0, 1.0)
+    places = _DARKEST + (1 - _DARKEST) * np.clip(np.nan_to_num(shares, nan=1.0), 0.0, 1.0)
     return np.asarray(_ramp()[np.round(places * last).astype(np.intp)])
 
 

@@ -93,7 +93,8 @@ class Painter:
         carrier = scene.carrier_half_size, poses.carrier_pos, rotations(poses.carrier_quat[None])[0]
         self.canvas.begin(camera)
         self._floor()
-        for solid in (carrier, *zip(half_size, poses.pos, turned, strict=True)):
+        visible = _far_to_near(poses, camera)
+        for solid in (carrier, *((half_size[box], poses.pos[box], turned[box]) for box in visible)):
             self._shadow(*solid)
         self.canvas.box(*carrier, CARRIER)
         self._edges(*carrier, EDGE, camera)
@@ -102,7 +103,7 @@ class Painter:
             self._forces(poses, self.newtons_per_m)
         alpha = 1.0 if self.newtons_per_m is None else _SEE_THROUGH
         colours = self.colours.of(poses)
-        for box in _far_to_near(poses, camera):
+        for box in visible:
             red, green, blue = (float(part) for part in colours[box])
             self.canvas.box(half_size[box], poses.pos[box], turned[box], (red, green, blue), alpha)
             self._edges(half_size[box], poses.pos[box], turned[box], EDGE, camera)
@@ -142,9 +143,9 @@ class Painter:
             return
         width_m = 0.007 * largest_extent_m(self.story)
         least_n = _LEAST_FORCE * _ARROW_SHARE * largest_extent_m(self.story) * newtons_per_m
-        for start, force in forces_of_pairs(contacts, poses):
+        for end, force in forces_of_pairs(contacts, poses):
             if np.linalg.norm(force) >= least_n:
-                self.canvas.arrow(start, start + force / newtons_per_m, width_m, FIRST)
+                self.canvas.arrow(end - force / newtons_per_m, end, width_m, FIRST)
 
 
 def newtons_per_m(story: Story) -> float:
@@ -167,17 +168,17 @@ def newtons_per_m(story: Story) -> float:
 
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
     """For each two bodies that touch in a frame: (3,) m the mean place of their contacts, weighted by force, and (3,) N
-    the sum of their forces on the upper one of the two."""
+    the sum of their forces on the lower one of the two."""
     found = []
     rows = np.flatnonzero(contacts.frame == poses.frame)
-    for pair in {(int(a), int(b)) for a, b in contacts.body[rows]}:
+    for pair in sorted({(int(a), int(b)) for a, b in contacts.body[rows]}):
         of_pair = rows[(contacts.body[rows] == pair).all(axis=1)]
         force = contacts.force[of_pair].sum(axis=0)
         weights = np.linalg.norm(contacts.force[of_pair], axis=1)
         if not weights.sum() > 0:
             continue
         place = np.average(contacts.point[of_pair], axis=0, weights=weights)
-        found.append((place, force if force[2] >= 0 else -force))
+        found.append((place, -force if force[2] > 0 else force))
     return found
 
 
@@ -222,8 +223,9 @@ def _most_in_a_frame(contacts: Contacts) -> int:
 
 
 def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
-    """Boxes in the order in which transparent ones are to be drawn."""
-    return [int(box) for box in np.argsort(-((poses.pos - camera.pos) @ camera.forward), kind="stable")]
+    """Boxes that are somewhere, in the order in which transparent ones are to be drawn."""
+    depth = (poses.pos - camera.pos) @ camera.forward
+    return [int(box) for box in np.argsort(-depth, kind="stable") if np.isfinite(depth[box])]
 
 
 def _away(story: Story, poses: Poses) -> list[int]:

@@ -155,7 +155,7 @@ def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | No
         return None
     alone = slice(box, box + 1)
     points = corners(poses.pos[alone], poses.quat[alone], story.scene.half_size[alone])[0]
-    if ((points - camera.pos) @ camera.forward <= 0).any():
+    if not ((points - camera.pos) @ camera.forward > 0).all():  # behind the camera, or nowhere
         return None
     return convex_hull(camera.project(points))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from petmjx.text import shown
 from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import FORCE
 
+LOST_M: Final = 1000.0
+
 
 @dataclass(frozen=True, eq=False)
 class Poses:
@@ -25,7 +27,7 @@ class Poses:
     Attributes:
         time_s: s.
         frame: the frame of the history that is nearest.
-        pos: (k, 3) m; quat: (k, 4) as (w, x, y, z).
+        pos: (k, 3) m; quat: (k, 4) as (w, x, y, z). NaN: it is not known where the box is.
         carrier_pos: (3,) m; carrier_quat: (4,).
     """
 
@@ -49,13 +51,15 @@ class Moment(NamedTuple):
 
 
 def poses_of_frame(history: History, frame: int) -> Poses:
-    """The poses that were recorded."""
+    """The poses that were recorded; NaN for boxes of an invalid world that are nowhere, or beyond ``LOST_M``."""
     placed = slice(int(history.n_placed[frame]))
+    pos, quat = history.pos[frame, placed], history.quat[frame, placed]
+    here = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
     return Poses(
         float(history.time_s[frame]),
         frame,
-        history.pos[frame, placed],
-        history.quat[frame, placed],
+        np.where(here, pos, np.nan),
+        np.where(here, quat, np.nan),
         history.carrier_pos[frame],
         history.carrier_quat[frame],
     )

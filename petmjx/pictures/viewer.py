@@ -143,4 +143,6 @@ def _qpos(story: Story, poses: Poses) -> FloatArray:
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(waiting), 1))
     pos = np.concatenate((poses.carrier_pos[None], poses.pos, parked))
     quat = np.concatenate((poses.carrier_quat[None], poses.quat, upright))
+    lost = np.isnan(pos).any(axis=1)
+    pos[lost], quat[lost] = (0.0, -_PARKED_M, _PARKED_M), (1.0, 0.0, 0.0, 0.0)
     return np.concatenate((pos, quat), axis=1).ravel()

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.pictures import needs_pictures
 from support.plan_files import placement
 
 from petmjx.checked import Checked
@@ -222,6 +223,12 @@ def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
     printed = run_in(with_the_minimal_plan, "\n".join(blocks("extending.md", "python")))
     assert "hand-bridge" in printed
     assert "level_g" in printed
+
+
+@needs_pictures()
+def test_examples_of_seeing_run(tmp_path: Path) -> None:
+    run_in(tmp_path, "\n".join(blocks("seeing.md", "python")))
+    assert "hand-falls-off" in (tmp_path / "plan.html").read_text(encoding="utf-8")
 
 
 def edited(field: str, value: Any) -> list[dict[str, Any]]:

@@ -35,7 +35,7 @@ def opened_story(open_page: OpenPage, story: Story, **options: Any) -> Opened:
 
 def seen(opened: Opened) -> FloatArray:
     """The picture, without labels and legends above it, as numbers that can be subtracted."""
-    opened.page.evaluate("for (const label of document.querySelectorAll('#view > div')) label.style.opacity = 0")
+    opened.page.evaluate("for (const label of document.querySelectorAll('#view > .label')) label.style.opacity = 0")
     opened.settled()
     return opened.pixels("#canvas").astype(float)
 
@@ -189,6 +189,8 @@ def test_a_click_names_the_box(open_page: OpenPage, box: int) -> None:
     opened.page.mouse.click(x, y)
     assert opened.page.locator("#box").input_value() == str(box)
     assert number_of(opened, "item") == f"item-{box}"
+    force_n = story.history.top_force_n[-1, box]
+    assert number_of(opened, "force on top now") == f"{force_n:.1f} N"
     assert number_of(opened, "size") == " × ".join(f"{size:g}" for size in story.plan.size_mm[box]) + " mm"
 
 
@@ -268,6 +270,19 @@ def test_the_mouse_turns_zooms_and_moves_the_view(open_page: OpenPage) -> None:
     assert opened.page.locator("#box").input_value() == str(FALLING), "a drag is no click"
 
 
+def test_two_fingers_zoom(open_page: OpenPage) -> None:
+    opened = opened_story(open_page, falling_story(), has_touch=True)
+    before = seen(opened)
+    frame = opened.page.locator("#canvas").bounding_box()
+    x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
+    fingers = opened.page.context.new_cdp_session(opened.page)
+    for kind, apart in (("touchStart", 40), ("touchMove", 70), ("touchMove", 100), ("touchEnd", None)):
+        points = [] if apart is None else [{"x": x + side * apart, "y": y, "id": side + 1} for side in (-1, 1)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    assert changed(before, seen(opened)) > 0.05
+    assert opened.page.locator("#box").input_value() == str(FALLING), "a pinch is no click"
+
+
 def test_colours_follow_the_choice_and_have_a_scale(open_page: OpenPage) -> None:
     opened = opened_story(open_page, falling_story())
     pictures = [seen(opened)]
@@ -286,8 +301,9 @@ def test_ghosts_and_forces_are_drawn(open_page: OpenPage) -> None:
     opened.page.check("#ghosts")
     assert changed(before, seen(opened)) > 0.001, "box 2 has left its ghost"
     opened.page.uncheck("#ghosts")
-    assert "100" in text(opened, "#force-scale")
     opened.page.check("#forces")
+    opened.until("document.getElementById('force-scale').textContent !== ''")
+    assert text(opened, "#force-scale") == "0.2 m of arrow: 200\xa0N", "the carrier bears 118 N"
     assert changed(before, seen(opened)) > 0.03
     opened.page.uncheck("#forces")
     assert changed(before, seen(opened)) < 0.001

@@ -6,6 +6,7 @@ export class Frames {
   // arrays: those of the block "frames" (petmjx/pages/story_data.py)
   constructor(arrays) {
     Object.assign(this, arrays);
+    this.force_n = arrays.force_root.map((root) => root * Math.abs(root));
     this.count = arrays.time.length;
     this.n = arrays.pos.shape[1];
     this.start = arrays.time[0];
