@@ -30,6 +30,9 @@ HELD_S: Final = 2.0
 USUAL_LONGEST_S: Final = 20.0
 """Without a given speed a film is in real time, or so much faster that it lasts no longer than this."""
 
+MOST_FRAMED: Final = 400
+"""Of how many frames the camera of a film makes sure that it sees them."""
+
 GIF_COLOURS: Final = 255
 """One of 256 is kept for pixels that stay as they were."""
 
@@ -57,7 +60,9 @@ def spread_times(story: Story) -> list[float]:
 
 def film_frames(story: Story, look: Look, speed: float, times: list[float]) -> Iterator[Image]:
     """The pictures of a film at these times, s, by one camera that sees all of the story."""
-    camera = framing(framed_points(story, range(len(story.history.time_s))), look.view, look.size, MARGINS)
+    count = len(story.history.time_s)
+    some = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
+    camera = framing(framed_points(story, sorted(some)), look.view, look.size, MARGINS)
     overlay = Overlay(look.colours, look.size, speed, look.arrows)
     with Painter(look.colours, look.size, look.line_px(), look.newtons_per_m) as painter:
         for time_s in times:

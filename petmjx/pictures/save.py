@@ -80,12 +80,8 @@ def check_files(paths: Sequence[Path]) -> None:
         InputError: a path that cannot be written, or a file of a kind for which something is missing.
     """
     for path in paths:
-        extra, modules = _NEEDS[kind_of(path)]
-        missing = [name for name in modules if importlib.util.find_spec(name) is None]
-        if missing:
-            raise InputError(
-                f"{printable(str(path))}: needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'"
-            )
+        if missing := _missing(kind_of(path)):
+            raise InputError(f"{printable(str(path))}: {missing}")
         folder = path.parent
         why = "is a folder" if path.is_dir() else "" if folder.is_dir() else f"{folder} is not a folder"
         if not why and not os.access(folder, os.W_OK | os.X_OK):
@@ -94,6 +90,22 @@ def check_files(paths: Sequence[Path]) -> None:
             raise InputError(f"{printable(str(path))}: cannot be written: {printable(why)}")
     if len({path.absolute() for path in paths}) < len(paths):
         raise InputError("the same file is named twice")
+
+
+def why_nothing_is_drawn() -> str:
+    """Why there are no pictures and films on this machine; "" where there are."""
+    if missing := _missing("mp4"):
+        return missing
+    from petmjx.pictures.offscreen import why_no_pictures
+
+    return why_no_pictures()
+
+
+def _missing(kind: str) -> str:
+    """Which modules a kind of file needs that are not here, and how to get them."""
+    extra, modules = _NEEDS[kind]
+    missing = [name for name in modules if importlib.util.find_spec(name) is None]
+    return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""
 
 
 def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.pictures import falling_story, needs_pictures, standing_story
 
 import petmjx
 from petmjx.cli.main import main
-from petmjx.pictures.viewer import Player, show, viewer_model
+from petmjx.errors import InputError
+from petmjx.pictures.viewer import Player, play, show, viewer_model
 from petmjx.show.story import events, headline
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -174,3 +177,46 @@ def test_the_keys_of_the_viewer() -> None:
     assert player.time_s == 0.0
     player.press(263)
     assert player.time_s == 0.0
+
+
+def test_the_viewer_plays_until_its_window_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a window that is none: what is told to MuJoCo's viewer, frame by frame."""
+    import mujoco.viewer
+
+    story = falling_story()
+    seen: list[float] = []
+
+    class Window:
+        """What ``launch_passive`` returns, as far as it is used."""
+
+        def __init__(self, model: Any, data: Any, key_callback: Any) -> None:
+            self.opt, self.data, self.press = mujoco.MjvOption(), data, key_callback
+
+        def __enter__(self) -> Window:
+            return self
+
+        def __exit__(self, *error: object) -> None: ...
+
+        def is_running(self) -> bool:
+            return len(seen) < 5
+
+        def lock(self) -> contextlib.AbstractContextManager[None]:
+            return contextlib.nullcontext()
+
+        def sync(self) -> None:
+            assert self.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE]
+            seen.append(self.data.time)
+            if len(seen) == 3:
+                self.press(ord(" "))
+
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(mujoco.viewer, "launch_passive", Window)
+    play(story, speed=6.0)
+    assert seen == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.2])
+
+    def refuse(*given: Any, **named: Any) -> None:
+        raise RuntimeError("could not initialize GLFW")
+
+    monkeypatch.setattr(mujoco.viewer, "launch_passive", refuse)
+    with pytest.raises(InputError, match="--viewer: MuJoCo's viewer cannot open its window: RuntimeError: could not"):
+        play(story)
