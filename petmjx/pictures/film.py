@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.pictures.camera import framing
 from petmjx.pictures.draw import Painter, framed_points
-from petmjx.pictures.overlay import MARGINS, Overlay
+from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_at
 from petmjx.pictures.still import Look
 from petmjx.story import Story
@@ -62,8 +62,8 @@ def film_frames(story: Story, look: Look, speed: float, times: list[float]) -> I
     """The pictures of a film at these times, s, by one camera that sees all of the story."""
     count = len(story.history.time_s)
     some = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
-    camera = framing(framed_points(story, sorted(some)), look.view, look.size, MARGINS)
     overlay = Overlay(look.colours, look.size, speed, look.arrows)
+    camera = framing(framed_points(story, sorted(some)), look.view, look.size, overlay.margins)
     with Painter(look.colours, look.size, look.line_px(), look.newtons_per_m) as painter:
         for time_s in times:
             poses = poses_at(story.history, time_s)

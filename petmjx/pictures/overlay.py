@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.pages.palette import Rgb
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.pictures.draw import LEAST_LEVEL_G
@@ -22,11 +23,11 @@ if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageDraw import ImageDraw
 
-MARGINS: Final = Margins(left=0.05, right=0.05, top=0.15, bottom=0.13)
-"""The parts of a picture that texts need."""
-
 INK: Final = (30, 30, 30)
 FAINT: Final = (95, 95, 95)
+
+LINE: Final = 1.6
+"""Height of a line of the legend, as a multiple of the size of its text."""
 
 _LEAST_FONT_PX: Final = 10
 
@@ -46,6 +47,13 @@ class Overlay:
         self.width, self.height = size
         self.pace = "" if speed in (None, 1.0) else f"  ×{speed:g}"
         self.text_px = max(_LEAST_FONT_PX, round(min(self.height, 1.2 * self.width) / 38))
+
+    @property
+    def margins(self) -> Margins:
+        """The parts of the picture that texts need, and a little at the sides."""
+        lines = (1 if self.arrows else 0) + (len(self._lines_of_names()) if self.colours.names else 1)
+        em = self.text_px / self.height
+        return Margins(left=0.05, right=0.05, top=min(5.6 * em, 0.45), bottom=min((1.5 + LINE * lines) * em, 0.45))
 
     def on(self, pixels: NDArray[np.uint8], poses: Poses, camera: Camera) -> Image:
         """The picture with everything that is written and outlined."""
@@ -93,14 +101,14 @@ class Overlay:
         em, plain = self.text_px, font(self.text_px)
         bottom = self.height - 0.9 * em
         if self.arrows:
-            pen.text((em, bottom - em), self.arrows, fill=FAINT, font=plain)
-            bottom -= 1.6 * em
+            pen.text((em, bottom - em), fitted(self.arrows, plain, self.width - em), fill=FAINT, font=plain)
+            bottom -= LINE * em
         if self.colours.scale is not None:
             self._bar(image, pen, self.colours.scale, bottom - em)
         elif self.colours.names:
             self._swatches(pen, bottom)
         else:
-            pen.text((em, bottom - em), self.colours.note, fill=FAINT, font=plain)
+            pen.text((em, bottom - em), fitted(self.colours.note, plain, self.width - em), fill=FAINT, font=plain)
 
     def _bar(self, image: Image, pen: ImageDraw, scale: Scale, top: float) -> None:
         from PIL import Image
@@ -113,12 +121,25 @@ class Overlay:
         left = em + plain.getlength(low) + 0.4 * em
         pen.text((em, top), low, fill=INK, font=plain)
         image.paste(Image.fromarray(stripe), (round(left), round(top + 0.12 * em)))
-        pen.text((left + length + 0.4 * em, top), f"{high}   {scale.label}", fill=INK, font=plain)
+        after = left + length + 0.4 * em
+        pen.text((after, top), fitted(f"{high}   {scale.label}", plain, self.width - after), fill=INK, font=plain)
 
     def _swatches(self, pen: ImageDraw, bottom: float) -> None:
-        """Names with their colours, in as many lines as they need, the last one at the bottom."""
+        """Names with their colours; the last line is at the bottom."""
         em, plain = self.text_px, font(self.text_px)
-        lines: list[list[tuple[str, tuple[float, float, float], float]]] = [[]]
+        lines = self._lines_of_names()
+        for row, entries in enumerate(lines):
+            top = bottom - em - (len(lines) - 1 - row) * LINE * em
+            for text, rgb, left in entries:
+                square = (left, top + 0.12 * em, left + em, top + 1.12 * em)
+                inside, edge = ((255, 255, 255), _whole(rgb)) if self.colours.outlined else (_whole(rgb), INK)
+                pen.rectangle(square, fill=inside, outline=edge, width=max(1, em // 10))
+                pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
+
+    def _lines_of_names(self) -> list[list[tuple[str, Rgb, float]]]:
+        """Names of the legend with their colours and where they begin, px, in as many lines as they need."""
+        em, plain = self.text_px, font(self.text_px)
+        lines: list[list[tuple[str, Rgb, float]]] = [[]]
         left = float(em)
         for name, rgb in self.colours.names:
             text = fitted(printable(name), plain, self.width - 4 * em)
@@ -128,13 +149,7 @@ class Overlay:
                 left = float(em)
             lines[-1].append((text, rgb, left))
             left += needed
-        for row, entries in enumerate(lines):
-            top = bottom - em - (len(lines) - 1 - row) * 1.5 * em
-            for text, rgb, left in entries:
-                square = (left, top + 0.12 * em, left + em, top + 1.12 * em)
-                inside, edge = ((255, 255, 255), _whole(rgb)) if self.colours.outlined else (_whole(rgb), INK)
-                pen.rectangle(square, fill=inside, outline=edge, width=max(1, em // 10))
-                pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
+        return lines
 
 
 def shaking_in_words(story: Story, poses: Poses) -> str:
@@ -200,6 +215,6 @@ def fitted(text: str, face: Any, room_px: float) -> str:
     return "…"
 
 
-def _whole(rgb: tuple[float, float, float]) -> tuple[int, int, int]:
+def _whole(rgb: Rgb) -> tuple[int, int, int]:
     red, green, blue = (round(255 * part) for part in rgb)
     return red, green, blue

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from petmjx.pictures.camera import Camera, Margins, View, framing
 from petmjx.pictures.colours import Colouring
 from petmjx.pictures.draw import Painter, framed_points
-from petmjx.pictures.overlay import MARGINS, Overlay
+from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_of_frame
 from petmjx.story import Story
 
@@ -70,7 +70,7 @@ def write_still(story: Story, look: Look, frame: int, path: Path) -> None:
     """Write one frame as PNG, with its texts."""
     import numpy as np
 
-    camera = frame_camera(story, look, [frame], MARGINS)
-    (image,) = draw_frames(story, look, [frame], camera)
     overlay = Overlay(look.colours, look.size, arrows=look.arrows)
+    camera = frame_camera(story, look, [frame], overlay.margins)
+    (image,) = draw_frames(story, look, [frame], camera)
     overlay.on(np.asarray(image), poses_of_frame(story.history, frame), camera).save(path, format="PNG", optimize=True)

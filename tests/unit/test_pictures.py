@@ -21,7 +21,7 @@ from petmjx.pictures.colours import FIRST, colouring, ramp_colours
 from petmjx.pictures.draw import forces_of_pairs, framed_points, newtons_per_m
 from petmjx.pictures.film import film_times, usual_speed
 from petmjx.pictures.options import Colour, PictureOptions, size_of
-from petmjx.pictures.overlay import convex_hull, first_outline
+from petmjx.pictures.overlay import Overlay, convex_hull, first_outline
 from petmjx.pictures.poses import corners, moments, nearest_frame, poses_at, poses_of_frame
 from petmjx.story import Story
 
@@ -199,13 +199,12 @@ def share_of(pixel: np.ndarray, rgb: tuple[float, float, float]) -> float:
 @pytest.mark.parametrize("view", ["iso", "front", "top", "-140/35"])
 def test_boxes_are_seen_where_the_camera_projects_them(view: str, tmp_path: Path) -> None:
     """The centre of the face that looks most towards the camera has the box's hue, and on top its very colour."""
-    from petmjx.pictures.overlay import MARGINS
-
     story = standing_story(STORY)
     petmjx.draw(story, tmp_path / "x.png", view=view, size=(400, 300), at="end")
     pixels = pixels_of(tmp_path / "x.png")
     assert pixels.shape == (300, 400, 3)
-    camera = framing(framed_points(story, [20]), view_of(view), (400, 300), MARGINS)
+    margins = Overlay(colouring(story, Colour.ARTICLE), (400, 300)).margins
+    camera = framing(framed_points(story, [20]), view_of(view), (400, 300), margins)
     poses = poses_of_frame(story.history, 20)
     colours = colouring(story, Colour.ARTICLE).of(poses)
     face = np.zeros(3)
@@ -224,9 +223,8 @@ def test_the_first_box_is_outlined_and_ghosts_stand_where_boxes_were_planned(tmp
     pixels = pixels_of(tmp_path / "planned.png")
     red = np.abs(pixels - 255 * np.array(FIRST)).max(axis=2) < 40
     assert 150 < red.sum() < 4000
-    from petmjx.pictures.overlay import MARGINS
-
-    camera = framing(framed_points(STORY, [20]), VIEWS["front"], (400, 400), MARGINS)
+    margins = Overlay(colouring(STORY, Colour.PLANNED), (400, 400)).margins
+    camera = framing(framed_points(STORY, [20]), VIEWS["front"], (400, 400), margins)
     x, y = camera.project(np.array([[0.0, 0.0, 0.3]]))[0]
     beside = pixels[round(y), round(x) - 3 : round(x) + 4]
     assert (beside[:, 2] - beside[:, 0]).max() > 60, "a blue edge on the left of the planned place"
