@@ -86,18 +86,20 @@ def show(
         check_display()
     with stoppable():
         try:
-            story = _told(plan_id, source or [], variant, options)
+            story = _told(plan_id, source or [], variant, bool(look.get("arrows")), options)
             _show(story, list(files.values()), look, viewer)
         except KeyboardInterrupt as stop:
             raise Interrupted("files that were not finished are not there", getattr(stop, "number", 2)) from None
 
 
-def _told(plan_id: str, source: list[Path], variant: int | None, options: dict[str, Any]) -> Story:
+def _told(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
+    """The story of a plan. With ``forces`` what a run has recorded without them is simulated again."""
     from petmjx.results.files import RUN_FILE
     from petmjx.story import tell
 
     if source and (source[0] / RUN_FILE).is_file():
-        return tell(plan_id, source[0], plans=source[1:] or None, variant=variant, **options)
+        details = True if forces else None
+        return tell(plan_id, source[0], plans=source[1:] or None, variant=variant, details=details, **options)
     return tell(plan_id, source or None, variant=variant, **options)
 
 

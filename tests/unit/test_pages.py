@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+import time
 import zlib
 from dataclasses import replace
 from itertools import pairwise
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.stories import FALLING, falling_story, shaken_story, standing_story
+from support.stories import FALLING, falling_story, long_story, shaken_story, standing_story
 
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.modules import joined_modules, static_text
@@ -250,6 +251,14 @@ def test_numbers_that_are_not_finite_spoil_nothing() -> None:
     assert "nan" not in still_svg(blown_up)
     (info,) = re.findall(r'id="info">(.*?)</script>', story_page(blown_up))
     assert "Infinity" not in info
+
+
+def test_a_page_of_45_boxes_and_a_minute_is_small_and_made_quickly() -> None:
+    story = long_story()
+    began = time.process_time()
+    html = story_page(story)
+    assert time.process_time() - began < 10
+    assert len(html.encode()) < 2_000_000
 
 
 def test_the_table_has_the_numbers_of_all_boxes() -> None:

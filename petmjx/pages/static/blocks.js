@@ -16,8 +16,9 @@ export const readInfo = () => JSON.parse(document.getElementById("info").textCon
 
 export const hasBlock = (name) => document.getElementById(`block-${name}`) !== null;
 
-// The arrays of a block by name: flat typed arrays, with their shape as `shape`.
+// The arrays of a block by name: flat typed arrays, with their shape as `shape`. Resolves to null if there is none.
 export async function readBlock(name) {
+  if (!hasBlock(name)) return null;
   const bytes = await inflated(document.getElementById(`block-${name}`).textContent);
   const length = new DataView(bytes).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
