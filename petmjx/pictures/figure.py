@@ -123,7 +123,7 @@ def _bar(figure: Any, scale: Scale, width: float, height: float) -> None:
     axes.set_axis_off()
     low, high = scale_ends(scale)
     axes.text(-0.03, 0.5, low, size=_POINTS, ha="right", va="center", transform=axes.transAxes)
-    axes.text(1.03, 0.5, f"{high}   {scale.label}", size=_POINTS, va="center", transform=axes.transAxes)
+    axes.text(1.03, 0.5, f"{high}\u2003{scale.label}", size=_POINTS, va="center", transform=axes.transAxes)
 
 
 def _names(figure: Any, colours: Colouring, row: float) -> None:
