@@ -169,16 +169,17 @@ def newtons_per_m(story: Story) -> float:
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
     """For each two bodies that touch in a frame: (3,) m the mean place of their contacts, weighted by force, and (3,) N
     the sum of their forces on the lower one of the two."""
-    found = []
     rows = np.flatnonzero(contacts.frame == poses.frame)
-    for pair in sorted({(int(a), int(b)) for a, b in contacts.body[rows]}):
-        of_pair = rows[(contacts.body[rows] == pair).all(axis=1)]
-        force = contacts.force[of_pair].sum(axis=0)
-        weights = np.linalg.norm(contacts.force[of_pair], axis=1)
-        if not weights.sum() > 0:
-            continue
-        place = np.average(contacts.point[of_pair], axis=0, weights=weights)
-        found.append((place, -force if force[2] > 0 else force))
+    pairs = np.sort(contacts.body[rows], axis=1)
+    on_larger = np.where(contacts.body[rows, :1] == pairs[:, :1], 1.0, -1.0) * contacts.force[rows]
+    found = []
+    for pair in np.unique(pairs, axis=0):
+        chosen = (pairs == pair).all(axis=1)
+        weights = np.linalg.norm(on_larger[chosen], axis=1)
+        if weights.sum() > 0:
+            force = on_larger[chosen].sum(axis=0)
+            place = np.average(contacts.point[rows[chosen]], axis=0, weights=weights)
+            found.append((place, -force if force[2] > 0 else force))
     return found
 
 
