@@ -70,14 +70,14 @@ def show(
     The world is simulated as the run in DIR did, to the last bit, or with the options given here. Without an option of
     what is drawn, its story is told in the terminal.
     """
-    from petmjx.pictures.save import check_files
+    from petmjx.pictures.save import check_drawing
 
     given = {"html": html, "png": png, "pdf": pdf, "svg": svg, "gif": gif, "mp4": mp4, "rrd": rrd}
     files = {kind: path for kind, path in given.items() if path is not None}
     for kind, path in files.items():
         if path.suffix.lower() != f".{kind}":
             raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
-    check_files(list(files.values()))
+    check_drawing(list(files.values()))
     look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
     PictureOptions(**look)
     if viewer:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
@@ -66,7 +67,9 @@ class Canvas:
             self._scene = mujoco.MjvScene(model, maxgeom=most_geoms)
         except Exception as error:
             self._gl.free()
-            raise InputError(f"OpenGL cannot draw {size[0]} × {size[1]} pixels here: {one_line(error)}") from error
+            raise InputError(
+                f"OpenGL draws no {size[0]} × {size[1]} pixels here ({one_line(error)}): {_ADVICE}"
+            ) from error
         self._scene.flags[:] = 0
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 1
         self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
@@ -143,7 +146,8 @@ def _gl_context(size: tuple[int, int]) -> Any:
     if name not in CONTEXTS:
         raise InputError(f"MUJOCO_GL={name}: pictures are drawn with one of {', '.join(CONTEXTS)}; unset it for egl")
     try:
-        with _same_environment("PYOPENGL_PLATFORM"):
+        with _same_environment("PYOPENGL_PLATFORM"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW warns of what is an error below
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
     except Exception as error:  # PyOpenGL and drivers raise nearly anything

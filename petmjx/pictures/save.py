@@ -17,7 +17,7 @@ from petmjx.pictures.colours import colouring
 from petmjx.pictures.options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.pictures.poses import moments
 from petmjx.story import Story
-from petmjx.text import printable
+from petmjx.text import one_line, printable
 
 Progress = Callable[[int, int], None]
 """Called with the frames of a film that are done, and all of them."""
@@ -94,10 +94,12 @@ def check_files(paths: Sequence[Path]) -> None:
 
 def why_nothing_is_drawn() -> str:
     """Why there are no pictures and films on this machine; "" where there are."""
-    if missing := _missing("mp4"):
+    if missing := _missing("png"):
         return missing
-    from petmjx.pictures.offscreen import why_no_pictures
-
+    try:
+        from petmjx.pictures.offscreen import why_no_pictures
+    except Exception as error:  # mujoco cannot even be imported with a MUJOCO_GL that is not there
+        return f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} does not work here ({one_line(error)}): unset it"
     return why_no_pictures()
 
 
@@ -106,6 +108,18 @@ def _missing(kind: str) -> str:
     extra, modules = _NEEDS[kind]
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""
+
+
+def check_drawing(paths: Sequence[Path]) -> None:
+    """As ``check_files``, and make sure that OpenGL is there for pictures and films.
+
+    Raises:
+        InputError: as ``check_files``, or no OpenGL that draws without a display.
+    """
+    check_files(paths)
+    drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
+    if drawn and (why := why_nothing_is_drawn()):
+        raise InputError(f"{printable(str(drawn[0]))}: {why}")
 
 
 def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:

@@ -133,6 +133,15 @@ def test_a_moment_that_the_story_has_not(capsys: pytest.CaptureFixture[str]) -> 
     assert "there is no moment first-sign: nothing failed in plan hand-one-box" in said
 
 
+def test_no_opengl_is_said_before_anything_is_simulated(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "vulkan")
+    monkeypatch.setattr("petmjx.story.tell", lambda *given, **named: pytest.fail("simulated"))
+    said = lines_of(capsys, "hand-bridge", "--html", "x.html", "--gif", "x.gif", code=2)
+    assert "x.gif: MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw" in said
+
+
 def test_words() -> None:
     story = falling_story()
     assert headline(story) == "unstable by tilt: first box 2 (tea), at 0.70 s"
