@@ -20,7 +20,8 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"verdict"}),
     frozenset({"engines"}),
     frozenset({"results"}),
-    frozenset({"sweeps"}),
+    frozenset({"sweeps", "statics"}),
+    frozenset({"packers"}),
     frozenset({"simulate"}),
     frozenset({"api", "doctor", "story"}),
     frozenset({"show", "pages", "pictures"}),
@@ -29,7 +30,14 @@ LAYERS: tuple[frozenset[str], ...] = (
 """Modules and packages of petmjx, from left to right. A module imports from its own layer or those before it; what has
 no layer fails the test. ``petmjx/__init__`` imports nothing: it looks names up when they are first used."""
 
-READERS = ("petmjx.results.reader", "petmjx.results.compare", "petmjx.show.tables", "petmjx.plans")
+READERS = (
+    "petmjx.results.reader",
+    "petmjx.results.compare",
+    "petmjx.packers.compare",
+    "petmjx.show.tables",
+    "petmjx.plans",
+    "petmjx.statics.run",
+)
 SIMULATORS = ("jax", "mujoco", "warp")
 
 
