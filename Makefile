@@ -7,7 +7,7 @@ TESTS ?= tests
 DEMO_OUT := petmjx-results/demo
 BENCH_OUT := petmjx-results/bench.jsonl
 
-.PHONY: demo test check bench clean help
+.PHONY: demo test check bench pictures clean help
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -29,6 +29,9 @@ bench: $(VENV)/.runtime ## two minutes of benchmarks on the CPU; benchmarks/READ
 	$(BIN)/python -m benchmarks run stacks-16 stacks-40 W-adaptive plain-loop --limit 20 --oracle mujoco-fixed \
 		--max-seconds 30 --out $(BENCH_OUT)
 	$(BIN)/python -m benchmarks table $(BENCH_OUT)
+
+pictures: $(VENV)/.dev ## draw the pictures of the documents again
+	$(BIN)/python docs/pictures.py
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache

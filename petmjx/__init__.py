@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
     from petmjx.history import History
     from petmjx.packers.compare import compare_packers
+    from petmjx.pictures.save import draw
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.results.compare import compare_runs
@@ -57,6 +58,7 @@ _HOME = {
     "InputError": "petmjx.errors",
     "PetmjxError": "petmjx.errors",
     "History": "petmjx.history",
+    "draw": "petmjx.pictures.save",
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
@@ -95,6 +97,7 @@ __all__ = [
     "compare_packers",
     "compare_runs",
     "criteria",
+    "draw",
     "load_plans",
     "load_run",
     "merge_runs",

@@ -120,6 +120,12 @@ def hint(name: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]}?" if close else f"there are {', '.join(names)}"
 
 
+def similar(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown name, one of thousands: "; did you mean s0-000016?", or ""."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {shown(close[0])}?" if close else ""
+
+
 def complaint(text: str, *path: str | int) -> ValidationError:
     """An error for a validator to raise about a field inside the value that it validates.
 

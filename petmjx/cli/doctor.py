@@ -9,14 +9,16 @@ from petmjx.cli.console import results_console
 
 
 def doctor(as_json: opt.JsonOption = False) -> None:
-    """Show versions, devices, which engines work here and why not, and where compiled programs are cached."""
+    """Show versions, devices, which engines work here and why not, whether pictures can be drawn, and where compiled
+    programs are cached."""
     from dataclasses import asdict
 
     from petmjx.doctor import examine
+    from petmjx.pictures.save import why_nothing_is_drawn
     from petmjx.show.doctor_table import doctor_table
 
-    report = examine()
+    report, why_not = examine(), why_nothing_is_drawn()
     if as_json:
-        print(json.dumps(asdict(report), indent=2))
+        print(json.dumps(asdict(report) | {"pictures": {"works": not why_not, "detail": why_not}}, indent=2))
         return
-    results_console().print(doctor_table(report))
+    results_console().print(doctor_table(report, why_not))

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from petmjx import __version__
-from petmjx.cli import compare, criteria, doctor, export, merge, samples, score, sweep
+from petmjx.cli import compare, criteria, doctor, export, merge, samples, score, show, sweep
 from petmjx.cli.console import prepare_streams
 from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
@@ -61,6 +61,7 @@ app = typer.Typer(
 for _command, _short_help in (
     (score.score, "Say which packing plans stand."),
     (sweep.sweep, "Simulate plans in many variants: forces, friction, errors."),
+    (show.show, "Show what happens to one plan: page, picture, film."),
     (merge.merge, "Join the shards of a run."),
     (compare.compare, "Compare two runs of the same plans."),
     (criteria.criteria, "Ask closed-form criteria of stability, and physics about them."),

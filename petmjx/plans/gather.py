@@ -7,13 +7,14 @@ from os import PathLike
 
 import numpy as np
 
+from petmjx.checked import similar
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
-from petmjx.text import counted
+from petmjx.text import counted, shown
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
@@ -97,6 +98,7 @@ def find_plan(found: PlanSet, plan_id: str) -> Plan:
         if plan.plan_id == plan_id:
             return plan
     reasons = [skipped.message for skipped in found.skipped if skipped.plan_id == plan_id]
-    raise InputError(
-        reasons[0] if reasons else f"plan {plan_id} is not among the {counted(len(found.plans), 'plan')} read"
-    )
+    if reasons:
+        raise InputError(reasons[0])
+    others = similar(plan_id, (plan.plan_id for plan in found.plans))
+    raise InputError(f"plan {shown(plan_id)} is not among the {counted(len(found.plans), 'plan')} read{others}")

@@ -103,14 +103,6 @@ _ATTEMPT_COLUMNS = (
 )
 
 
-_EXTENT_COLUMNS = (
-    _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
-    _column("extent_x_m", pa.float64(), "m", "extent of its bounding box along x"),
-    _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
-    _column("height_m", pa.float64(), "m", "its highest top above the carrier"),
-)
-"""Columns of ``plans``; null in runs that were begun before there were these columns."""
-
 _FRAME_KEY = (
     *_KEY,
     *_counts(frame="number of the frame in its world, from 0"),
@@ -152,6 +144,14 @@ _CONTACT_COLUMNS = (
     _column("distance_m", pa.float64(), "m", "between the two; negative where they penetrate"),
 )
 
+
+_EXTENT_COLUMNS = (
+    _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
+    _column("extent_x_m", pa.float64(), "m", "extent of its bounding box along x"),
+    _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
+    _column("height_m", pa.float64(), "m", "its highest top above the carrier"),
+)
+"""Columns of ``plans``; null in runs that were begun before there were these columns."""
 
 _ORDER_COLUMNS = _counts(
     ordered_boxes="boxes of the plan's order; null where it has none",

@@ -13,8 +13,12 @@ if TYPE_CHECKING:
     from petmjx.doctor import Report
 
 
-def doctor_table(report: Report) -> Table:
-    """A table of two columns. Long lines of the second one are wrapped."""
+def doctor_table(report: Report, why_no_pictures: str) -> Table:
+    """A table of two columns. Long lines of the second one are wrapped.
+
+    Args:
+        why_no_pictures: why nothing can be drawn here; "" where pictures and films can.
+    """
     table = Table(show_header=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
@@ -26,9 +30,14 @@ def doctor_table(report: Report) -> Table:
         table.add_row(kind, line(text))
     table.add_section()
     for engine in report.engines:
-        state = Text("works", style="green") if engine.works else Text("not here", style="yellow")
-        table.add_row(f"engine {engine.name}", Text.assemble(state, ": ", line(engine.detail)))
+        table.add_row(f"engine {engine.name}", _state(engine.works, engine.detail))
+    table.add_row("pictures", _state(not why_no_pictures, why_no_pictures or "drawn without a display"))
     table.add_section()
     for name, folder in report.caches.items():
         table.add_row(f"cache: {name}", line(folder))
     return table
+
+
+def _state(works: bool, detail: str) -> Text:
+    state = Text("works", style="green") if works else Text("not here", style="yellow")
+    return Text.assemble(state, ": ", line(detail))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from petmjx.checked import similar
 from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.gather import PlanSource, find_plan, gather_plans
@@ -33,10 +34,11 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """
     manifest = Manifest.read(run.path, run.info)
     if plan_id not in manifest.plans:
-        raise InputError(f"{run.path}: plan {shown(plan_id)} is not among its {counted(len(manifest.plans), 'plan')}")
-    recorded = manifest.plans[plan_id]
-    plan = find_plan(gather_plans(plans or _file(run, plan_id, recorded.source), Simulation(), RunOptions()), plan_id)
-    if plan_digest(plan) != recorded.digest:
+        among = f"is not among its {counted(len(manifest.plans), 'plan')}{similar(plan_id, manifest.plans)}"
+        raise InputError(f"{run.path}: plan {shown(plan_id)} {among}")
+    known = manifest.plans[plan_id]
+    plan = find_plan(gather_plans(plans or _file(run, plan_id, known.source), Simulation(), RunOptions()), plan_id)
+    if plan_digest(plan) != known.digest:
         raise InputError(f"{plan.source}: plan {shown(plan_id)} is not the one that {run.path} was made of: it changed")
     return plan
 

@@ -337,11 +337,13 @@ def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str]) -> Non
     assert engines["mujoco"]["works"] is True
     assert all(engine["detail"] for engine in engines.values())
     assert run("doctor") == 0
-    assert "engine mjx-warp" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "engine mjx-warp" in printed
+    assert ("drawn without a display" in printed) is report["pictures"]["works"]
 
 
 @pytest.mark.parametrize("columns", [80, 120])
-@pytest.mark.parametrize("command", ["score", "sweep", "compare", "samples", "export", "doctor"])
+@pytest.mark.parametrize("command", ["score", "sweep", "compare", "samples", "show", "export", "doctor"])
 def test_every_command_explains_itself(
     command: str, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.pictures import needs_pictures
 from support.plan_files import placement
 
 from petmjx.checked import Checked
@@ -224,15 +225,16 @@ def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
     assert "level_g" in printed
 
 
+@needs_pictures()
+def test_examples_of_seeing_run(tmp_path: Path) -> None:
+    run_in(tmp_path, "\n".join(blocks("seeing.md", "python")))
+    assert "hand-falls-off" in (tmp_path / "plan.html").read_text(encoding="utf-8")
+
+
 def test_examples_of_criteria_run(tmp_path: Path) -> None:
     pytest.importorskip("shapely")
     pytest.importorskip("scipy")
     assert "centre_slack" in run_in(tmp_path, "\n".join(blocks("criteria.md", "python")))
-
-
-def test_examples_of_seeing_run(tmp_path: Path) -> None:
-    run_in(tmp_path, "\n".join(blocks("seeing.md", "python")))
-    assert "hand-falls-off" in (tmp_path / "plan.html").read_text(encoding="utf-8")
 
 
 def edited(field: str, value: Any) -> list[dict[str, Any]]:

@@ -1,0 +1,144 @@
+"""``petmjx show``."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from petmjx.cli import options as opt
+from petmjx.cli.console import results_console
+from petmjx.cli.runs import Interrupted, stoppable
+from petmjx.errors import InputError
+from petmjx.pictures.options import PictureOptions
+from petmjx.text import printable
+
+if TYPE_CHECKING:
+    from petmjx.story import Story
+
+DRAWN = "What is drawn"
+LOOK = "How it looks"
+
+_OF_RUNS = (
+    "limit", "record", "record_interval_s", "record_details", "orders", "strict", "allow_large", "out", "overwrite",
+    "resume", "shard", "workers", "ray",
+)  # fmt: skip
+"""Options of runs that mean nothing for one world."""
+
+
+def _file(name: str, text: str) -> Any:
+    return typer.Option(name, metavar="FILE", help=text, show_default=False, rich_help_panel=DRAWN)
+
+
+@opt.takes(without=_OF_RUNS, more=((PictureOptions, LOOK),))
+def show(
+    plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan.")],
+    source: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="PLANS|DIR",
+            help=f"{opt.PLANS_HELP} Or the folder of a run, which says with what options; after it, where its plans "
+            "are if they were moved. Without any: the bundled samples.",
+            show_default=False,
+        ),
+    ] = None,
+    html: Annotated[Path | None, _file("--html", "A page to play it: one file that needs no network.")] = None,
+    png: Annotated[Path | None, _file("--png", "A picture, or a row of pictures.")] = None,
+    pdf: Annotated[Path | None, _file("--pdf", "A row of pictures, for a paper: its labels are text.")] = None,
+    svg: Annotated[Path | None, _file("--svg", "The same as SVG.")] = None,
+    gif: Annotated[Path | None, _file("--gif", "A film.")] = None,
+    mp4: Annotated[Path | None, _file("--mp4", "A film.")] = None,
+    rrd: Annotated[Path | None, _file("--rrd", "A recording for rerun's viewer; needs the extra rerun.")] = None,
+    viewer: Annotated[
+        bool, typer.Option("--viewer", help="Play it in MuJoCo's viewer, on a display.", rich_help_panel=DRAWN)
+    ] = False,
+    variant: Annotated[
+        int | None,
+        typer.Option(
+            "--variant",
+            metavar="N",
+            help="Which world of the plan, if the run has several: its number in the table worlds.",
+            rich_help_panel=opt.SIMULATED,
+        ),
+    ] = None,
+    **options: Any,
+) -> None:
+    """Show what happens to one plan: in words, as a page, in pictures, as a film.
+
+    The world is simulated as the run in DIR did, to the last bit, or with the options given here. Without an option of
+    what is drawn, its story is told in the terminal.
+    """
+    from petmjx.pictures.save import check_drawing
+
+    given = {"html": html, "png": png, "pdf": pdf, "svg": svg, "gif": gif, "mp4": mp4, "rrd": rrd}
+    files = {kind: path for kind, path in given.items() if path is not None}
+    for kind, path in files.items():
+        if path.suffix.lower() != f".{kind}":
+            raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
+    check_drawing(list(files.values()))
+    look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
+    PictureOptions(**look)
+    if viewer:
+        from petmjx.pictures.viewer import check_display
+
+        check_display()
+    with stoppable():
+        try:
+            story = _told(plan_id, source or [], variant, bool(look.get("arrows")), options)
+            _show(story, list(files.values()), look, viewer)
+        except KeyboardInterrupt as stop:
+            raise Interrupted("files that were not finished are not there", getattr(stop, "number", 2)) from None
+
+
+def _told(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
+    """The story of a plan. With ``forces`` what a run has recorded without them is simulated again."""
+    from petmjx.results.files import RUN_FILE
+    from petmjx.story import tell
+
+    if source and (source[0] / RUN_FILE).is_file():
+        details = True if forces else None
+        return tell(plan_id, source[0], plans=source[1:] or None, variant=variant, details=details, **options)
+    return tell(plan_id, source or None, variant=variant, **options)
+
+
+def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -> None:
+    from petmjx.show.layout import print_each
+    from petmjx.show.story import how_to_draw, story_tables
+
+    if not files and not viewer:
+        print_each([*story_tables(story), "", how_to_draw()], results_console())
+        return
+    if files:
+        _draw(story, files, look)
+    if viewer:
+        from petmjx.pictures.viewer import play
+
+        play(story, look.get("speed") or 1.0)
+
+
+def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
+    """Draw each file, with a bar for films, and say what was written."""
+    from petmjx.pictures.save import draw
+    from petmjx.show.progress import Shown, progress
+    from petmjx.show.story import headline
+
+    print(printable(f"plan {story.plan.plan_id}: {headline(story)}"))
+    if story.note:
+        print(printable(f"note: {story.note}"))
+    for file in files:
+        with ExitStack() as shown:
+            bars: list[Shown] = []
+
+            def count(done: int, total: int, shown: ExitStack = shown, bars: list[Shown] = bars) -> None:
+                if not bars:  # films alone say how long they are, once they begin
+                    bars.append(shown.enter_context(progress(total, "frame")))
+                bars[0].update(done)
+
+            draw(story, file, progress=count, **look)
+        print(printable(f"{file}  {_size(file.stat().st_size)}"))
+
+
+def _size(count: int) -> str:
+    return f"{count / 1000:,.0f} kB" if count < 1_000_000 else f"{count / 1_000_000:,.1f} MB"

@@ -1,0 +1,265 @@
+"""Pictures, films and figures have what they should at known places; and what is said where they cannot be drawn."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.pictures import falling_story, needs_pictures, standing_story
+
+import petmjx
+from petmjx.errors import InputError
+from petmjx.history import History
+from petmjx.pictures.camera import VIEWS, framing, view_of
+from petmjx.pictures.colours import FIRST, colouring
+from petmjx.pictures.draw import framed_points
+from petmjx.pictures.options import Colour
+from petmjx.pictures.overlay import Overlay
+from petmjx.pictures.poses import poses_of_frame
+from petmjx.story import Story
+
+STORY = falling_story()
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"), dtype=np.float64)
+
+
+def share_of(pixel: np.ndarray, rgb: tuple[float, float, float]) -> float:
+    """How bright a pixel is, as a share of a colour; NaN where it is of another hue."""
+    bright = pixel @ rgb / (255 * np.dot(rgb, rgb))
+    return float(bright) if np.abs(pixel / 255 - bright * np.array(rgb)).max() < 0.02 else float("nan")
+
+
+@needs_pictures()
+@pytest.mark.parametrize("view", ["iso", "front", "top", "-140/35"])
+def test_boxes_are_seen_where_the_camera_projects_them(view: str, tmp_path: Path) -> None:
+    """The centre of the face that looks most towards the camera has the box's hue, and on top its very colour."""
+    story = standing_story(STORY)
+    petmjx.draw(story, tmp_path / "x.png", view=view, size=(400, 300), at="end")
+    pixels = pixels_of(tmp_path / "x.png")
+    assert pixels.shape == (300, 400, 3)
+    margins = Overlay(colouring(story, Colour.ARTICLE), (400, 300)).margins
+    camera = framing(framed_points(story, [20]), view_of(view), (400, 300), margins)
+    poses = poses_of_frame(story.history, 20)
+    colours = colouring(story, Colour.ARTICLE).of(poses)
+    face = np.zeros(3)
+    axis = int(np.abs(camera.forward).argmax())
+    face[axis] = -np.sign(camera.forward[axis])
+    for box in (0, 2):
+        ((x, y),) = camera.project(poses.pos[box : box + 1] + 0.1 * face)
+        share = share_of(pixels[round(y), round(x)], tuple(colours[box]))
+        assert share == pytest.approx(1.0, abs=0.01) if axis == 2 else 0.5 < share < 0.95
+    assert (pixels[1, 1] == 255).all(), "white around"
+
+
+@needs_pictures()
+def test_the_first_box_is_outlined_and_ghosts_stand_where_boxes_were_planned(tmp_path: Path) -> None:
+    petmjx.draw(STORY, tmp_path / "planned.png", colour="planned", at="end", size=(400, 400), view="front")
+    pixels = pixels_of(tmp_path / "planned.png")
+    red = np.abs(pixels - 255 * np.array(FIRST)).max(axis=2) < 40
+    assert 150 < red.sum() < 4000
+    margins = Overlay(colouring(STORY, Colour.PLANNED), (400, 400)).margins
+    camera = framing(framed_points(STORY, [20]), VIEWS["front"], (400, 400), margins)
+    x, y = camera.project(np.array([[0.0, 0.0, 0.3]]))[0]
+    beside = pixels[round(y), round(x) - 3 : round(x) + 4]
+    assert (beside[:, 2] - beside[:, 0]).max() > 60, "a blue edge on the left of the planned place"
+
+
+@needs_pictures()
+def test_arrows_are_drawn_in_transparent_boxes(tmp_path: Path) -> None:
+    petmjx.draw(STORY, tmp_path / "a.png", at="end", size=(300, 300), view="front")
+    petmjx.draw(STORY, tmp_path / "b.png", at="end", size=(300, 300), view="front", arrows=True)
+    solid, clear = pixels_of(tmp_path / "a.png"), pixels_of(tmp_path / "b.png")
+    assert clear.sum() > solid.sum()
+    with pytest.raises(InputError, match="no contact forces were recorded"):
+        petmjx.draw(falling_story(contacts=False), tmp_path / "c.png", arrows=True)
+    assert not (tmp_path / "c.png").exists()
+
+
+@needs_pictures()
+@pytest.mark.parametrize("lost", [np.nan, np.inf, 1e30], ids=str)
+@pytest.mark.parametrize("colour", list(Colour))
+def test_boxes_that_are_nowhere_are_left_out(colour: Colour, lost: float, tmp_path: Path) -> None:
+    """Of invalid worlds there are pictures too: of what is still somewhere."""
+    pos, quat = STORY.history.pos.copy(), STORY.history.quat.copy()
+    pos[10:, 2], quat[10:, 2] = lost, np.nan
+    broken = replace(STORY, history=replace(STORY.history, pos=pos, quat=quat))
+    petmjx.draw(broken, tmp_path / "x.png", at="end", size=(100, 100), colour=colour)
+    assert (pixels_of(tmp_path / "x.png") < 100).any()
+
+
+@needs_pictures()
+def test_a_gif_has_its_frames_its_size_and_its_time(tmp_path: Path) -> None:
+    from PIL import Image
+
+    done: list[tuple[int, int]] = []
+    petmjx.draw(STORY, tmp_path / "x.gif", size=(120, 100), fps=8, progress=lambda *counts: done.append(counts))
+    with Image.open(tmp_path / "x.gif") as film:
+        assert (film.n_frames, film.size, film.info["loop"]) == (17, (120, 100), 0)
+        waits, pictures = [], []
+        for number in range(film.n_frames):
+            film.seek(number)
+            waits.append(film.info["duration"])
+            pictures.append(np.asarray(film.convert("RGB"), dtype=np.float64))
+    assert sum(waits) == 2120 + 2000, "17 / 8 s in whole hundredths, and 2 s for the last frame"
+    assert done[-1] == (17, 17)
+    petmjx.draw(STORY, tmp_path / "x.png", size=(120, 100), at="end")
+    assert np.abs(pictures[0] - pictures[-1]).max() > 100, "the box has come, and has fallen"
+    assert np.abs(pictures[8] - pictures[7]).max() > 50
+    assert (pictures[-1][99, 119] == 255).all()
+
+
+@needs_pictures()
+def test_an_mp4_has_its_frames_its_size_and_its_time(tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed (extra: show)")
+    petmjx.draw(STORY, tmp_path / "x.mp4", size=(160, 121), fps=10, speed=2)
+    frames, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "x.mp4"))
+    assert (frames, seconds) == (11 + 20, pytest.approx(3.1, abs=0.05))
+    reader = ffmpeg.read_frames(str(tmp_path / "x.mp4"))
+    try:
+        about = next(reader)
+    finally:
+        reader.close()
+    assert about["size"] == (160, 120), "H.264 takes even sides"
+
+
+@needs_pictures()
+def test_figures_have_their_labels_as_text(tmp_path: Path) -> None:
+    names = [tmp_path / f"f.{kind}" for kind in ("svg", "pdf", "png")]
+    files = petmjx.draw(falling_story("a $x$ <b> & plan"), *names, size=(200, 240))
+    text = files[0].read_text(encoding="utf-8")
+    said = re.findall(r"<text[^>]*>(.*?)</text>|<tspan[^>]*>(.*?)</tspan>", text)
+    labels = " | ".join(part for pair in said for part in pair if part)
+    for label in (
+        "a $x$ &lt;b&gt; &amp; plan",
+        "unstable by tilt: first box 2 (tea), at 0.70 s",
+        "box 2",
+        "tea",
+        "salt",
+    ):
+        assert label in labels
+    for title in ("(a) before, 0.50 s", "(b) first sign, 0.70 s", "(c) end, 2.00 s"):
+        assert title in labels
+    assert text.count("<image") == 3
+    assert files[1].read_bytes().startswith(b"%PDF")
+    assert pixels_of(files[2]).shape[1] == 3 * 200
+
+
+@needs_pictures()
+def test_the_same_story_gives_the_same_files(tmp_path: Path) -> None:
+    for name in ("x.svg", "x.pdf", "x.gif"):
+        first = petmjx.draw(STORY, tmp_path / name, size=(100, 100))[0].read_bytes()
+        assert petmjx.draw(STORY, tmp_path / name, size=(100, 100))[0].read_bytes() == first
+
+
+@needs_pictures()
+def test_pictures_are_drawn_in_any_thread_and_leave_the_environment_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import os
+
+    monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
+    before = dict(os.environ)
+    threads = [
+        threading.Thread(target=petmjx.draw, args=(STORY, tmp_path / f"{number}.png"), kwargs={"size": (100, 100)})
+        for number in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len({(tmp_path / f"{number}.png").read_bytes() for number in range(3)}) == 1
+    assert dict(os.environ) == before
+
+
+@needs_pictures()
+def test_512_boxes_with_arrows_fit_into_a_picture(tmp_path: Path) -> None:
+    from support.pictures import cube_plan
+
+    from petmjx.config import Simulation
+    from petmjx.world.scene import build_scene
+
+    places = [(200.0 * (i % 8), 200.0 * (i // 8 % 8), 200.0 * (i // 64)) for i in range(512)]
+    plan = cube_plan("many", places, ["tea"] * 512)
+    scene = build_scene(plan, Simulation())
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (512, 1))
+    contacts = STORY.history.contacts
+    assert contacts is not None
+    history = History(
+        np.zeros(1), np.array([512], dtype=np.int32), scene.target[None], upright[None], np.zeros((1, 512)),
+        scene.carrier_pos[None], upright[None, 0], np.zeros((1, 3)), contacts=contacts,
+    )  # fmt: skip
+    many: Story = replace(standing_story(STORY), plan=plan, scene=scene, history=history)
+    petmjx.draw(many, tmp_path / "x.png", arrows=True, size=(200, 200))
+    assert (tmp_path / "x.png").stat().st_size > 1000
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("x.bmp", "x.bmp: unknown ending; there are .png, .pdf, .svg, .gif, .mp4, .html, .rrd"),
+        ("x", "x: unknown ending"),
+        ("nowhere/x.png", "nowhere/x.png: cannot be written: nowhere is not a folder"),
+        ("folder.png", "folder.png: cannot be written: is a folder"),
+    ],
+)
+def test_files_that_cannot_be_written(file: str, message: str) -> None:
+    Path("folder.png").mkdir()
+    with pytest.raises(InputError, match=re.escape(message)):
+        petmjx.draw(STORY, file)
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_file_is_there_whole_or_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("x.html").write_text("before", encoding="utf-8")
+    monkeypatch.setattr("petmjx.pages.story_page.story_page", lambda story: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        petmjx.draw(STORY, "x.html")
+    assert [path.name for path in Path().iterdir()] == ["x.html"]
+    assert Path("x.html").read_text(encoding="utf-8") == "before"
+
+
+def test_no_opengl_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "vulkan")
+    with pytest.raises(InputError, match="MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw"):
+        petmjx.draw(STORY, tmp_path / "x.png")
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.setattr("petmjx.pictures.offscreen.importlib.import_module", lambda name: 1 / 0)
+    with pytest.raises(InputError, match=r"no OpenGL that draws without a display \(osmesa: ZeroDivisionError"):
+        petmjx.draw(STORY, tmp_path / "x.png")
+
+
+def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.pictures.save.importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"needs rerun, not installed: pip install 'petmjx\[rerun\]'"):
+        petmjx.draw(STORY, tmp_path / "x.rrd")
+    with pytest.raises(InputError, match=r"needs PIL, matplotlib, OpenGL, not installed: pip install 'petmjx\[show\]'"):
+        petmjx.draw(STORY, tmp_path / "x.png")
+
+
+def test_a_recording_for_rerun(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed (extra: rerun)")
+    (file,) = petmjx.draw(STORY, tmp_path / "x.rrd")
+    assert file.read_bytes()[:3] == b"RRF"
+    assert file.stat().st_size > 5000
+
+
+def test_the_documents_have_the_pictures_that_the_script_makes(repository: Path) -> None:
+    script = runpy.run_path(str(repository / "docs" / "pictures.py"))
+    there = {path.name for path in (repository / "docs" / "pictures").iterdir()}
+    assert there == set(script["files"]())
+    documents = [repository / "README.md", repository / "docs" / "seeing.md"]
+    text = "".join(document.read_text(encoding="utf-8") for document in documents)
+    assert [name for name in there if f"pictures/{name})" not in text] == []
+    assert (repository / "docs" / "pictures" / "collapse.png").stat().st_size < 150_000
+    assert all((repository / "docs" / "pictures" / name).stat().st_size < 1_000_000 for name in there)
