@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
+    from petmjx.plans.write import save_plans
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
     from petmjx.run_options import RunOptions
@@ -52,6 +53,7 @@ _HOME = {
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
+    "save_plans": "petmjx.plans.write",
     "compare_runs": "petmjx.results.compare",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
@@ -82,6 +84,7 @@ __all__ = [
     "load_plans",
     "load_run",
     "merge_runs",
+    "save_plans",
     "score",
     "sweep",
 ]
