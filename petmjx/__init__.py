@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.plans.write import save_plans
+    from petmjx.rating.kpis import kpis
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
     from petmjx.run_options import RunOptions
@@ -55,6 +56,7 @@ _HOME = {
     "load_plans": "petmjx.plans.read",
     "save_plans": "petmjx.plans.write",
     "compare_runs": "petmjx.results.compare",
+    "kpis": "petmjx.rating.kpis",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
     "load_run": "petmjx.results.reader",
@@ -81,6 +83,7 @@ __all__ = [
     "Thresholds",
     "__version__",
     "compare_runs",
+    "kpis",
     "load_plans",
     "load_run",
     "merge_runs",

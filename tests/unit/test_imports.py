@@ -21,6 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"engines"}),
     frozenset({"results"}),
     frozenset({"sweeps"}),
+    frozenset({"rating"}),
     frozenset({"simulate"}),
     frozenset({"api", "doctor", "story"}),
     frozenset({"show", "pages", "pictures"}),
