@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from petmjx.plans.write import save_plans
     from petmjx.rating.kpis import kpis
     from petmjx.results.compare import compare_runs
+    from petmjx.results.loads import loads
     from petmjx.results.reader import RunResults, load_run
     from petmjx.run_options import RunOptions
     from petmjx.sweeps.merge import merge_runs
@@ -57,6 +58,7 @@ _HOME = {
     "save_plans": "petmjx.plans.write",
     "compare_runs": "petmjx.results.compare",
     "kpis": "petmjx.rating.kpis",
+    "loads": "petmjx.results.loads",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
     "load_run": "petmjx.results.reader",
@@ -86,6 +88,7 @@ __all__ = [
     "kpis",
     "load_plans",
     "load_run",
+    "loads",
     "merge_runs",
     "save_plans",
     "score",
