@@ -55,7 +55,7 @@ def plan_from_boxes(
     try:
         positions, unread = sorted_columns(names)
     except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+        raise InputError(f"{where}: {str(error).partition(';')[0]}") from None
     if unread:
         raise InputError(f"{where}: unknown field {shown(unread[0])}")
     table = Table({name: as_column(columns[names[index]]) for name, index in positions.items()}, (), np.arange(n_boxes))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any, Final
 
 import numpy as np
@@ -51,11 +52,14 @@ class Column:
             value = value.decode("utf-8", "surrogateescape")
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, Decimal):
+            value = float(value)
         if value is None or (isinstance(value, float) and np.isnan(value) and not isinstance(self.values, pa.Array)):
             return None
         if self.is_text and number:
             return _as_number(value.strip(), self.decimal)
-        return value
+        # times and what else a table may hold are shown as text
+        return value if isinstance(value, str | int | float | list | dict) else str(value)
 
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """(n,) numbers, NaN where there is none, and where one is usable as a number. Ranges are not looked at."""

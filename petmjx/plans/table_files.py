@@ -73,7 +73,10 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     if not header.strip():
         raise TableError("the file is empty" if not data.strip() else "has no header with the names of the columns")
     delimiter = max(_DELIMITERS, key=lambda mark: header.count(mark.encode()))
-    names = next(csv.reader([header.decode("utf-8", "surrogateescape")], delimiter=delimiter), [])
+    try:
+        names = next(csv.reader([header.decode("utf-8", "surrogateescape")], delimiter=delimiter), [])
+    except csv.Error as error:
+        raise TableError(f"not CSV: {reason(error)}") from error
     where, unread = sorted_columns(names)
     if not data[len(header) :].strip():
         raise TableError("holds no plan")

@@ -6,6 +6,7 @@ import gzip
 import io
 import json
 import time
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -276,6 +277,8 @@ def test_damaged_csv() -> None:
         ("", "the file is empty"),
         ("\n\n", "the file is empty"),
         (HEADER, "holds no plan"),
+        ("x" * 200_000, "not CSV: field larger than field limit"),
+        (f"{HEADER}\0\n{row()}", "column z_mm is missing"),
         (f"{HEADER},z_mm\n{row()},1", "column z_mm is there twice"),
         (f"{HEADER},length/mm\n{row()},1", "column length_mm is there twice"),
         (
@@ -368,6 +371,10 @@ def test_bad_values_in_frames() -> None:
     for column, values, fault in (
         ("weight_kg", [5, 5, True], "weight_kg must be a number, got true"),
         ("weight_kg", [5, 5, 10**400], "weight_kg must be finite, got an integer of more than 60 digits"),
+        ("weight_kg", [5, 5, Decimal("-5.5")], "weight_kg must be > 0, got -5.5"),
+        ("weight_kg", [5, 5, pd.NaT], "weight_kg is missing"),
+        ("weight_kg", [5, 5, pd.Timestamp(0)], 'weight_kg must be a number, got "1970-01-01 00:00:00"'),
+        ("weight_kg", [5, 5, [5]], "weight_kg must be a number, got a list"),
         ("article", ["a", "b", "\ud800"], "article is not UTF-8 text"),
         ("article", ["a", "b", None], "article is missing"),
         ("orientation", [0, 0, "1"], 'orientation must be 0 or 1, got "1"'),
@@ -431,7 +438,7 @@ def test_plans_from_boxes() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"mass_kg": None}, "plan t: column weight_kg is missing; there are: "),
+        ({"mass_kg": None}, "plan t: column weight_kg is missing"),
         ({"mass_kg": [1, 2]}, "plan t: all fields must have one value for each box, got length_mm 1, "),
         ({"mass_kg": [-1]}, "plan t, box 0: weight_kg must be > 0, got -1"),
         ({"size_mm": [400, 300, 200]}, "plan t: size_mm must have the shape (n, 3), got (3,)"),
