@@ -21,6 +21,7 @@ from petmjx.text import is_text
 from petmjx.units import FloatArray
 
 _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+_SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
 _WHOLE: Final = re.compile(r"[+-]?\d+")
 _MOST_EXACT: Final = 2.0**53
 """Up to here float64 has every whole number."""
@@ -61,6 +62,13 @@ class Column:
         # times and what else a table may hold are shown as text
         return value if isinstance(value, str | int | float | list | dict) else str(value)
 
+    def missing(self, number: bool = False) -> NDArray[np.bool_]:
+        """(n,) where there is no value; as for :meth:`raw`."""
+        if not isinstance(self.values, pa.Array):
+            return np.array([self.raw(row, number) is None for row in range(len(self.values))], dtype=bool)
+        array = _trimmed(self.values) if self.is_text and number else self.values
+        return np.asarray(array.is_null())
+
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """(n,) numbers, NaN where there is none, and where one is usable as a number. Ranges are not looked at."""
         array = self.values
@@ -75,17 +83,15 @@ class Column:
 
     def whole(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """(n,) whole numbers, 0 where there is none, and where there is one."""
-        array = self.values
-        if isinstance(array, pa.Array) and (self.is_text or pa.types.is_integer(array.type)):
-            try:
-                whole = pc.cast(_trimmed(array) if self.is_text else array, pa.int64())
-            except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-                pass
-            else:
-                return np.asarray(whole.fill_null(0)), np.asarray(whole.is_valid())
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
-        return np.where(usable, numbers, 0).astype(np.int64), usable
+        whole = np.where(usable, numbers, 0).astype(np.int64)
+        array = self.values
+        if not isinstance(array, pa.Array) or not (self.is_text or pa.types.is_integer(array.type)):
+            return whole, usable
+        exact = _exact(_trimmed(array) if self.is_text else array)
+        known = np.asarray(exact.is_valid())
+        return np.where(known, np.asarray(exact.fill_null(0)), whole), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
         """(n,) names, "" where there is none, and where there is a usable one. Equal ones share one string."""
@@ -136,6 +142,18 @@ def _trimmed(array: pa.Array) -> pa.Array:
     """Text without white space around it; null where it is empty."""
     text = pc.ascii_trim_whitespace(array)
     return pc.if_else(pc.equal(text, ""), None, text)
+
+
+def _exact(array: pa.Array) -> pa.Array:
+    """Whole numbers as int64, of which float64 has not all; null where there is none."""
+    try:
+        return pc.cast(array, pa.int64())
+    except pa.ArrowInvalid:
+        if pa.types.is_integer(array.type):
+            fits = pc.less_equal(array, pa.scalar(np.iinfo(np.int64).max, array.type))
+        else:
+            fits = pc.match_substring_regex(array, _SHORT_WHOLE)
+        return pc.cast(pc.if_else(fits, array, None), pa.int64())
 
 
 def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -179,13 +180,14 @@ class _Loading:
         if not len(table.numbers) and not table.lost:
             self._skip(source, None, f"{source}: holds no plan")
         self.unread.update(dict.fromkeys(table.unread, len(table.numbers)))
-        for plan in table_plans(table, source, self.max_boxes, self.found.notes):
-            if isinstance(plan, Refused):
-                self._skip(source, plan.plan_id, plan.message)
-            else:
-                self._keep(plan)
-            if self.full:
-                break
+        with closing(table_plans(table, source, self.max_boxes, self.found.notes)) as plans:
+            for plan in plans:
+                if isinstance(plan, Refused):
+                    self._skip(source, plan.plan_id, plan.message)
+                else:
+                    self._keep(plan)
+                if self.full:
+                    break
 
     def _read_json(self, source: str, data: bytearray) -> None:
         n_entries = n_orders = 0

@@ -6,7 +6,7 @@ rows only where something is wrong.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -25,7 +25,6 @@ from petmjx.plans.fields import (
     missing_anywhere,
     missing_fault,
     orientation_fault,
-    plan_id_fault,
     positive_fault,
     text_fault,
     too_many_boxes,
@@ -44,6 +43,9 @@ OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence")
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
 there is none, ``sequence`` is taken for it."""
 _TEXTS: Final = ("article", "item_id", "product_group")
+_NAMES: Final = ("plan_id", *_TEXTS)
+_MAY_LACK: Final = ("item_id", "product_group")
+"""Columns that may have no value in a row."""
 _ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in _RANGES}
 """BED-BPP's own spelling of sizes and weights."""
 
@@ -116,7 +118,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
     return found, unread
 
 
-def table_plans(table: Table, source: str, max_boxes: int, notes: list[str]) -> Iterator[Plan | Refused]:
+def table_plans(table: Table, source: str, max_boxes: int, notes: list[str]) -> Generator[Plan | Refused, None, None]:
     """The plans of a table in the order in which they appear, and what is refused.
 
     Args:
@@ -137,10 +139,19 @@ class _Reading:
     notes: list[str]
     gaps: list[str] = field(default_factory=list)
 
-    def plans(self) -> Iterator[Plan | Refused]:
+    def plans(self) -> Generator[Plan | Refused, None, None]:
         yield from self._rows_of_no_plan()
-        if not self._plan_ids:
-            return
+        try:
+            if self._plan_ids:
+                yield from self._rows_of_plans()
+        finally:  # also if only the first plans are wanted
+            if self.gaps:
+                more = ", …" if len(self.gaps) > _MOST_NAMED else ""
+                named = ", ".join(map(shown, self.gaps[:_MOST_NAMED])) + more
+                plans = counted(len(self.gaps), "plan")
+                self.notes.append(f"{self.source}: sequence has gaps in {plans} ({named}); are rows missing?")
+
+    def _rows_of_plans(self) -> Iterator[Plan | Refused]:
         refused = self._refused_before()
         bad_rows = self._bad[self._order]
         begins = np.flatnonzero(np.diff(self._codes[self._order], prepend=-2))
@@ -148,22 +159,18 @@ class _Reading:
         ends = np.append(known[1:], len(self._order))
         bad = np.logical_or.reduceat(bad_rows, known).tolist()
         for plan_id, begin, end, is_bad in zip(self._plan_ids, known.tolist(), ends.tolist(), bad, strict=True):
-            fault = plan_id_fault(plan_id) or refused.get(plan_id) or self._fault(begin, end, is_bad)
+            fault = refused.get(plan_id) or self._fault(begin, end, is_bad)
             if fault is None:
                 yield self._plan(plan_id, begin, end)
             else:
                 separator = "" if fault.startswith(",") else ": "
                 yield Refused(plan_id, f"{self.source}: plan {shown(plan_id)}{separator}{fault}")
-        if self.gaps:
-            named = ", ".join(map(shown, self.gaps[:_MOST_NAMED])) + (", …" if len(self.gaps) > _MOST_NAMED else "")
-            plans = counted(len(self.gaps), "plan")
-            self.notes.append(f"{self.source}: sequence has gaps in {plans} ({named}); are rows missing?")
 
     # Whole columns.
 
     @cached_property
     def _texts(self) -> dict[str, tuple[NDArray[np.object_], NDArray[np.bool_]]]:
-        return {name: self.table.columns[name].texts() for name in ("plan_id", *_TEXTS) if name in self.table.columns}
+        return {name: self.table.columns[name].texts() for name in _NAMES if name in self.table.columns}
 
     @cached_property
     def _numbers(self) -> dict[str, FloatArray]:
@@ -190,19 +197,16 @@ class _Reading:
         bad = np.zeros(len(self.table.numbers), dtype=bool)
         for name, (_, usable) in (*self._texts.items(), *self._whole.items()):
             if name != "plan_id":
-                bad |= ~usable & ~self._may_be_missing(name)
+                bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
         for numbers in self._numbers.values():
             bad |= np.isnan(numbers)
         return bad
 
-    def _may_be_missing(self, name: str) -> NDArray[np.bool_]:
-        """Where a name has no value, and need not have one."""
-        values = self.table.columns[name].values
-        if name not in ("item_id", "product_group"):
-            return np.zeros(len(values), dtype=bool)
-        if isinstance(values, pa.Array):
-            return np.asarray(values.is_null())
-        return np.array([self.table.columns[name].raw(row) is None for row in range(len(values))], dtype=bool)
+    @cached_property
+    def _missing(self) -> dict[str, NDArray[np.bool_]]:
+        """Where the columns have no value."""
+        names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
+        return {name: self.table.columns[name].missing(number=name not in _NAMES) for name in names}
 
     @cached_property
     def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
@@ -280,10 +284,12 @@ class _Reading:
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
         """Why rows are bad: all that is missing, or else the first fault."""
-        missing: dict[str, list[int]] = {}
-        for row in rows:
-            for name in self._missing(row):
-                missing.setdefault(name, []).append(int(self.table.numbers[row]))
+        numbers = self.table.numbers
+        missing = {
+            name: numbers[rows[empty[rows]]].tolist()
+            for name, empty in self._missing.items()
+            if name not in _MAY_LACK and empty[rows].any()
+        }
         everywhere = missing_anywhere(missing, "row")
         if everywhere is not None:
             return everywhere
@@ -292,13 +298,9 @@ class _Reading:
         )
         return next(faults, "is unusable")
 
-    def _missing(self, row: np.int64) -> list[str]:
-        needed = (*NEEDED[1:], "orientation", "order_sequence")
-        return [name for name in needed if name in self.table.columns and self._raw(name, row) is None]
-
     def _fault_of(self, row: np.int64) -> str | None:
         """What is wrong with a row, in the order of the columns."""
-        missing = self._missing(row)
+        missing = [name for name, empty in self._missing.items() if empty[row] and name not in _MAY_LACK]
         if missing:
             return missing_fault(missing)
         columns = self.table.columns
@@ -314,7 +316,7 @@ class _Reading:
         return next(filter(None, faults), None)
 
     def _raw(self, name: str, row: np.int64) -> Any:
-        return self.table.columns[name].raw(int(row), number=name not in _TEXTS)
+        return self.table.columns[name].raw(int(row), number=name not in _NAMES)
 
     # What is no plan.
 

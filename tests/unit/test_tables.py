@@ -246,6 +246,24 @@ def test_spellings_and_marks_of_other_programs() -> None:
         assert load_plans("plans.csv").plans[0].n_boxes == 2
 
 
+def test_large_numbers_beside_bad_ones() -> None:
+    largest = 2**63 - 1
+    found = read(row("A", largest), row("B", "x"), row("C", 2**63), row("D", "3.0"), row("E", 2**60 + 1))
+    assert {plan.plan_id: plan.sequence.tolist() for plan in found} == {"D": [3], "E": [2**60 + 1]} | (
+        {"A": [largest]} if len(found) == 3 else {}
+    )
+    frame = frame_of(sequence=np.array([2**63 - 1, 2**63, 5], dtype="uint64"), plan_id=list("ABC"))
+    found = load_plans(frame)
+    assert {plan.plan_id: plan.sequence.tolist() for plan in found} == {"A": [largest], "C": [5]}
+    assert messages(found) == ["data frame: plan B, row 1: sequence is too large, got 9223372036854775808"]
+
+
+def test_a_limit_keeps_the_notes_of_what_was_taken() -> None:
+    found = read(row("A", 5), row("B"), limit=1)
+    assert ids(found) == ["A"]
+    assert found.notes == ["plans.csv: sequence has gaps in 1 plan (A); are rows missing?"]
+
+
 def test_ids_of_any_kind() -> None:
     odd = ["00100408", " a ", "<b>&amp;", "😀", 'say ""no""', "a, b", "line\nbreak", "=1+1"]
     found = read(*[row(f'"{name}"') for name in odd])
