@@ -35,8 +35,11 @@ def samples(
     place below 2 m are left out: a line for each such order says which.
     """
     from petmjx.plans.samples import pack_orders, write_plans, write_samples
+    from petmjx.plans.table_files import is_csv, is_parquet_name
     from petmjx.show.progress import progress
 
+    if is_csv(out) or is_parquet_name(out):
+        raise InputError(f"{out}: samples are written as JSON; petmjx convert makes a table of them")
     bad: list[InputError] = []
     left_out: list[LeftOut] = []
     written = 0

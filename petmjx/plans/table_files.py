@@ -46,6 +46,11 @@ def is_csv(path: Path) -> bool:
     return path.name.lower().endswith(CSV_SUFFIXES)
 
 
+def is_parquet_name(path: Path) -> bool:
+    """Whether a file is Parquet by its name."""
+    return path.suffix.lower() == PARQUET_SUFFIX
+
+
 def is_parquet(path: Path) -> bool:
     """Whether a file is Parquet, by its name or its first bytes.
 
@@ -54,7 +59,7 @@ def is_parquet(path: Path) -> bool:
         ValueError: a name that no file can have.
     """
     with open_regular(path) as file:
-        return path.suffix.lower() == PARQUET_SUFFIX or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
+        return is_parquet_name(path) or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
 
 
 def parse_csv(data: bytearray, cut_off: bool = False) -> Table:

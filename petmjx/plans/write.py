@@ -6,7 +6,7 @@ import gzip
 import os
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -47,14 +47,28 @@ def save_plans(plans: Iterable[Plan], path: str | os.PathLike[str]) -> None:
     write = _writer_for(file)
     if not chosen:
         raise InputError(f"{printable(str(file))}: there is no plan to write")
+    with whole_file(file) as temporary:
+        write(chosen, temporary)
+
+
+@contextmanager
+def whole_file(file: Path) -> Iterator[Path]:
+    """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     temporary = file.with_name(f".{secrets.token_hex(8)}.{file.name}")
     try:
-        write(chosen, temporary)
+        yield temporary
         os.replace(temporary, file)
     except OSError as error:
         raise InputError(f"{printable(str(file))}: cannot be written: {reason(error)}") from error
+    except InputError as error:  # of what was written, which names the hidden path
+        raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:

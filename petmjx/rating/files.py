@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
-import pyarrow.csv as pa_csv
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.rating.columns import COLUMNS, MEANS
 from petmjx.rating.kpis import Kpis
-from petmjx.results.files import write_table, write_text
+from petmjx.results.files import write_csv, write_table, write_text
 from petmjx.text import printable
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -35,7 +34,7 @@ def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         table = kpis_table(found)
         write_table(table, folder / "kpis.parquet")
-        pa_csv.write_csv(table, folder / "kpis.csv")
+        write_csv(table, folder / "kpis.csv")
         summary = {**found.summary, "notes": found.notes, "skipped": found.skipped}
         write_text(json.dumps(summary, indent=2) + "\n", folder / "summary.json")
         if workbook is not None:

@@ -19,7 +19,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
-from petmjx.plans.write import as_placements
+from petmjx.plans.write import as_placements, whole_file
 from petmjx.text import counted, printable, shown
 
 _PART: Final = re.compile(r"[^\W_][^\W_.+-]*(?:[.+-][^\W_.+-]+)*")
@@ -125,7 +125,8 @@ def write_submission(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{printable(str(folder))}: cannot be made: {error.strerror or error}") from error
-    write_plans(file, written)
+    with whole_file(file) as temporary:
+        write_plans(temporary, written)
     return file
 
 

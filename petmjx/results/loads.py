@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.csv as pa_csv
 
 from petmjx.checked import reason
 from petmjx.config import Simulation
@@ -18,7 +17,7 @@ from petmjx.errors import InputError
 from petmjx.plans.gather import PathArgument, PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.articles import Articles, read_articles
-from petmjx.results.files import write_table
+from petmjx.results.files import write_csv, write_table
 from petmjx.results.manifest import plan_digest
 from petmjx.results.reader import RunResults, load_run
 from petmjx.run_options import RunOptions
@@ -86,7 +85,7 @@ class Loads:
                 ]
                 table = table.cast(pa.schema(fields))
                 write_table(table, folder / f"{name}.parquet")
-                pa_csv.write_csv(table, folder / f"{name}.csv")
+                write_csv(table, folder / f"{name}.csv")
         except OSError as error:
             raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
 

@@ -504,6 +504,13 @@ def test_convert_refuses(arguments: list[str], message: str, capsys: pytest.Capt
     assert line == f"petmjx: {message}"
 
 
+def test_samples_are_not_written_under_the_name_of_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("samples", "-n", "1", "-o", "plans.csv") == 2
+    line = only_line(capsys.readouterr().err)
+    assert line == "petmjx: plans.csv: samples are written as JSON; petmjx convert makes a table of them"
+    assert not Path("plans.csv").exists()
+
+
 def test_convert_without_a_usable_plan(capsys: pytest.CaptureFixture[str]) -> None:
     write(Path("plans.json"), {"bad": []})
     assert run("convert", "plans.json", "-o", "p.csv") == 2
