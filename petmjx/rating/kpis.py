@@ -99,9 +99,10 @@ def kpis(
         wanted[order_id] = order
     rated = {plan_id: plan for plan_id, plan in by_id.items() if plan_id in wanted}
     if not rated:
+        first = f"; the first that is unusable: {skipped[0]}" if skipped else ""
         raise InputError(
             f"no plan has an order: {counted(len(by_id), 'plan')} and {counted(len(wanted), 'usable order')} "
-            "have no id in common"
+            f"have no id in common{first}"
         )
     stability = Stability.assumed() if assume_stable else read_stability(_as_list(run), rated.values())
     frame = _frame(rated, wanted, stability)

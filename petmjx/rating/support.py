@@ -37,55 +37,40 @@ class Support(NamedTuple):
 def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
     """Support of the boxes of one plan.
 
+    Their map has a cell for each square millimetre; here cells reach from one edge of a box to the next, so that all of
+    a cell is under the same boxes.
+
     Args:
         corner_mm, size_mm: (n, 3), mm, as boxes stand, in packing order.
         extent_mm: of the target along x and y, whose corner is the origin. What lies beyond it supports nothing.
     """
     low, high = corner_mm[:, :2], corner_mm[:, :2] + size_mm[:, :2]
-    shared = np.maximum(
-        np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None]), 0
-    )  # (upper box, lower box, axis)
-    area = shared.prod(axis=2)
-    reaches = corner_mm[:, 2] + size_mm[:, 2] >= corner_mm[:, 2, None] - HEIGHT_TOLERANCE_MM
-    upper, lower = np.nonzero(np.tril((area > 0) & reaches, k=-1))
-    seen = _seen(low, high, upper, lower, np.array(extent_mm, dtype=float))
-    upper, lower = upper[seen], lower[seen]
-    n_boxes = len(corner_mm)
-    n_below = np.bincount(upper, minlength=n_boxes)
-    base = size_mm[:, 0] * size_mm[:, 1]
-    share = np.bincount(upper, area[upper, lower], minlength=n_boxes) / base
-    return Support(np.where(n_below > 0, share, 1.0), n_below)
+    x, y = (_cells(low[:, axis], high[:, axis], extent_mm[axis]) for axis in (0, 1))
+    last = np.full((x.number, y.number), -1)
+    reached = np.zeros((x.number, y.number))
+    tops = corner_mm[:, 2] + size_mm[:, 2]
+    share, n_below = np.ones(len(low)), np.zeros(len(low), dtype=np.int64)
+    for box, bottom in enumerate(corner_mm[:, 2]):
+        under = slice(x.first[box], x.end[box]), slice(y.first[box], y.end[box])
+        there = last[under]
+        below = np.unique(there[(there >= 0) & (reached[under] >= bottom - HEIGHT_TOLERANCE_MM)])
+        if len(below):
+            shared = np.minimum(high[box], high[below]) - np.maximum(low[box], low[below])
+            share[box] = (shared[:, 0] * shared[:, 1]).sum() / (size_mm[box, 0] * size_mm[box, 1])
+            n_below[box] = len(below)
+        last[under], reached[under] = box, tops[box]
+    return Support(share, n_below)
 
 
-def _seen(
-    low: FloatArray,
-    high: FloatArray,
-    upper: NDArray[np.int64],
-    lower: NDArray[np.int64],
-    extent: FloatArray,
-) -> NDArray[np.bool_]:
-    """(p,) of pairs of boxes: whether the lower one is the last under the upper one, somewhere on the target."""
-    begin = np.maximum(np.maximum(low[upper], low[lower]), 0)
-    end = np.minimum(np.minimum(high[upper], high[lower]), extent)
-    seen: NDArray[np.bool_] = np.all(end > begin, axis=1)
-    # boxes that were placed between the two, and hide some of what they share
-    between = (np.arange(len(low)) > lower[:, None]) & (np.arange(len(low)) < upper[:, None])
-    hides = between & ((np.minimum(end[:, None], high[None]) > np.maximum(begin[:, None], low[None])).all(axis=2))
-    for pair in np.flatnonzero(seen & hides.any(axis=1)):
-        boxes = np.flatnonzero(hides[pair])
-        seen[pair] = not _covered(begin[pair], end[pair], low[boxes], high[boxes])
-    return seen
+class _Cells(NamedTuple):
+    """The cells of the target along one axis: how many, and from which to which each box covers them."""
+
+    number: int
+    first: NDArray[np.int64]
+    end: NDArray[np.int64]
 
 
-def _covered(begin: FloatArray, end: FloatArray, low: FloatArray, high: FloatArray) -> bool:
-    """Whether rectangles cover another one wholly. Between neighbouring edges nothing changes."""
-    edges = [
-        np.unique(
-            np.clip(np.concatenate(([begin[axis], end[axis]], low[:, axis], high[:, axis])), begin[axis], end[axis])
-        )
-        for axis in (0, 1)
-    ]
-    x, y = (each[:-1] + np.diff(each) / 2 for each in edges)
-    inside_x = (low[:, 0, None] <= x) & (x <= high[:, 0, None])
-    inside_y = (low[:, 1, None] <= y) & (y <= high[:, 1, None])
-    return bool((inside_x[:, :, None] & inside_y[:, None, :]).any(axis=0).all())
+def _cells(low: FloatArray, high: FloatArray, extent: float) -> _Cells:
+    low, high = np.clip(low, 0, extent), np.clip(high, 0, extent)
+    edges = np.unique(np.concatenate((low, high)))
+    return _Cells(len(edges) - 1, np.searchsorted(edges, low), np.searchsorted(edges, high))

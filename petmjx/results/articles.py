@@ -22,6 +22,7 @@ from petmjx.bounded import open_regular
 from petmjx.checked import read_toml, reason
 from petmjx.errors import InputError
 from petmjx.plans.fields import kind, listed
+from petmjx.plans.table_files import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.text import printable, shown
 
@@ -90,8 +91,12 @@ def read_articles(path: str | Path) -> Articles:
     try:
         if file.suffix.lower() == ".toml":
             rows = list(_toml_rows(read_toml(file), name))
+        elif is_parquet_name(file):
+            rows = list(_parquet_rows(file))
+        elif is_csv(file):
+            rows = list(_csv_rows(file, name))
         else:
-            rows = list(_parquet_rows(file) if file.suffix.lower() == ".parquet" else _csv_rows(file, name))
+            raise InputError(f"{name}: the name must end in one of .toml, {PARQUET_SUFFIX}, {', '.join(CSV_SUFFIXES)}")
     except pa.ArrowException:
         raise InputError(f"{name}: is not a whole Parquet file") from None
     except (OSError, ValueError) as error:

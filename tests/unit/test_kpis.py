@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -141,6 +142,17 @@ def test_hidden_and_half_hidden_supporters() -> None:
         assert share[2] == (1.5 if below == 2 else 1)
 
 
+def test_a_heap_of_the_largest_size_takes_no_longer_than_others() -> None:
+    """All 512 boxes overlap: 130,816 pairs."""
+    rng = np.random.default_rng(0)
+    corner = np.concatenate((rng.uniform(0, 600, (512, 2)), rng.uniform(0, 50, (512, 1))), axis=1)
+    begin = time.process_time()
+    share, n_below = direct_support(corner, np.full((512, 3), 600.0), (1200, 800))
+    assert time.process_time() - begin < 10
+    assert (share >= 0).all()
+    assert n_below.max() > 1
+
+
 # Columns and ratings by hand.
 
 
@@ -186,8 +198,14 @@ def test_orders_and_plans_without_each_other() -> None:
     ]
     with pytest.raises(petmjx.InputError, match="plan bad"):
         rate(plans, orders, strict=True)
-    with pytest.raises(petmjx.InputError, match="no plan has an order: 1 plan and 1 usable order have no id in common"):
+    with pytest.raises(
+        petmjx.InputError, match=r"no plan has an order: 1 plan and 1 usable order have no id in common$"
+    ):
         rate({"A": tower(1)}, {"B": order_for(tower(1))})
+    with pytest.raises(
+        petmjx.InputError, match=r"; the first that is unusable: orders\.json: order A: is a packing plan"
+    ):
+        rate({"A": tower(1)}, {"A": tower(1)})
 
 
 # Stability from runs.

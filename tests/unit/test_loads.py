@@ -109,6 +109,7 @@ def test_rows_that_are_refused(row: str, message: str) -> None:
             "articles.milk: strength_n must be a number > 0 and at most",
         ),
         ("a.toml", "x = ", "not valid TOML"),
+        ("a.json", "{}", "the name must end in one of .toml, .parquet, .csv, .csv.gz, .tsv, .tsv.gz"),
         ("a.parquet", "PAR1", "is not a whole Parquet file"),
         ("a.csv", b"article,strength_n\n\xff,5\n", "is not UTF-8 text"),
     ],
