@@ -34,8 +34,8 @@ def samples(
     With --orders it packs the orders of a file instead; -n and --loose-share then do not apply. Boxes that find no
     place below 2 m are left out: a line for each such order says which.
     """
+    from petmjx.plans.forms import is_csv, is_parquet_name
     from petmjx.plans.samples import pack_orders, write_plans, write_samples
-    from petmjx.plans.table_files import is_csv, is_parquet_name
     from petmjx.show.progress import progress
 
     if is_csv(out) or is_parquet_name(out):

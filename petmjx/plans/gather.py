@@ -11,10 +11,10 @@ import numpy as np
 
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
+from petmjx.plans.forms import SupportsArrow
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
-from petmjx.plans.table_files import SupportsArrow
 from petmjx.run_options import RunOptions
 from petmjx.text import counted
 from petmjx.units import MM_PER_M

@@ -1,4 +1,7 @@
-"""Packing plans: from files, in any of their forms, to validated plans, with one line about each unusable part."""
+"""Packing plans: from files, in any of their forms, to validated plans, with one line about each unusable part.
+
+What reads tables loads Arrow, and is imported where there is a table.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +10,21 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.fields import LONGEST_NAME, Unread
+from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.scan import Damage, describe, scan_plans
-from petmjx.plans.table import Refused, Table, TableError, table_plans
-from petmjx.plans.table_files import (
-    CSV_SUFFIXES,
-    PARQUET_SUFFIX,
-    SupportsArrow,
-    frame_table,
-    is_csv,
-    is_parquet,
-    parse_csv,
-    read_parquet,
-)
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.plans.validate import PlanError, parse_plan
 from petmjx.plans.warnings import check_layout
 from petmjx.text import counted, printable, shown
+
+if TYPE_CHECKING:
+    from petmjx.plans.table import Table
 
 DEFAULT_MAX_BOXES: Final = 512
 """Boxes of the largest plan that is taken by default: twelve times BED-BPP's mean of 43, and twice the largest plan of
@@ -139,6 +135,8 @@ class _Loading:
         self.unlisted, self.most_skipped = 0, len(self.found.skipped) + MOST_LINES
         try:
             if is_parquet(path):
+                from petmjx.plans.table_files import read_parquet
+
                 self._read_table(source, lambda: read_parquet(path))
             else:
                 self._read_text(source, path)
@@ -152,6 +150,9 @@ class _Loading:
         Raises:
             InputError: it lacks columns.
         """
+        from petmjx.plans.table import TableError
+        from petmjx.plans.table_files import frame_table
+
         try:
             table = frame_table(frame)
         except TableError as error:
@@ -167,11 +168,15 @@ class _Loading:
             if not data:
                 return
         if is_csv(path):
+            from petmjx.plans.table_files import parse_csv
+
             self._read_table(source, lambda: parse_csv(data, cut_off=fault is not None))
         else:
             self._read_json(source, data)
 
     def _read_table(self, source: str, read: Callable[[], Table]) -> None:
+        from petmjx.plans.table import Refused, TableError, table_plans
+
         try:
             table = read()
         except TableError as error:

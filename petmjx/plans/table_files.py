@@ -6,7 +6,7 @@ import csv
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -20,46 +20,13 @@ from petmjx.plans.table import LostRow, Table, TableError, sorted_columns
 from petmjx.plans.unpack import MOST_BYTES
 from petmjx.text import counted
 
-PARQUET_MAGIC: Final = b"PAR1"
-PARQUET_SUFFIX: Final = ".parquet"
-CSV_SUFFIXES: Final = (".csv", ".csv.gz", ".tsv", ".tsv.gz")
-
 _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
 _LINE_ENDS: Final = (b"\n", b"\r")
 _DELIMITERS: Final = ",;\t"
 _BLOCK_BYTES: Final = 1 << 22
 """Of CSV that is parsed at a time; no row is longer."""
 _MOST_LOST: Final = 100_000
-"""Rows that are none and are listed."""
-
-
-@runtime_checkable
-class SupportsArrow(Protocol):
-    """A table of pandas, Polars, PyArrow and others (Arrow's PyCapsule interface)."""
-
-    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
-        """Its columns, for Arrow."""
-
-
-def is_csv(path: Path) -> bool:
-    """Whether a file is CSV by its name. Only that tells it from damaged JSON."""
-    return path.name.lower().endswith(CSV_SUFFIXES)
-
-
-def is_parquet_name(path: Path) -> bool:
-    """Whether a file is Parquet by its name."""
-    return path.suffix.lower() == PARQUET_SUFFIX
-
-
-def is_parquet(path: Path) -> bool:
-    """Whether a file is Parquet, by its name or its first bytes.
-
-    Raises:
-        OSError: it cannot be read, or is no regular file.
-        ValueError: a name that no file can have.
-    """
-    with open_regular(path) as file:
-        return is_parquet_name(path) or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
+"""Rows that are none and are listed one by one."""
 
 
 def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
@@ -107,6 +74,9 @@ class _CsvReader:
 
     def __init__(self, delimiter: str, names: list[str], plan_column: int) -> None:
         self.lost: list[LostRow] = []
+        self._lost_numbers: list[int] = []
+        """Of rows that Arrow could not use, among those that it was given."""
+        self._plans_with_lost: set[str | None] = set()
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 
     def read(self, data: bytearray) -> tuple[pa.Table, np.ndarray[Any, np.dtype[np.int64]]]:
@@ -118,15 +88,17 @@ class _CsvReader:
         damaged = np.zeros(0, dtype=np.int64)
         if data.count(b'"') % 2 or not _is_utf8(data):
             data, damaged = self._without_damaged_lines(data)
+        before = len(self.lost)
         try:
             rows = self._parse(data)
         except pa.ArrowInvalid as error:
             raise TableError(f"not CSV: {reason(error)}") from error
-        lost = np.array([row.number for row in self.lost[len(damaged) :]], dtype=np.int64)
+        lost = np.array(self._lost_numbers, dtype=np.int64)
         numbers = np.setdiff1d(np.arange(2, rows.num_rows + len(lost) + 2), lost, assume_unique=True)
-        # lines that were taken out before count too
-        for line in damaged:
-            numbers[numbers >= line] += 1
+        if len(damaged):  # lines that were taken out before count too
+            kept = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
+            numbers = kept[numbers - 1]
+            self.lost[before:] = [row._replace(number=int(kept[row.number - 1])) for row in self.lost[before:]]
         return rows, numbers
 
     def _parse(self, data: bytearray) -> pa.Table:
@@ -144,10 +116,17 @@ class _CsvReader:
         )
 
     def _lose(self, row: Any) -> str:
-        if len(self.lost) < _MOST_LOST:
-            fault = f"has {counted(row.actual_columns, 'field')} instead of {row.expected_columns}"
-            self.lost.append(LostRow(row.number, self._plan_of(row.text), fault))
+        self._lost_numbers.append(row.number)
+        fault = f"has {counted(row.actual_columns, 'field')} instead of {row.expected_columns}"
+        self._add_lost(row.number, row.text, fault)
         return "skip"
+
+    def _add_lost(self, number: int, text: str, fault: str) -> None:
+        """Keep what is lost; of very many rows one of each plan."""
+        plan_id = self._plan_of(text)
+        if len(self.lost) < _MOST_LOST or plan_id not in self._plans_with_lost:
+            self.lost.append(LostRow(number, plan_id, fault))
+            self._plans_with_lost.add(plan_id)
 
     def _without_damaged_lines(self, data: bytearray) -> tuple[bytearray, np.ndarray[Any, np.dtype[np.int64]]]:
         """UTF-8 text in which every quotation mark is closed in its line; other lines are lost."""
@@ -158,10 +137,8 @@ class _CsvReader:
                 kept.append(line)
                 continue
             damaged.append(number)
-            if len(self.lost) < _MOST_LOST:
-                plan_id = self._plan_of(line.decode("utf-8", "surrogateescape"))
-                self.lost.append(LostRow(number, plan_id, fault))
-        return bytearray(b"\n").join(kept), np.array(damaged[:_MOST_LOST], dtype=np.int64)
+            self._add_lost(number, line.decode("utf-8", "surrogateescape"), fault)
+        return bytearray(b"\n").join(kept), np.array(damaged, dtype=np.int64)
 
     def _plan_of(self, line: str) -> str | None:
         """The plan id in a row that is none; None where it has too few fields for one."""

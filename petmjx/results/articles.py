@@ -22,7 +22,7 @@ from petmjx.bounded import open_regular
 from petmjx.checked import read_toml, reason
 from petmjx.errors import InputError
 from petmjx.plans.fields import kind, listed
-from petmjx.plans.table_files import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
+from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.text import printable, shown
 
