@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     from petmjx.pictures.save import draw
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
+    from petmjx.plans.write import save_plans
+    from petmjx.rating.kpis import kpis
     from petmjx.results.compare import compare_runs
+    from petmjx.results.loads import loads
     from petmjx.results.reader import RunResults, load_run
     from petmjx.run_options import RunOptions
     from petmjx.statics.record import CriteriaResults
@@ -66,6 +69,9 @@ _HOME = {
     "compare_runs": "petmjx.results.compare",
     "Story": "petmjx.story",
     "tell": "petmjx.story",
+    "save_plans": "petmjx.plans.write",
+    "kpis": "petmjx.rating.kpis",
+    "loads": "petmjx.results.loads",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
     "load_run": "petmjx.results.reader",
@@ -98,9 +104,12 @@ __all__ = [
     "compare_runs",
     "criteria",
     "draw",
+    "kpis",
     "load_plans",
     "load_run",
+    "loads",
     "merge_runs",
+    "save_plans",
     "score",
     "sweep",
     "tell",

@@ -52,7 +52,8 @@ def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
-        plans: a file, a folder, several of them, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
+        plans: a file, a folder, several of them, a data frame with a row a box, a plan, a list of plans or a
+            ``PlanSet``; None: the bundled samples.
         watcher: follows the run.
         options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
 

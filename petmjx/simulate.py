@@ -224,7 +224,7 @@ class _Run:
         for skipped in self.found.skipped:
             writer.skip(skipped)
         writer.odd_plans += map(str, self.found.warnings)
-        for note in hopeless_profiles(self.asked):
+        for note in (*self.found.notes, *hopeless_profiles(self.asked)):
             writer.warn(note)
 
     def _take_answer(self, answer: Answer) -> None:

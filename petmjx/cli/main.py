@@ -14,7 +14,20 @@ from typing import Annotated
 import typer
 
 from petmjx import __version__
-from petmjx.cli import compare, criteria, doctor, export, merge, samples, score, show, sweep
+from petmjx.cli import (
+    compare,
+    convert,
+    criteria,
+    doctor,
+    export,
+    kpis,
+    loads,
+    merge,
+    samples,
+    score,
+    show,
+    sweep,
+)
 from petmjx.cli.console import prepare_streams
 from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
@@ -65,6 +78,9 @@ for _command, _short_help in (
     (merge.merge, "Join the shards of a run."),
     (compare.compare, "Compare two runs of the same plans."),
     (criteria.criteria, "Ask closed-form criteria of stability, and physics about them."),
+    (kpis.kpis, "Rate plans as BED-BPP's leaderboard does."),
+    (loads.loads, "Say which boxes bear more than they can."),
+    (convert.convert, "Write packing plans as JSON, CSV or Parquet."),
     (samples.samples, "Write packing plans with BED-BPP's statistics."),
     (export.export, "Write the MuJoCo model of one plan."),
     (doctor.doctor, "Show versions, devices and which engines work here."),

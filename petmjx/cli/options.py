@@ -21,7 +21,7 @@ from petmjx.text import printable
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
-PLANS_HELP = "BED-BPP packing plans: JSON files (also gzipped) or folders of them."
+PLANS_HELP = "Packing plans: files of BED-BPP's JSON, CSV (both also gzipped) or Parquet, or folders of them."
 
 PlanPaths = Annotated[
     list[Path] | None,

@@ -60,9 +60,12 @@ def samples(
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
     from petmjx.machine import cpu_threads
+    from petmjx.plans.forms import is_csv, is_parquet_name
     from petmjx.plans.samples import pack_orders, write_plans, write_samples
     from petmjx.show.progress import progress
 
+    if is_csv(out) or is_parquet_name(out):
+        raise InputError(f"{out}: samples are written as JSON; petmjx convert makes a table of them")
     bad: list[InputError] = []
     left_out: list[LeftOut] = []
     written = 0

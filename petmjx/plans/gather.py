@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
 from petmjx.checked import similar
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
+from petmjx.plans.forms import SupportsArrow
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
@@ -18,8 +21,8 @@ from petmjx.text import counted, shown
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
-PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet
-"""A file, a folder, several of them; a plan, a list of plans, or a ``PlanSet``."""
+PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet | SupportsArrow
+"""A file, a folder, several of them; a plan, a list of plans, or a ``PlanSet``; a data frame in the table form."""
 
 
 def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
@@ -41,15 +44,21 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
         plans = bundled_path()
     if isinstance(plans, PlanSet):
         return _each_id_once(plans, options)
+    if isinstance(plans, SupportsArrow):
+        return _load(plans, sim, options)
     given = [plans] if isinstance(plans, str | PathLike | Plan) else list(plans)
     ready = [plan for plan in given if isinstance(plan, Plan)]
     if ready:
         if len(ready) != len(given):
             raise InputError("give either paths or plans, not both")
         return _each_id_once(PlanSet(ready), options)
+    return _load(given, sim, options)
+
+
+def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
     extent_m = CARRIER_EXTENT_M[sim.carrier]
     return load_plans(
-        [path for path in given if not isinstance(path, Plan)],
+        given,
         limit=options.limit,
         strict=options.strict,
         carrier_extent_mm=None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M),
@@ -67,7 +76,7 @@ def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:
             skipped.append(Skipped.plan(plan, ": repeated plan id", options.strict))
         else:
             kept[plan.plan_id] = plan
-    return PlanSet(list(kept.values()), skipped, found.warnings)
+    return replace(found, plans=list(kept.values()), skipped=skipped)
 
 
 def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
@@ -85,7 +94,7 @@ def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bo
         box = int(thin[0])
         side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
         skipped.append(Skipped.plan(plan, f", placement {box}: {side}", strict))
-    return PlanSet(kept, skipped, found.warnings)
+    return replace(found, plans=kept, skipped=skipped)
 
 
 def find_plan(found: PlanSet, plan_id: str) -> Plan:

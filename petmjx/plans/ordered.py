@@ -1,6 +1,7 @@
 """Plans compared with the orders that they were packed from: what was left out, and what nobody ordered.
 
-Boxes are told apart by ``id`` and ``article`` together, and counted. ``sequence`` tells nothing: packers number anew.
+Boxes are told apart by ``id`` and ``article`` together (by ``article`` alone in plans that have no ids), and counted.
+``sequence`` tells nothing: packers number anew.
 """
 
 from __future__ import annotations
@@ -149,6 +150,8 @@ def check_orders(
 
 def _compare(plan: Plan, wanted: _Goods, lines: list[str] | None) -> Ordered:
     """The counts of one plan; a line is added where it differs from its order."""
+    if not any(plan.item_ids):
+        wanted = _without_ids(wanted)
     there: _Goods = Counter(zip(plan.item_ids, plan.articles, strict=True))
     missing, extra = wanted - there, there - wanted
     ordered = Ordered(wanted.total(), missing.total(), extra.total())
@@ -163,6 +166,14 @@ def _compare(plan: Plan, wanted: _Goods, lines: list[str] | None) -> Ordered:
     if parts and lines is not None:
         _list(lines, f"plan {shown(plan.plan_id)}: {'; '.join(parts)}")
     return ordered
+
+
+def _without_ids(goods: _Goods) -> _Goods:
+    """Goods by their articles alone, for plans of tables that have no ids."""
+    found: _Goods = Counter()
+    for (_, article), number in goods.items():
+        found["", article] += number
+    return found
 
 
 def _named(goods: _Goods) -> str:

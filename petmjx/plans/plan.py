@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.plans.warnings import PlanWarnings
 from petmjx.text import counted, shown
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -25,6 +29,9 @@ class Plan:
         mass_kg: (n,).
         item_ids, articles: n names each.
         sequence: (n,) number of each item in the customer's order.
+        orientation: (n,) 0 or 1: whether the item's own length lies along x or along y; None: nobody said, and the
+            extents are taken as the item's own sizes.
+        product_groups: n names, "" where an item has none; empty: no item has one.
     """
 
     plan_id: str
@@ -35,10 +42,58 @@ class Plan:
     item_ids: tuple[str, ...]
     articles: tuple[str, ...]
     sequence: NDArray[np.int64]
+    orientation: NDArray[np.int64] | None = None
+    product_groups: tuple[str, ...] = ()
+
+    @classmethod
+    def from_boxes(
+        cls,
+        plan_id: str,
+        boxes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None,
+        *,
+        size_mm: Any = None,
+        corner_mm: Any = None,
+        mass_kg: Any = None,
+        **columns: Any,
+    ) -> Plan:
+        """A plan from plain values, checked as those of files are.
+
+        ``Plan.from_boxes("tower", size_mm=[[400, 300, 200]] * 2, corner_mm=[[0, 0, 0], [0, 0, 200]], mass_kg=[6, 6])``
+
+        Args:
+            plan_id: 1 to 1,000 characters.
+            boxes: a dictionary for each box, in packing order, or one that has a list of n values for each field; also
+                a data frame. Fields are the columns of the table form: ``length_mm``, ``width_mm``, ``height_mm``,
+                ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and where known ``article``, ``item_id``,
+                ``product_group``, ``orientation`` and ``order_sequence``. ``sequence`` gives another packing order.
+            size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm; with ``orientation`` the item's own
+                length, width and height.
+            corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
+            mass_kg: (n,) kg.
+            columns: further fields as lists of n values.
+
+        Raises:
+            InputError: a field is missing, unknown or unusable; the line names the box and the field.
+        """
+        from petmjx.plans.boxes import plan_from_boxes
+
+        return plan_from_boxes(
+            plan_id, boxes, {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}, columns
+        )
 
     @property
     def n_boxes(self) -> int:
         return len(self.mass_kg)
+
+    @property
+    def turned(self) -> NDArray[np.bool_]:
+        """(n,) whether the item's own length lies along y."""
+        return np.zeros(self.n_boxes, dtype=bool) if self.orientation is None else self.orientation == 1
+
+    @property
+    def item_size_mm(self) -> NDArray[np.float64]:
+        """(n, 3) length, width and height of the items themselves."""
+        return np.where(self.turned[:, None], self.size_mm[:, [1, 0, 2]], self.size_mm)
 
     def __repr__(self) -> str:
         return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
@@ -78,18 +133,33 @@ class Skipped:
 class PlanSet:
     """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
 
-    ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box.
+    ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box; ``notes``
+    has lines about all that was read, such as which fields nobody reads.
     """
 
     plans: list[Plan] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[PlanWarnings] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.plans)
 
     def __iter__(self) -> Iterator[Plan]:
         return iter(self.plans)
+
+    def to_frame(self) -> pd.DataFrame:
+        """The plans as a table with a row a placement, which ``petmjx.score`` takes in turn.
+
+        Raises:
+            ValueError: there is no plan.
+        """
+        from petmjx.plans.write import plans_table
+
+        if not self.plans:
+            raise ValueError("there is no plan")
+        frame: pd.DataFrame = plans_table(self.plans).to_pandas()
+        return frame
 
     def __repr__(self) -> str:
         plans = counted(len(self.plans), "plan")

@@ -1,21 +1,30 @@
-"""BED-BPP packing plans: from files to validated plans, with one line about each unusable part."""
+"""Packing plans: from files, in any of their forms, to validated plans, with one line about each unusable part.
+
+What reads tables loads Arrow, and is imported where there is a table.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
-from petmjx.plans.plan import PlanSet, Skipped
+from petmjx.plans.fields import LONGEST_NAME, Unread
+from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
+from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.scan import Damage, describe, scan_plans
-from petmjx.plans.unpack import read_json_bytes
-from petmjx.plans.validate import LONGEST_NAME, PlanError, parse_plan
+from petmjx.plans.unpack import read_text_bytes
+from petmjx.plans.validate import PlanError, parse_plan
 from petmjx.plans.warnings import check_layout
 from petmjx.text import counted, printable, shown
+
+if TYPE_CHECKING:
+    from petmjx.plans.table import Table
 
 DEFAULT_MAX_BOXES: Final = 512
 """Boxes of the largest plan that is taken by default: twelve times BED-BPP's mean of 43, and twice the largest plan of
@@ -23,11 +32,13 @@ other packers that has been seen. Its model on C MuJoCo declares 132,000 pairs o
 
 MOST_LINES: Final = 100_000
 """Of a file, this many unusable entries are listed one by one; what else is unusable is counted."""
-_SUFFIXES: Final = (".json", ".json.gz")
+FRAME: Final = "data frame"
+"""What a data frame is called in messages."""
+_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
 
 
 def load_plans(
-    paths: str | PathLike[str] | Sequence[str | PathLike[str]],
+    paths: str | PathLike[str] | Sequence[str | PathLike[str]] | SupportsArrow,
     *,
     limit: int | None = None,
     strict: bool = False,
@@ -37,9 +48,10 @@ def load_plans(
     """Read and validate packing plans.
 
     Args:
-        paths: a file, a folder, or several of them. Files are JSON, plain or gzipped (the content decides, not the
-            name), of at most 4 GiB; devices and FIFOs are not read. Of a folder all ``*.json`` and ``*.json.gz``
-            directly in it are read, sorted by name.
+        paths: a file, a folder, or several of them; or a table of placements as a pandas data frame, or as anything
+            that gives its columns to Arrow. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet, the first
+            two plain or gzipped, of at most 4 GiB; devices and FIFOs are not read. Of a folder all such files directly
+            in it are read, sorted by name.
         limit: stop after this many good plans.
         strict: raise at the first thing that would be skipped.
         max_boxes: plans with more boxes are skipped.
@@ -50,20 +62,23 @@ def load_plans(
         first good one is kept.
 
     Raises:
-        InputError: a path does not exist, a folder has no plan files, or an option makes no sense. With ``strict``
-            also if anything would be skipped.
+        InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an option makes no
+            sense. With ``strict`` also if anything would be skipped.
     """
     if limit is not None and limit < 1:
         raise InputError(f"limit must be at least 1, got {limit}")
     if max_boxes < 1:
         raise InputError(f"max_boxes must be at least 1, got {max_boxes}")
-    given = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
     loading = _Loading(limit, strict, max_boxes, carrier_extent_mm)
+    if isinstance(paths, SupportsArrow):
+        loading.read_frame(paths)
+        return loading.done()
+    given = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
     for file in _list_files([Path(path) for path in given]):
         loading.read_file(file)
         if loading.full:
             break
-    return loading.found
+    return loading.done()
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
@@ -86,7 +101,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
         except (OSError, ValueError) as error:
             raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from error
         if not members:
-            raise InputError(f"{printable(str(path))}: the folder holds no .json or .json.gz files")
+            raise InputError(f"{printable(str(path))}: the folder holds no .json, .csv or .parquet files")
         files.extend(members)
     return files
 
@@ -102,6 +117,7 @@ class _Loading:
     found: PlanSet = field(default_factory=PlanSet)
     source_of: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
+    unread: Unread = field(default_factory=Unread)
     unlisted: int = 0
     most_skipped: int = MOST_LINES
 
@@ -109,18 +125,76 @@ class _Loading:
     def full(self) -> bool:
         return self.limit is not None and len(self.found.plans) >= self.limit
 
+    def done(self) -> PlanSet:
+        """What was found, when all is read."""
+        self.found.notes.extend(self.unread.notes())
+        return self.found
+
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
         self.unlisted, self.most_skipped = 0, len(self.found.skipped) + MOST_LINES
         try:
-            data, fault = read_json_bytes(path)
+            if is_parquet(path):
+                from petmjx.plans.table_files import read_parquet
+
+                self._read_table(source, lambda: read_parquet(path))
+            else:
+                self._read_text(source, path)
         except (OSError, ValueError) as error:
             self._skip(source, None, f"{source}: cannot be read ({reason(error)})")
-            return
+        self._count_unlisted(source)
+
+    def read_frame(self, frame: SupportsArrow) -> None:
+        """A table of placements.
+
+        Raises:
+            InputError: it lacks columns.
+        """
+        from petmjx.plans.table import TableError
+        from petmjx.plans.table_files import frame_table
+
+        try:
+            table = frame_table(frame)
+        except TableError as error:
+            raise InputError(f"{FRAME}: {error}") from None
+        self.most_skipped = MOST_LINES
+        self._read_table(FRAME, lambda: table)
+        self._count_unlisted(FRAME)
+
+    def _read_text(self, source: str, path: Path) -> None:
+        data, fault = read_text_bytes(path)
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
             if not data:
                 return
+        if is_csv(path):
+            from petmjx.plans.table_files import parse_csv
+
+            self._read_table(source, lambda: parse_csv(data, cut_off=fault is not None))
+        else:
+            self._read_json(source, data)
+
+    def _read_table(self, source: str, read: Callable[[], Table]) -> None:
+        from petmjx.plans.table import Refused, TableError, table_plans
+
+        try:
+            table = read()
+        except TableError as error:
+            self._skip(source, None, f"{source}: {error}", error)
+            return
+        if not len(table.numbers) and not table.lost:
+            self._skip(source, None, f"{source}: holds no plan")
+        self.unread.update(dict.fromkeys(table.unread, len(table.numbers)))
+        with closing(table_plans(table, source, self.max_boxes, self.found.notes)) as plans:
+            for plan in plans:
+                if isinstance(plan, Refused):
+                    self._skip(source, plan.plan_id, plan.message)
+                else:
+                    self._keep(plan)
+                if self.full:
+                    break
+
+    def _read_json(self, source: str, data: bytearray) -> None:
         n_entries = n_orders = 0
         first_order = ""
         for entry in scan_plans(data):
@@ -138,16 +212,23 @@ class _Loading:
             self._skip(source, None, f"{source}: holds no plan")
         if n_orders:
             self._skip(source, None, _orders_message(source, first_order, n_orders))
+
+    def _count_unlisted(self, source: str) -> None:
         if self.unlisted:
             more = counted(self.unlisted, "more entry is", "more entries are")
             self.found.skipped.append(Skipped(source, None, f"{source}: {more} unusable"))
 
     def _take(self, source: str, plan_id: str, value: object) -> None:
         try:
-            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names)
+            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names, self.unread)
         except PlanError as error:
             self._skip(source, plan_id, str(error), error)
-            return
+        else:
+            self._keep(plan)
+
+    def _keep(self, plan: Plan) -> None:
+        """Add a good plan, unless its id is in use."""
+        source, plan_id = plan.source, plan.plan_id
         first_source = self.source_of.get(plan_id)
         if first_source is not None:
             where = "in this file" if first_source == source else f"in {first_source}"

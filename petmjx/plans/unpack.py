@@ -1,4 +1,4 @@
-"""The bytes of a JSON file: within bounds, unpacked if gzipped, and what is wrong with the file as a whole."""
+"""The bytes of a JSON or CSV file: within bounds, unpacked if gzipped, and what is wrong with the file as a whole."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")
 _UTF8_MARK: Final = b"\xef\xbb\xbf"
 
 
-def read_json_bytes(path: Path) -> tuple[bytearray, str | None]:
-    """A file's JSON as bytes, and what is wrong with the file as a whole (None: nothing).
+def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
+    """A file's text as bytes, and what is wrong with the file as a whole (None: nothing).
 
     Gzip is told by content, not by name. Memory: the packed and the plain bytes, once each.
 

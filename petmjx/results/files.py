@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 import pyarrow as pa
+import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from petmjx.errors import InputError
@@ -61,6 +62,12 @@ def write_table(table: pa.Table, path: Path) -> None:
     path.parent.mkdir(exist_ok=True)
     with _replacing(path) as file:
         pq.write_table(table, file, compression="zstd", compression_level=1)
+
+
+def write_csv(table: pa.Table, path: Path) -> None:
+    """Write one CSV file so that it appears whole or not at all."""
+    with _replacing(path) as file:
+        pa_csv.write_csv(table, file)
 
 
 def write_text(text: str, path: Path) -> None:

@@ -22,6 +22,7 @@ from support.plan_files import placement
 from petmjx.checked import Checked
 from petmjx.config import Simulation
 from petmjx.plans.read import load_plans
+from petmjx.results.articles import read_articles
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCUMENTS = (
@@ -208,6 +209,7 @@ def run_in(folder: Path, program: str) -> str:
 @pytest.fixture
 def with_the_minimal_plan(tmp_path: Path) -> Path:
     (tmp_path / "plans.json").write_text(blocks("plan-format.md", "json")[0], encoding="utf-8")
+    (tmp_path / "plans.csv").write_text(blocks("plan-format.md", "csv")[0], encoding="utf-8")
     return tmp_path
 
 
@@ -216,6 +218,29 @@ def test_examples_of_the_plan_format_run(with_the_minimal_plan: Path) -> None:
         printed = run_in(with_the_minimal_plan, program)
         for expected in re.findall(r"print\(.*\)  # (.+)", program):
             assert expected in printed
+
+
+def test_the_examples_of_both_forms_are_the_same_plan(with_the_minimal_plan: Path) -> None:
+    (a,), (b,) = (load_plans(with_the_minimal_plan / name).plans for name in ("plans.json", "plans.csv"))
+    assert (a.size_mm == b.size_mm).all()
+    assert (a.corner_mm == b.corner_mm).all()
+    assert a.articles == b.articles
+
+
+def test_examples_of_kpis_and_loads_run(with_the_minimal_plan: Path) -> None:
+    """After the commands that their pages begin with."""
+    item = json.loads(blocks("plan-format.md", "json")[0])["my-first-plan"][0]["item"]
+    order = {"item_sequence": {"1": item, "2": item}, "properties": {"target": "euro-pallet"}}
+    (with_the_minimal_plan / "orders.json").write_text(json.dumps({"my-first-plan": order}), encoding="utf-8")
+    (with_the_minimal_plan / "articles.csv").write_text(blocks("loads.md", "csv")[0], encoding="utf-8")
+    (with_the_minimal_plan / "articles.toml").write_text(blocks("loads.md", "toml")[0], encoding="utf-8")
+    score = "import petmjx\npetmjx.score('plans.json', engine='mujoco', check='static', duration_s=1, out='{}')\n"
+    for document, folder in (("kpis.md", "standing"), ("loads.md", "results")):
+        printed = run_in(with_the_minimal_plan, score.format(folder) + "\n".join(blocks(document, "python")))
+        assert "my-first-plan" in printed
+    assert read_articles(with_the_minimal_plan / "articles.csv") == read_articles(
+        with_the_minimal_plan / "articles.toml"
+    )
 
 
 def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
@@ -247,8 +272,17 @@ def edited(field: str, value: Any) -> list[dict[str, Any]]:
     return plan
 
 
+def lacking(*fields: tuple[int, str]) -> list[dict[str, Any]]:
+    """Three placements without some fields."""
+    plan = [placement() for _ in range(3)]
+    for number, field in fields:
+        del (plan[number] if field in plan[number] else plan[number]["item"])[field]
+    return plan
+
+
 REFUSED = {
     "missing": edited("weight/kg", None),
+    "much missing": lacking((0, "weight/kg"), (2, "weight/kg"), (2, "sequence"), (2, "orientation")),
     "negative": edited("weight/kg", -1),
     "metres": edited("length/mm", 0.6),
     "text": edited("height/mm", "220"),
@@ -265,6 +299,40 @@ REFUSED = {
 def test_refusals_read_as_the_plan_format_says(plan: list[Any]) -> None:
     Path("plans.json").write_text(json.dumps({"A": plan}), encoding="utf-8")
     (skipped,) = load_plans("plans.json").skipped
+    assert f"| `{skipped.message}` |" in (REPOSITORY / "docs" / "plan-format.md").read_text(encoding="utf-8")
+
+
+HEADER, ROW = blocks("plan-format.md", "csv")[0].splitlines()[:2]
+
+
+def table_row(plan_id: str, sequence: int = 1, **changes: object) -> str:
+    """The first row of the example with other values."""
+    values = dict(zip(HEADER.split(","), ROW.split(","), strict=True)) | {"plan_id": plan_id, "sequence": sequence}
+    return ",".join(map(str, (values | changes).values()))
+
+
+REFUSED_TABLES = {
+    "value": [*(table_row("A", number) for number in range(15)), table_row("A", 15, weight_kg=-1)],
+    "missing": [table_row("A", weight_kg=""), table_row("A", 2, weight_kg="", x_mm="")],
+    "twice": [
+        table_row("B"),
+        table_row("C", 6),
+        table_row("C", 8),
+        table_row("C", 7),
+        table_row("D"),
+        table_row("C", 7),
+    ],
+    "no row": [table_row("A"), table_row("B") + ",7"],
+    "quotation mark": [table_row("A"), table_row("B", article='"carton')],
+    "no plan": [table_row("A"), table_row("")],
+}
+
+
+@pytest.mark.parametrize("rows", REFUSED_TABLES.values(), ids=REFUSED_TABLES)
+@pytest.mark.usefixtures("in_tmp_path")
+def test_refusals_of_tables_read_as_the_plan_format_says(rows: list[str]) -> None:
+    Path("plans.csv").write_text("\n".join([HEADER, *rows, ""]), encoding="utf-8")
+    (skipped,) = load_plans("plans.csv").skipped
     assert f"| `{skipped.message}` |" in (REPOSITORY / "docs" / "plan-format.md").read_text(encoding="utf-8")
 
 

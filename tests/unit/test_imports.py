@@ -21,7 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"engines"}),
     frozenset({"results"}),
     frozenset({"sweeps", "statics"}),
-    frozenset({"packers"}),
+    frozenset({"packers", "rating"}),
     frozenset({"simulate"}),
     frozenset({"api", "doctor", "story"}),
     frozenset({"show", "pages", "pictures"}),

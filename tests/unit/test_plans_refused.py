@@ -179,7 +179,7 @@ def test_orders_are_told_from_plans() -> None:
     [
         ("nowhere.json", "nowhere.json: no such file or folder"),
         (["there.json", "nowhere.json"], "nowhere.json: no such file or folder"),
-        ("empty", "empty: the folder holds no .json or .json.gz files"),
+        ("empty", "empty: the folder holds no .json, .csv or .parquet files"),
         ([], "no plan files were given"),
         ("nul\0byte", "nul\\u0000byte: "),
     ],

@@ -9,10 +9,10 @@ from typing import Any, Final
 
 from petmjx.checked import got, reason
 from petmjx.errors import InputError
+from petmjx.plans.fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.scan import Damage, Entry, describe, scan_plans
-from petmjx.plans.unpack import read_json_bytes
-from petmjx.plans.validate import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
+from petmjx.plans.unpack import read_text_bytes
 from petmjx.text import is_text, printable, shown
 
 MOST_ITEMS: Final = 512
@@ -51,7 +51,7 @@ def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = 
 def _read_whole(path: Path, name: str) -> bytearray:
     """The bytes of a file in which nothing is damaged."""
     try:
-        data, fault = read_json_bytes(path)
+        data, fault = read_text_bytes(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
     if fault is not None:

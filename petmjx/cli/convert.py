@@ -1,0 +1,55 @@
+"""``petmjx convert``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from petmjx.cli import options as opt
+from petmjx.errors import InputError
+from petmjx.text import counted, printable
+
+SHOWN_SKIPPED = 10
+"""Most skipped plans that are shown."""
+
+
+def convert(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="FILE", help="File to write: *.json, *.csv (both also *.gz) or *.parquet."),
+    ],
+    limit: Annotated[
+        int | None, typer.Option("--limit", metavar="N", min=1, help="Take only this many plans.", show_default=False)
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at the first unusable plan instead of skipping it.")
+    ] = False,
+) -> None:
+    """Write packing plans in another form: BED-BPP's JSON, or a table with a row a box as CSV or Parquet.
+
+    Nothing is lost: plans that are read from the new file are the same to the last bit. Unusable plans are skipped,
+    and each gets a line.
+    """
+    from petmjx.plans.read import load_plans
+    from petmjx.plans.write import save_plans
+
+    found = load_plans(plans, limit=limit, strict=strict)
+    print_skipped([str(skipped) for skipped in found.skipped])
+    for note in found.notes:
+        typer.echo(f"note: {printable(note)}", err=True)
+    if not found.plans:
+        raise InputError(f"no usable plan ({len(found.skipped):,} skipped)")
+    save_plans(found.plans, out)
+    boxes = counted(sum(plan.n_boxes for plan in found), "box", "boxes")
+    print(f"{counted(len(found), 'plan')} ({boxes}) in {printable(str(out))}")
+
+
+def print_skipped(lines: list[str]) -> None:
+    """Lines about what was skipped, the first ones, on standard error."""
+    for line in lines[:SHOWN_SKIPPED]:
+        typer.echo(f"skipped: {printable(line)}", err=True)
+    if len(lines) > SHOWN_SKIPPED:
+        typer.echo(f"skipped: {len(lines) - SHOWN_SKIPPED:,} more", err=True)

@@ -1,0 +1,79 @@
+"""``petmjx kpis``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from petmjx.cli import options as opt
+from petmjx.cli.console import results_console
+from petmjx.text import printable
+
+
+def kpis(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
+    orders: Annotated[Path, typer.Option("--orders", metavar="FILE", help="BED-BPP orders of the plans.")],
+    run: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--run",
+            metavar="DIR",
+            help="Run of these plans: its verdicts, and with check static BED-BPP's own rule of stability. May be "
+            "given several times.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for kpis.parquet, kpis.csv and summary.json."),
+    ] = None,
+    xlsx: Annotated[bool, typer.Option("--xlsx", help="Also kpis.xlsx, in --out (extra packers).")] = False,
+    leaderboard: Annotated[
+        str | None,
+        typer.Option(
+            "--leaderboard",
+            metavar="NAME",
+            help="Check the plans as a submission to BED-BPP's leaderboard, and write it to --out (here without one). "
+            "NAME is SURNAME_ALGORITHM_TASK, a date before it if not today's; the task is offline3dbp, o3dbp or "
+            "o3dbp-p-s.",
+        ),
+    ] = None,
+    assume_stable: Annotated[
+        bool, typer.Option("--assume-stable", help="Take all plans as stable: the best that a rating can be.")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at the first unusable plan or order instead of skipping it.")
+    ] = False,
+    as_json: opt.JsonOption = False,
+) -> None:
+    """Rate plans as BED-BPP does: its KPIs for each plan, their means, and the leaderboard's score.
+
+    Stability comes from a run of petmjx. BED-BPP lets all boxes stand at once and calls a plan unstable if one moves by
+    more than 10 mm along z: that is kpi_6, of a run with --check static. The verdict stands beside it.
+    """
+    from petmjx.cli.convert import print_skipped
+    from petmjx.errors import InputError
+    from petmjx.rating.files import write_kpis
+    from petmjx.rating.kpis import kpis as rate
+    from petmjx.rating.submission import parse_name, write_submission
+    from petmjx.show.kpi_tables import kpi_tables
+    from petmjx.show.layout import print_each
+
+    if xlsx and out is None:
+        raise InputError("--xlsx needs --out: where is it to be written?")
+    if leaderboard is not None:
+        parse_name(leaderboard)
+    found = rate(plans, orders, run, assume_stable=assume_stable, strict=strict)
+    if out is not None:
+        write_kpis(found, out, xlsx=xlsx)
+    if as_json:
+        print(json.dumps({**found.summary, "notes": found.notes, "skipped": found.skipped}, indent=2))
+    else:
+        print_skipped(list(found.skipped))
+        print_each(kpi_tables(found, None if out is None else printable(str(out))), results_console())
+    if leaderboard is not None:
+        file = write_submission(leaderboard, out or Path(), found.found, found.orders, len(found.skipped))
+        if not as_json:
+            print(f"submission in {printable(str(file))}")

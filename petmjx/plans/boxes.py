@@ -1,0 +1,99 @@
+"""Plans from plain Python values and NumPy arrays, checked as those of files are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.errors import InputError
+from petmjx.plans.columns import as_column
+from petmjx.plans.plan import Plan
+from petmjx.plans.table import Refused, Table, sorted_columns, table_plans
+from petmjx.text import shown
+
+SOURCE: Final = "python"
+
+_ARRAYS: Final = {
+    "size_mm": ("length_mm", "width_mm", "height_mm"),
+    "corner_mm": ("x_mm", "y_mm", "z_mm"),
+    "mass_kg": ("weight_kg",),
+}
+"""Arguments of ``Plan.from_boxes`` → the columns that they are."""
+
+
+def plan_from_boxes(
+    plan_id: str,
+    boxes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None,
+    arrays: Mapping[str, Any],
+    more: Mapping[str, Any],
+) -> Plan:
+    """See ``Plan.from_boxes``.
+
+    Raises:
+        InputError: a field is missing, unknown or unusable, or fields have different lengths.
+    """
+    if not isinstance(plan_id, str):
+        raise InputError(f"the plan id must be text, got {type(plan_id).__name__}")
+    where = f"plan {shown(plan_id)}"
+    columns = {**_columns_of(boxes, where), **_columns_of_arrays(arrays, where), **more}
+    lengths = {name: _length(values, f"{where}: {name}") for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"{name} {number}" for name, number in lengths.items())
+        raise InputError(f"{where}: all fields must have one value for each box, got {found}")
+    n_boxes = next(iter(lengths.values()), 0)
+    if not n_boxes:
+        raise InputError(f"{where}: has no box")
+    columns = {
+        "sequence": np.arange(1, n_boxes + 1),
+        "article": [""] * n_boxes,
+        **columns,
+        "plan_id": [plan_id] * n_boxes,
+    }
+    names = list(columns)
+    try:
+        positions, unread = sorted_columns(names)
+    except InputError as error:
+        raise InputError(f"{where}: {str(error).partition(';')[0]}") from None
+    if unread:
+        raise InputError(f"{where}: unknown field {shown(unread[0])}")
+    table = Table({name: as_column(columns[names[index]]) for name, index in positions.items()}, (), np.arange(n_boxes))
+    (found_plan,) = table_plans(table, SOURCE, n_boxes, [])
+    if isinstance(found_plan, Refused):
+        raise InputError(found_plan.message.removeprefix(f"{SOURCE}: ").replace(", row ", ", box ", 1))
+    return found_plan
+
+
+def _columns_of(boxes: Any, where: str) -> dict[str, Any]:
+    """Columns of a list of dictionaries, of a dictionary of lists, or of a data frame."""
+    if boxes is None:
+        return {}
+    if hasattr(boxes, "iloc") or isinstance(boxes, Mapping):
+        return {str(name): boxes[name] for name in boxes if name != "plan_id"}
+    rows = list(boxes)
+    if not all(isinstance(row, Mapping) for row in rows):
+        raise InputError(f"{where}: boxes must be dictionaries, or one dictionary of lists")
+    names = dict.fromkeys(str(name) for row in rows for name in row if name != "plan_id")
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
+    columns: dict[str, Any] = {}
+    for argument, names in _ARRAYS.items():
+        if arrays[argument] is None:
+            continue
+        values = np.asarray(arrays[argument])
+        shape = (len(names),) if len(names) > 1 else ()
+        if values.ndim != 1 + len(shape) or values.shape[1:] != shape:
+            expected = "(n, 3)" if shape else "(n,)"
+            raise InputError(f"{where}: {argument} must have the shape {expected}, got {values.shape}")
+        columns |= dict(zip(names, values.reshape(len(values), len(names)).T, strict=True))
+    return columns
+
+
+def _length(values: Any, what: str) -> int:
+    try:
+        return len(values)
+    except TypeError:
+        raise InputError(f"{what} must be a list of values, one for each box") from None

@@ -1,0 +1,156 @@
+"""The fields of a placement, whatever form it comes in: what is allowed, and what is said of a value that is not."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.text import counted, is_text, shortened, shown
+
+SMALLEST_MM: Final = 1.0
+LARGEST_MM: Final = 4_000.0
+"""Sizes of items. Boxes that wait for their turn hang 8 m apart or more: the bounding spheres of two cubes of 4 m,
+whose diagonal is 6.9 m, do not meet. Beyond these limits a number has the wrong unit or a damaged digit."""
+FARTHEST_MM: Final = 20_000.0
+"""Coordinates. Boxes that wait hang 50 m high or more, far above what a plan places."""
+SMALLEST_KG: Final = 0.001
+LARGEST_KG: Final = 10_000.0
+"""Masses. A pallet carries at most a few tonnes."""
+LONGEST_NAME: Final = 1000
+"""Characters of a plan id, an item id, an article or a product group."""
+
+SIZES: Final = (SMALLEST_MM, LARGEST_MM, "millimetres")
+WEIGHTS: Final = (SMALLEST_KG, LARGEST_KG, "kilograms")
+
+_NUMBERS: Final = {int, float}
+_INT64: Final = np.iinfo(np.int64)
+_MOST_NAMED: Final = 8
+"""Fields that a note names."""
+
+
+def text_fault(field: str, value: object) -> str | None:
+    """What is wrong with a name; None if nothing is."""
+    if not isinstance(value, str):
+        return f"{field} must be a string, got {kind(value)}"
+    if len(value) > LONGEST_NAME:
+        return f"{field} must have at most {LONGEST_NAME:,} characters, got {len(value):,}"
+    return None if is_text(value) else f"{field} is not UTF-8 text"
+
+
+def plan_id_fault(value: str) -> str | None:
+    """What is wrong with a plan id; None if nothing is."""
+    if not value or not is_text(value):
+        return "the plan id must be text and not empty"
+    if len(value) > LONGEST_NAME:
+        return f"the plan id must have at most {LONGEST_NAME:,} characters, got {len(value):,}"
+    return None
+
+
+def number_fault(field: str, value: object) -> str | None:
+    """What is wrong with a finite number; None if nothing is."""
+    if type(value) not in _NUMBERS:
+        return f"{field} must be a number, got {kind(value)}"
+    try:
+        finite = math.isfinite(value)  # type: ignore[arg-type]  # a JSON number, as just checked
+    except OverflowError:
+        finite = False
+    return None if finite else f"{field} must be finite, got {kind(value)}"
+
+
+def positive_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
+    """What is wrong with a size or mass (`SIZES`, `WEIGHTS`); None if nothing is."""
+    fault = number_fault(field, value)
+    if fault is not None:
+        return fault
+    if value <= 0:
+        return f"{field} must be > 0, got {kind(value)}"
+    if not smallest <= value <= largest:
+        return f"{field} must be from {smallest:g} to {largest:g} ({unit}), got {kind(value)}"
+    return None
+
+
+def coordinate_fault(field: str, value: Any) -> str | None:
+    """What is wrong with a coordinate, mm; None if nothing is."""
+    fault = number_fault(field, value)
+    if fault is None and abs(value) > FARTHEST_MM:
+        fault = f"{field} must be from {-FARTHEST_MM:g} to {FARTHEST_MM:g} (millimetres), got {kind(value)}"
+    return fault
+
+
+def whole_fault(field: str, value: object) -> str | None:
+    """What is wrong with a running number; None if nothing is."""
+    if type(value) is not int:
+        return f"{field} must be an integer, got {kind(value)}"
+    return None if _INT64.min <= value <= _INT64.max else f"{field} is too large, got {kind(value)}"
+
+
+def orientation_fault(value: object) -> str | None:
+    """What is wrong with an orientation; None if nothing is."""
+    known = type(value) is int and value in (0, 1)
+    return None if known else f"orientation must be 0 or 1, got {kind(value)}"
+
+
+def missing_fault(fields: Sequence[str]) -> str:
+    """ "weight/kg is missing", "id, weight/kg and sequence are missing"."""
+    return f"{listed(fields)} {'is' if len(fields) == 1 else 'are'} missing"
+
+
+def missing_anywhere(missing: Mapping[str, Sequence[int]], noun: str) -> str | None:
+    """All that is missing in a plan, in one text; None: at most one of its placements misses anything.
+
+    Args:
+        missing: field → placements, as they are counted, that do not have it.
+        noun: what is counted.
+    """
+    if len({index for found in missing.values() for index in found}) < 2:
+        return None
+    named = [
+        f"{field} in {noun} {found[0]}" + (f" and {len(found) - 1:,} more" if len(found) > 1 else "")
+        for field, found in missing.items()
+    ]
+    return f"fields are missing: {', '.join(named)}"
+
+
+def too_many_boxes(n_boxes: int, most: int) -> str:
+    """What is said of a plan that is larger than the largest capacity."""
+    return f"has {n_boxes} boxes, more than the largest capacity of {most}"
+
+
+def kind(value: object) -> str:
+    """A JSON value as messages show it: scalars as written, containers by name."""
+    if isinstance(value, dict):
+        return "an object"
+    if isinstance(value, list):
+        return "a list"
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 200:
+        return "an integer of more than 60 digits"
+    if isinstance(value, str):
+        value = value[:LONGEST_NAME]
+    return shortened(json.dumps(value))
+
+
+def listed(names: Sequence[str]) -> str:
+    """ "x", "x and y", "x, y and z"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+class Unread(Counter[str]):
+    """Fields that stand in plans and that nobody reads: name → placements that have it."""
+
+    def notes(self) -> list[str]:
+        """One line that names them, if there are any."""
+        if not self:
+            return []
+        named = [f"{shown(name)} ({counted(number, 'placement')})" for name, number in self.most_common(_MOST_NAMED)]
+        if len(self) > _MOST_NAMED:
+            named.append(f"{len(self) - _MOST_NAMED:,} more")
+        return [f"fields of plans that petmjx does not read: {listed(named)}"]
+
+    def add(self, names: Iterable[str], known: frozenset[str], prefix: str = "") -> None:
+        """Count the names of one placement that are not known."""
+        self.update(prefix + name for name in names if name not in known)

@@ -1,0 +1,349 @@
+"""A table with a row a placement: from columns to validated plans, with one line about each unusable part.
+
+``sequence`` is the packing order, so rows may come in any order. All rows are checked at once; Python looks at single
+rows only where something is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from petmjx.errors import InputError
+from petmjx.plans.columns import Column
+from petmjx.plans.fields import (
+    FARTHEST_MM,
+    SIZES,
+    WEIGHTS,
+    coordinate_fault,
+    missing_anywhere,
+    missing_fault,
+    orientation_fault,
+    positive_fault,
+    text_fault,
+    too_many_boxes,
+    whole_fault,
+)
+from petmjx.plans.plan import Plan
+from petmjx.text import counted, shown
+from petmjx.units import FloatArray
+
+_SIZE: Final = ("length_mm", "width_mm", "height_mm")
+_RANGES: Final = {**dict.fromkeys(_SIZE, SIZES), "weight_kg": WEIGHTS}
+_CORNER: Final = ("x_mm", "y_mm", "z_mm")
+NEEDED: Final = ("plan_id", "sequence", "article", *_RANGES, *_CORNER)
+"""Columns that every table has."""
+OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence")
+"""Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
+there is none, ``sequence`` is taken for it."""
+_TEXTS: Final = ("article", "item_id", "product_group")
+_NAMES: Final = ("plan_id", *_TEXTS)
+_MAY_LACK: Final = ("item_id", "product_group")
+"""Columns that may have no value in a row."""
+_ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in _RANGES}
+"""BED-BPP's own spelling of sizes and weights."""
+
+_MOST_NAMED: Final = 5
+"""Plans that a note names."""
+
+
+class TableError(InputError):
+    """A table of which nothing can be used."""
+
+
+class Refused(NamedTuple):
+    """A plan, or a row of no known plan (``plan_id`` is None), that is refused; ``message`` is the whole line."""
+
+    plan_id: str | None
+    message: str
+
+
+class LostRow(NamedTuple):
+    """A row that is none, by its number; ``plan_id`` is None where it is not known."""
+
+    number: int
+    plan_id: str | None
+    fault: str
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A table as it was read.
+
+    Attributes:
+        columns: by name, n rows each; names are those of `NEEDED` and `OPTIONAL`, others are not read.
+        unread: names of further columns.
+        numbers: (n,) how rows are counted in messages.
+        lost: rows that are not in the columns.
+        cut_off: whether the table ends too early, so that the last plan may lack rows.
+    """
+
+    columns: Mapping[str, Column]
+    unread: Sequence[str]
+    numbers: NDArray[np.int64]
+    lost: Sequence[LostRow] = ()
+    cut_off: bool = False
+
+
+def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
+    """Which column is where, by the name that petmjx has for it, and the names of others.
+
+    Names differ neither by case nor by white space around them.
+
+    Raises:
+        TableError: a column is there twice, or one is missing. The text does not name the file.
+    """
+    found: dict[str, int] = {}
+    unread = []
+    for index, name in enumerate(names):
+        plain = name.strip().lower()
+        plain = _ALIASES.get(plain, plain)
+        if plain not in NEEDED and plain not in OPTIONAL:
+            unread.append(name)
+        elif plain in found:
+            raise TableError(f"column {plain} is there twice")
+        else:
+            found[plain] = index
+    missing = [name for name in NEEDED if name not in found]
+    if missing:
+        there = ", ".join(map(shown, names[:30])) or "none"
+        columns = "column" if len(missing) == 1 else "columns"
+        raise TableError(f"{columns} {missing_fault(missing)}; there are: {there}")
+    return found, unread
+
+
+def table_plans(table: Table, source: str, max_boxes: int, notes: list[str]) -> Generator[Plan | Refused, None, None]:
+    """The plans of a table in the order in which they appear, and what is refused.
+
+    Args:
+        source: the file, for messages.
+        max_boxes: plans with more boxes are refused.
+        notes: gets a line on plans whose ``sequence`` has gaps.
+    """
+    return _Reading(table, source, max_boxes, notes).plans()
+
+
+@dataclass(eq=False)
+class _Reading:
+    """One table while it is read. Rows with an unusable plan id belong to no plan."""
+
+    table: Table
+    source: str
+    max_boxes: int
+    notes: list[str]
+    gaps: list[str] = field(default_factory=list)
+
+    def plans(self) -> Generator[Plan | Refused, None, None]:
+        yield from self._rows_of_no_plan()
+        try:
+            if self._plan_ids:
+                yield from self._rows_of_plans()
+        finally:  # also if only the first plans are wanted
+            if self.gaps:
+                more = ", …" if len(self.gaps) > _MOST_NAMED else ""
+                named = ", ".join(map(shown, self.gaps[:_MOST_NAMED])) + more
+                plans = counted(len(self.gaps), "plan")
+                self.notes.append(f"{self.source}: sequence has gaps in {plans} ({named}); are rows missing?")
+
+    def _rows_of_plans(self) -> Iterator[Plan | Refused]:
+        refused = self._refused_before()
+        bad_rows = self._bad[self._order]
+        begins = np.flatnonzero(np.diff(self._codes[self._order], prepend=-2))
+        known = begins[self._codes[self._order][begins] >= 0]
+        ends = np.append(known[1:], len(self._order))
+        bad = np.logical_or.reduceat(bad_rows, known).tolist()
+        for plan_id, begin, end, is_bad in zip(self._plan_ids, known.tolist(), ends.tolist(), bad, strict=True):
+            fault = refused.get(plan_id) or self._fault(begin, end, is_bad)
+            if fault is None:
+                yield self._plan(plan_id, begin, end)
+            else:
+                separator = "" if fault.startswith(",") else ": "
+                yield Refused(plan_id, f"{self.source}: plan {shown(plan_id)}{separator}{fault}")
+
+    # Whole columns.
+
+    @cached_property
+    def _texts(self) -> dict[str, tuple[NDArray[np.object_], NDArray[np.bool_]]]:
+        return {name: self.table.columns[name].texts() for name in _NAMES if name in self.table.columns}
+
+    @cached_property
+    def _numbers(self) -> dict[str, FloatArray]:
+        """Sizes, weights and coordinates; NaN where a value cannot be used."""
+        found = {}
+        for name in (*_RANGES, *_CORNER):
+            numbers, usable = self.table.columns[name].numbers()
+            low, high = _RANGES[name][:2] if name in _RANGES else (-FARTHEST_MM, FARTHEST_MM)
+            # comparisons with NaN are false
+            found[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers, np.nan)
+        return found
+
+    @cached_property
+    def _whole(self) -> dict[str, tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+        found = {}
+        for name in ("sequence", "order_sequence", "orientation"):
+            if name in self.table.columns:
+                whole, usable = self.table.columns[name].whole()
+                found[name] = whole, usable & ((whole == 0) | (whole == 1)) if name == "orientation" else usable
+        return found
+
+    @cached_property
+    def _bad(self) -> NDArray[np.bool_]:
+        bad = np.zeros(len(self.table.numbers), dtype=bool)
+        for name, (_, usable) in (*self._texts.items(), *self._whole.items()):
+            if name != "plan_id":
+                bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
+        for numbers in self._numbers.values():
+            bad |= np.isnan(numbers)
+        return bad
+
+    @cached_property
+    def _missing(self) -> dict[str, NDArray[np.bool_]]:
+        """Where the columns have no value."""
+        names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
+        return {name: self.table.columns[name].missing(number=name not in _NAMES) for name in names}
+
+    @cached_property
+    def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
+        """(n,) which plan, by first appearance, −1 where the plan id cannot be used; and the ids."""
+        names, usable = self._texts["plan_id"]
+        coded = pa.array(names, pa.large_string(), mask=~usable | (names == "")).dictionary_encode()
+        return np.asarray(coded.indices.fill_null(-1)).astype(np.int64), coded.dictionary.to_pylist()
+
+    @property
+    def _codes(self) -> NDArray[np.int64]:
+        return self._coded[0]
+
+    @property
+    def _plan_ids(self) -> list[str]:
+        return self._coded[1]
+
+    @cached_property
+    def _order(self) -> NDArray[np.int64]:
+        """Rows by plan and packing order; rows of no plan come first."""
+        order: NDArray[np.int64] = np.lexsort((self._whole["sequence"][0], self._codes))
+        return order
+
+    @cached_property
+    def _sorted(self) -> dict[str, NDArray[Any]]:
+        """Columns by plan and packing order."""
+        order, number, whole, texts = self._order, self._numbers, self._whole, self._texts
+        size = np.stack([number[name][order] for name in _SIZE], axis=1)
+        found: dict[str, NDArray[Any]] = {
+            "corner": np.stack([number[name][order] for name in _CORNER], axis=1),
+            "mass": number["weight_kg"][order],
+            "number": whole["sequence"][0][order],
+            "sequence": whole["order_sequence" if "order_sequence" in whole else "sequence"][0][order],
+            **{name: texts[name][0][order] for name in _TEXTS if name in texts},
+        }
+        if "orientation" in whole:
+            found["orientation"] = turned = whole["orientation"][0][order]
+            size[turned == 1, :2] = size[turned == 1, 1::-1]
+        return {"size": size, **found}
+
+    # One plan.
+
+    def _plan(self, plan_id: str, begin: int, end: int) -> Plan:
+        sorted_, rows = self._sorted, slice(begin, end)
+        numbers = sorted_["number"][rows]
+        if numbers[0] not in (0, 1) or numbers[-1] - numbers[0] != len(numbers) - 1:
+            self.gaps.append(plan_id)
+        names = {name: tuple(sorted_[name][rows].tolist()) for name in _TEXTS if name in sorted_}
+        groups = names.get("product_group", ())
+        return Plan(
+            plan_id=plan_id,
+            source=self.source,
+            size_mm=sorted_["size"][rows].copy(),
+            corner_mm=sorted_["corner"][rows].copy(),
+            mass_kg=sorted_["mass"][rows].copy(),
+            item_ids=names.get("item_id", ("",) * len(numbers)),
+            articles=names["article"],
+            sequence=sorted_["sequence"][rows].copy(),
+            orientation=sorted_["orientation"][rows].copy() if "orientation" in sorted_ else None,
+            product_groups=groups if any(groups) else (),
+        )
+
+    def _fault(self, begin: int, end: int, bad: bool) -> str | None:
+        """Why a plan is refused; begins with ", row" where a row is to blame."""
+        if end - begin > self.max_boxes:
+            return too_many_boxes(end - begin, self.max_boxes)
+        rows = np.sort(self._order[begin:end])
+        if bad:
+            return self._fault_of_rows(rows[self._bad[rows]])
+        numbers = self._sorted["number"][begin:end]
+        twice = np.flatnonzero(numbers[1:] == numbers[:-1])
+        if not len(twice):
+            return None
+        first, second = self.table.numbers[self._order[begin + twice[0] : begin + twice[0] + 2]]
+        return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
+
+    def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
+        """Why rows are bad: all that is missing, or else the first fault."""
+        numbers = self.table.numbers
+        missing = {
+            name: numbers[rows[empty[rows]]].tolist()
+            for name, empty in self._missing.items()
+            if name not in _MAY_LACK and empty[rows].any()
+        }
+        everywhere = missing_anywhere(missing, "row")
+        if everywhere is not None:
+            return everywhere
+        faults = (
+            f", row {self.table.numbers[row]}: {fault}" for row in rows if (fault := self._fault_of(row)) is not None
+        )
+        return next(faults, "is unusable")
+
+    def _fault_of(self, row: np.int64) -> str | None:
+        """What is wrong with a row, in the order of the columns."""
+        missing = [name for name, empty in self._missing.items() if empty[row] and name not in _MAY_LACK]
+        if missing:
+            return missing_fault(missing)
+        columns = self.table.columns
+        raw = {name: self._raw(name, row) for name in (*NEEDED, *OPTIONAL) if name in columns}
+        texts = {name: raw[name] for name in _TEXTS if raw.get(name) is not None and type(raw[name]) is not int}
+        faults = (
+            *(whole_fault(name, _whole_value(raw[name])) for name in ("sequence", "order_sequence") if name in raw),
+            *(text_fault(name, value) for name, value in texts.items()),
+            *(positive_fault(name, raw[name], *limits) for name, limits in _RANGES.items()),
+            orientation_fault(_whole_value(raw["orientation"])) if "orientation" in raw else None,
+            *(coordinate_fault(name, raw[name]) for name in _CORNER),
+        )
+        return next(filter(None, faults), None)
+
+    def _raw(self, name: str, row: np.int64) -> Any:
+        return self.table.columns[name].raw(int(row), number=name not in _NAMES)
+
+    # What is no plan.
+
+    def _rows_of_no_plan(self) -> Iterator[Refused]:
+        for row in np.flatnonzero(self._codes < 0):
+            value = self.table.columns["plan_id"].raw(int(row))
+            fault = (
+                "plan_id is missing" if value in (None, "") else text_fault("plan_id", value) or "plan_id is unusable"
+            )
+            yield Refused(None, f"{self.source}: row {self.table.numbers[row]}: {fault}")
+        known = set(self._plan_ids)
+        for lost in self.table.lost:
+            if lost.plan_id not in known:
+                plan = "" if lost.plan_id is None else f" plan {shown(lost.plan_id)},"
+                yield Refused(lost.plan_id, f"{self.source}:{plan} row {lost.number}: {lost.fault}")
+
+    def _refused_before(self) -> dict[str, str]:
+        """Plans that lack a row, and why."""
+        found: dict[str, str] = {}
+        if self.table.cut_off and len(self._codes) and self._codes[-1] >= 0:
+            found[self._plan_ids[self._codes[-1]]] = "the file ends inside this plan; truncated?"
+        for lost in reversed(self.table.lost):
+            if lost.plan_id is not None:
+                found[lost.plan_id] = f", row {lost.number}: {lost.fault}"
+        return found
+
+
+def _whole_value(value: Any) -> Any:
+    """A whole number that came as 2.0."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value

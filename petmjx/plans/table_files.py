@@ -1,0 +1,208 @@
+"""Tables of placements from CSV and Parquet files and from data frames, within bounds."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+
+from petmjx.bounded import open_regular, size
+from petmjx.checked import reason
+from petmjx.plans.columns import as_column
+from petmjx.plans.table import LostRow, Table, TableError, sorted_columns
+from petmjx.plans.unpack import MOST_BYTES
+from petmjx.text import counted
+
+_FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
+_LINE_ENDS: Final = (b"\n", b"\r")
+_DELIMITERS: Final = ",;\t"
+_BLOCK_BYTES: Final = 1 << 22
+"""Of CSV that is parsed at a time; no row is longer."""
+_MOST_LOST: Final = 100_000
+"""Rows that are none and are listed one by one."""
+
+
+def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
+    """The table of a CSV text with a header. Columns end at commas, semicolons or tabs, whichever the header has most.
+
+    With semicolons numbers may have a decimal comma.
+
+    Args:
+        data: UTF-8 text.
+        cut_off: whether the text ends too early.
+
+    Raises:
+        TableError: it is empty, has no usable header, or lacks a column. The text does not name the file.
+    """
+    header = _FIRST_LINE.match(data)[0]  # type: ignore[index]  # matches any text
+    if not header.strip():
+        raise TableError("the file is empty" if not data.strip() else "has no header with the names of the columns")
+    delimiter = max(_DELIMITERS, key=lambda mark: header.count(mark.encode()))
+    try:
+        names = next(csv.reader([header.decode("utf-8", "surrogateescape")], delimiter=delimiter), [])
+    except csv.Error as error:
+        raise TableError(f"not CSV: {reason(error)}") from error
+    where, unread = sorted_columns(names)
+    if not data[len(header) :].strip():
+        raise TableError("holds no plan")
+    reader = _CsvReader(delimiter, names, where["plan_id"])
+    rows, numbers = reader.read(data)
+    decimal = "," if delimiter == ";" else "."
+    columns = {name: as_column(rows.column(index), True, decimal) for name, index in where.items()}
+    lost = reader.lost
+    last = max(numbers[-1:].tolist(), default=1)
+    if lost and lost[-1].number > last and not data.endswith(_LINE_ENDS):
+        # the text ends within a row, whose plan id may be cut too
+        lost, cut_off = lost[:-1], True
+    return Table(columns, unread, numbers, lost, cut_off)
+
+
+class _CsvReader:
+    """Reads the rows of one CSV text.
+
+    Attributes:
+        lost: rows with too few or too many fields; lines that are not UTF-8, or have a quotation mark that nothing
+            closes.
+    """
+
+    def __init__(self, delimiter: str, names: list[str], plan_column: int) -> None:
+        self.lost: list[LostRow] = []
+        self._lost_numbers: list[int] = []
+        """Of rows that Arrow could not use, among those that it was given."""
+        self._plans_with_lost: set[str | None] = set()
+        self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
+
+    def read(self, data: bytearray) -> tuple[pa.Table, np.ndarray[Any, np.dtype[np.int64]]]:
+        """All columns as text, and the number of each row; the header is row 1.
+
+        Raises:
+            TableError: Arrow cannot read it.
+        """
+        damaged = np.zeros(0, dtype=np.int64)
+        if data.count(b'"') % 2 or not _is_utf8(data):
+            data, damaged = self._without_damaged_lines(data)
+        before = len(self.lost)
+        try:
+            rows = self._parse(data)
+        except pa.ArrowInvalid as error:
+            raise TableError(f"not CSV: {reason(error)}") from error
+        lost = np.array(self._lost_numbers, dtype=np.int64)
+        numbers = np.setdiff1d(np.arange(2, rows.num_rows + len(lost) + 2), lost, assume_unique=True)
+        if len(damaged):  # lines that were taken out before count too
+            kept = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
+            numbers = kept[numbers - 1]
+            self.lost[before:] = [row._replace(number=int(kept[row.number - 1])) for row in self.lost[before:]]
+        return rows, numbers
+
+    def _parse(self, data: bytearray) -> pa.Table:
+        kinds = {str(index): pa.string() for index in range(len(self._names))}
+        # Without quotation marks no value holds a line break. With threads rows would have no numbers.
+        return pa_csv.read_csv(
+            pa.BufferReader(pa.py_buffer(data)),
+            read_options=pa_csv.ReadOptions(
+                use_threads=False, block_size=_BLOCK_BYTES, skip_rows=1, column_names=list(kinds)
+            ),
+            parse_options=pa_csv.ParseOptions(
+                delimiter=self._delimiter, newlines_in_values=b'"' in data, invalid_row_handler=self._lose
+            ),
+            convert_options=pa_csv.ConvertOptions(column_types=kinds, null_values=[], strings_can_be_null=False),
+        )
+
+    def _lose(self, row: Any) -> str:
+        self._lost_numbers.append(row.number)
+        fault = f"has {counted(row.actual_columns, 'field')} instead of {row.expected_columns}"
+        self._add_lost(row.number, row.text, fault)
+        return "skip"
+
+    def _add_lost(self, number: int, text: str, fault: str) -> None:
+        """Keep what is lost; of very many rows one of each plan."""
+        plan_id = self._plan_of(text)
+        if len(self.lost) < _MOST_LOST or plan_id not in self._plans_with_lost:
+            self.lost.append(LostRow(number, plan_id, fault))
+            self._plans_with_lost.add(plan_id)
+
+    def _without_damaged_lines(self, data: bytearray) -> tuple[bytearray, np.ndarray[Any, np.dtype[np.int64]]]:
+        """UTF-8 text in which every quotation mark is closed in its line; other lines are lost."""
+        kept, damaged = [], []
+        for number, line in enumerate(data.split(b"\n"), start=1):
+            fault = None if number == 1 else _line_fault(line)
+            if fault is None:
+                kept.append(line)
+                continue
+            damaged.append(number)
+            self._add_lost(number, line.decode("utf-8", "surrogateescape"), fault)
+        return bytearray(b"\n").join(kept), np.array(damaged, dtype=np.int64)
+
+    def _plan_of(self, line: str) -> str | None:
+        """The plan id in a row that is none; None where it has too few fields for one."""
+        try:
+            fields = next(csv.reader([line.partition("\n")[0]], delimiter=self._delimiter), [])
+        except csv.Error:
+            return None
+        return fields[self._plan_column] if self._plan_column < len(fields) else None
+
+
+def _is_utf8(data: bytearray) -> bool:
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _line_fault(line: bytearray) -> str | None:
+    """Why a line cannot be a row of its own; None: it may be one."""
+    if not _is_utf8(line):
+        return "is not UTF-8 text"
+    return "has a quotation mark that nothing closes" if line.count(b'"') % 2 else None
+
+
+def read_parquet(path: Path) -> Table:
+    """The table of a Parquet file. Rows count from 0, as in pandas.
+
+    Raises:
+        TableError: it lacks a column, is damaged or too large. The text does not name the file.
+        OSError: it cannot be read.
+    """
+    with open_regular(path) as stream:
+        try:
+            with pq.ParquetFile(stream) as file:
+                n_bytes = sum(_row_group_bytes(file.metadata))
+                if n_bytes > MOST_BYTES or file.metadata.num_rows > MOST_BYTES // 8:
+                    raise TableError(f"it holds more than {size(MOST_BYTES)}")
+                where, unread = sorted_columns(file.schema_arrow.names)
+                chosen = [file.schema_arrow.names[index] for index in where.values()]
+                rows = file.read(columns=chosen)
+        except (pa.ArrowException, OSError) as error:
+            raise TableError("is not a whole Parquet file") from error
+    columns = {name: as_column(rows.column(given)) for name, given in zip(where, chosen, strict=True)}
+    return Table(columns, unread, np.arange(rows.num_rows))
+
+
+def _row_group_bytes(metadata: Any) -> Iterator[int]:
+    for group in range(metadata.num_row_groups):
+        yield metadata.row_group(group).total_byte_size
+
+
+def frame_table(frame: Any) -> Table:
+    """The table of a pandas data frame, or of anything that gives its columns to Arrow. Rows count from 0.
+
+    Raises:
+        TableError: it lacks a column. The text does not name it.
+    """
+    if hasattr(frame, "iloc"):  # pandas: columns one by one, since some may be of several types
+        names = [str(name) for name in frame.columns]
+        where, unread = sorted_columns(names)
+        columns = {name: as_column(frame.iloc[:, index]) for name, index in where.items()}
+        return Table(columns, unread, np.arange(len(frame)))
+    rows = pa.table(frame)
+    where, unread = sorted_columns(rows.column_names)
+    columns = {name: as_column(rows.column(index)) for name, index in where.items()}
+    return Table(columns, unread, np.arange(rows.num_rows))

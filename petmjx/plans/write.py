@@ -1,0 +1,193 @@
+"""Plans to files: BED-BPP's JSON, or tables with a row a placement. What is written is read again as it was."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import secrets
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+
+from petmjx.checked import reason
+from petmjx.errors import InputError
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import Placement, write_plans
+from petmjx.text import printable
+
+_PLANS_AT_A_TIME: Final = 1_000
+"""Of which a table is in memory: about 43,000 rows."""
+_JSON: Final = (".json", ".json.gz")
+_CSV: Final = (".csv", ".csv.gz")
+_PARQUET: Final = (".parquet",)
+
+_UNITS: Final = {
+    **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm"), "mm"),
+    "weight_kg": "kg",
+    **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
+}
+
+
+def save_plans(plans: Iterable[Plan], path: str | os.PathLike[str]) -> None:
+    """Write plans to one file, whose name says in which form: ``.json``, ``.csv`` (both also ``.gz``) or ``.parquet``.
+
+    The file appears whole or not at all. Numbers are written so that they are read again to the last bit.
+
+    Raises:
+        InputError: another ending, no plan, or a path that cannot be written.
+    """
+    file, chosen = Path(path), list(plans)
+    write = _writer_for(file)
+    if not chosen:
+        raise InputError(f"{printable(str(file))}: there is no plan to write")
+    with whole_file(file) as temporary:
+        write(chosen, temporary)
+
+
+@contextmanager
+def whole_file(file: Path) -> Iterator[Path]:
+    """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    temporary = file.with_name(f".{secrets.token_hex(8)}.{file.name}")
+    try:
+        yield temporary
+        os.replace(temporary, file)
+    except OSError as error:
+        raise InputError(f"{printable(str(file))}: cannot be written: {reason(error)}") from error
+    except InputError as error:  # of what was written, which names the hidden path
+        raise InputError(str(error).replace(str(temporary), str(file))) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:
+    name = file.name.lower()
+    for endings, write in ((_JSON, _write_json), (_CSV, _write_csv), (_PARQUET, _write_parquet)):
+        if name.endswith(endings):
+            return write
+    endings_known = ", ".join((*_JSON, *_CSV, *_PARQUET))
+    raise InputError(f"{printable(str(file))}: the name must end in one of {endings_known}")
+
+
+def plans_table(plans: Sequence[Plan]) -> pa.Table:
+    """Plans as a table with a row a placement; see docs/plan-format.md."""
+    return _Columns.of(plans).table(plans)
+
+
+def as_placements(plan: Plan) -> list[Placement]:
+    """A plan as BED-BPP writes it. Whole numbers are written without decimals."""
+    size, corner, mass = plan.item_size_mm.tolist(), plan.corner_mm.tolist(), plan.mass_kg.tolist()
+    groups = plan.product_groups
+    return [
+        {
+            "item": {
+                "article": plan.articles[box],
+                "id": plan.item_ids[box],
+                **({"product_group": groups[box]} if groups else {}),
+                "length/mm": _exact(size[box][0]),
+                "width/mm": _exact(size[box][1]),
+                "height/mm": _exact(size[box][2]),
+                "weight/kg": _exact(mass[box]),
+                "sequence": int(plan.sequence[box]),
+            },
+            "orientation": int(plan.turned[box]),
+            "flb_coordinates": [_exact(value) for value in corner[box]],
+        }
+        for box in range(plan.n_boxes)
+    ]
+
+
+def _exact(value: float) -> int | float:
+    return int(value) if value.is_integer() and str(value) != "-0.0" else value
+
+
+def _write_json(plans: Sequence[Plan], file: Path) -> None:
+    write_plans(file, ((plan.plan_id, as_placements(plan)) for plan in plans))
+
+
+def _write_csv(plans: Sequence[Plan], file: Path) -> None:
+    columns = _Columns.of(plans)
+    with ExitStack() as stack:
+        stream: Any = stack.enter_context(file.open("wb"))
+        if file.suffix.lower() == ".gz":
+            # neither a name nor a time: the bytes depend on the plans alone
+            stream = stack.enter_context(gzip.GzipFile("", "wb", compresslevel=6, fileobj=stream, mtime=0))
+        with pa_csv.CSVWriter(stream, columns.schema) as writer:
+            for table in columns.tables(plans):
+                writer.write_table(table)
+
+
+def _write_parquet(plans: Sequence[Plan], file: Path) -> None:
+    columns = _Columns.of(plans)
+    with file.open("wb") as stream, pq.ParquetWriter(stream, columns.schema, compression="zstd") as writer:
+        for table in columns.tables(plans):
+            writer.write_table(table)
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Which optional columns a table has: those that say something."""
+
+    item_id: bool
+    product_group: bool
+    orientation: bool
+    order_sequence: bool
+
+    @classmethod
+    def of(cls, plans: Sequence[Plan]) -> _Columns:
+        return cls(
+            item_id=any(any(plan.item_ids) for plan in plans),
+            product_group=any(plan.product_groups for plan in plans),
+            orientation=any(plan.orientation is not None for plan in plans),
+            order_sequence=any((plan.sequence != np.arange(1, plan.n_boxes + 1)).any() for plan in plans),
+        )
+
+    @property
+    def schema(self) -> pa.Schema:
+        kinds = {
+            "plan_id": pa.string(),
+            "sequence": pa.int64(),
+            "article": pa.string(),
+            **({"item_id": pa.string()} if self.item_id else {}),
+            **({"product_group": pa.string()} if self.product_group else {}),
+            **dict.fromkeys(("length_mm", "width_mm", "height_mm", "weight_kg"), pa.float64()),
+            **({"orientation": pa.int64()} if self.orientation else {}),
+            **dict.fromkeys(("x_mm", "y_mm", "z_mm"), pa.float64()),
+            **({"order_sequence": pa.int64()} if self.order_sequence else {}),
+        }
+        return pa.schema(
+            [pa.field(name, kind, metadata={"unit": _UNITS.get(name, "")}) for name, kind in kinds.items()]
+        )
+
+    def tables(self, plans: Sequence[Plan]) -> Iterator[pa.Table]:
+        for begin in range(0, len(plans), _PLANS_AT_A_TIME):
+            yield self.table(plans[begin : begin + _PLANS_AT_A_TIME])
+
+    def table(self, plans: Sequence[Plan]) -> pa.Table:
+        size = np.concatenate([plan.item_size_mm for plan in plans])
+        corner = np.concatenate([plan.corner_mm for plan in plans])
+        values = {
+            "plan_id": [plan.plan_id for plan in plans for _ in range(plan.n_boxes)],
+            "sequence": np.concatenate([np.arange(1, plan.n_boxes + 1) for plan in plans]),
+            "article": [name for plan in plans for name in plan.articles],
+            "item_id": [name for plan in plans for name in plan.item_ids],
+            "product_group": [name for plan in plans for name in plan.product_groups or ("",) * plan.n_boxes],
+            **dict(zip(("length_mm", "width_mm", "height_mm"), size.T, strict=True)),
+            "weight_kg": np.concatenate([plan.mass_kg for plan in plans]),
+            "orientation": np.concatenate([plan.turned for plan in plans]).astype(np.int64),
+            **dict(zip(("x_mm", "y_mm", "z_mm"), corner.T, strict=True)),
+            "order_sequence": np.concatenate([plan.sequence for plan in plans]),
+        }
+        schema = self.schema
+        return pa.table([pa.array(values[name], schema.field(name).type) for name in schema.names], schema=schema)

@@ -1,0 +1,88 @@
+"""KPIs as files: Parquet, CSV, JSON, and on request a workbook of Excel."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+
+from petmjx.checked import reason
+from petmjx.errors import InputError
+from petmjx.rating.columns import COLUMNS, MEANS
+from petmjx.rating.kpis import Kpis
+from petmjx.results.files import write_csv, write_table, write_text
+from petmjx.text import printable
+
+_ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
+_SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdict", "rating_if_all_stood")
+
+
+def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False) -> None:
+    """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
+
+    Files of these names are replaced; the folder is made if it is not there.
+
+    Raises:
+        InputError: it cannot be written, or for ``xlsx`` openpyxl is not installed.
+    """
+    folder = Path(folder)
+    workbook = _workbook(found) if xlsx else None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        table = kpis_table(found)
+        write_table(table, folder / "kpis.parquet")
+        write_csv(table, folder / "kpis.csv")
+        summary = {**found.summary, "notes": found.notes, "skipped": found.skipped}
+        write_text(json.dumps(summary, indent=2) + "\n", folder / "summary.json")
+        if workbook is not None:
+            workbook.save(folder / "kpis.xlsx")
+    except OSError as error:
+        raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
+
+
+def kpis_table(found: Kpis) -> pa.Table:
+    """The KPIs with units and meanings in the metadata of the columns."""
+    fields = [
+        pa.field(
+            column.name,
+            _ARROW.get(column.pandas, pa.float64()),
+            metadata={"unit": column.unit, "description": column.meaning},
+        )
+        for column in COLUMNS
+    ]
+    arrays = [pa.array(found.plans[field.name], field.type, from_pandas=True) for field in fields]
+    return pa.table(arrays, schema=pa.schema(fields))
+
+
+def _workbook(found: Kpis) -> Any:
+    """A workbook with the sheets that BED-BPP's evaluator writes, ``overview`` and ``orderwise``."""
+    try:
+        from openpyxl import Workbook
+        from openpyxl.cell import WriteOnlyCell
+    except ImportError:
+        raise InputError("a workbook needs openpyxl: pip install 'petmjx[packers]'") from None
+    workbook = Workbook(write_only=True)
+
+    def add(sheet: Any, values: Iterable[Any]) -> None:
+        cells = []
+        for value in values:
+            cell = WriteOnlyCell(sheet, printable(value) if isinstance(value, str) else value)
+            if isinstance(value, str):
+                cell.data_type = "s"  # text such as "=1+1" is no formula
+            cells.append(cell)
+        sheet.append(cells)
+
+    overview = workbook.create_sheet("overview")
+    for name in _SUMMED:
+        add(overview, (name, found.summary[name]))
+    for name in MEANS:
+        add(overview, (f"mean of {name}", found.summary["means"][name]))
+    orderwise = workbook.create_sheet("orderwise")
+    table = kpis_table(found)
+    add(orderwise, table.column_names)
+    for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
+        add(orderwise, row)
+    return workbook

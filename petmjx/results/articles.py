@@ -1,0 +1,203 @@
+"""How much boxes bear: a table of articles or product groups, given by the user.
+
+A strength is given in newtons, or follows from the carton's board by McKee's formula (McKee, Gander, Wachuta 1963,
+"Compression strength formula for corrugated boxes", Paperboard Packaging 48(8)): 5.87 · edge crush strength ·
+√(thickness · perimeter). It is that of a new box in a press; a safety factor makes it what a box bears in use.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from petmjx.bounded import open_regular
+from petmjx.checked import read_toml, reason
+from petmjx.errors import InputError
+from petmjx.plans.fields import kind, listed
+from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
+from petmjx.plans.unpack import read_text_bytes
+from petmjx.text import printable, shown
+
+MCKEE: Final = 5.87
+"""Of McKee's formula in its simple form; it has no unit."""
+
+_KEYS: Final = ("article", "product_group")
+_SIMPLE: Final = "strength_n"
+_BOARD: Final = ("ect_kn_m", "thickness_mm", "safety_factor")
+_NUMBERS: Final = {
+    _SIMPLE: (0.0, 1e9),
+    "ect_kn_m": (0.0, 1e3),
+    "thickness_mm": (0.0, 100.0),
+    "safety_factor": (1.0, 1e3),
+}
+"""Fields and the limits between which they make sense; the lower one is allowed for the factor only."""
+
+_TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group"}
+
+
+@dataclass(frozen=True)
+class Strength:
+    """What one row says.
+
+    Attributes:
+        strength_n: N; None: by McKee's formula from the others.
+        ect_kn_m: edge crush strength of the board, kN/m.
+        thickness_mm: of the board.
+        safety_factor: by which a strength is divided; None: 1.
+    """
+
+    strength_n: float | None = None
+    ect_kn_m: float | None = None
+    thickness_mm: float | None = None
+    safety_factor: float | None = None
+
+    def of_box(self, length_mm: float, width_mm: float) -> float:
+        """What a box of this base bears, N."""
+        strength = self.strength_n
+        if strength is None:
+            perimeter_mm = 2 * (length_mm + width_mm)
+            # kN/m is N/mm
+            strength = MCKEE * (self.ect_kn_m or 0.0) * math.sqrt((self.thickness_mm or 0.0) * perimeter_mm)
+        return strength / (self.safety_factor or 1.0)
+
+
+@dataclass(frozen=True)
+class Articles:
+    """Strengths by article and by product group; the article's counts where there are both."""
+
+    by_article: Mapping[str, Strength]
+    by_group: Mapping[str, Strength]
+
+    def find(self, article: str, group: str) -> Strength | None:
+        """The strength of a box; None where there is none."""
+        return self.by_article.get(article) or (self.by_group.get(group) if group else None)
+
+
+def read_articles(path: str | Path) -> Articles:
+    """A table of articles: CSV (also gzipped), Parquet or TOML.
+
+    Raises:
+        InputError: it cannot be read, or a row is unusable; the line names file, row and field.
+    """
+    file, name = Path(path), printable(str(path))
+    try:
+        if file.suffix.lower() == ".toml":
+            rows = list(_toml_rows(read_toml(file), name))
+        elif is_parquet_name(file):
+            rows = list(_parquet_rows(file))
+        elif is_csv(file):
+            rows = list(_csv_rows(file, name))
+        else:
+            raise InputError(f"{name}: the name must end in one of .toml, {PARQUET_SUFFIX}, {', '.join(CSV_SUFFIXES)}")
+    except pa.ArrowException:
+        raise InputError(f"{name}: is not a whole Parquet file") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name}: cannot be read: {reason(error)}") from None
+    if not rows:
+        raise InputError(f"{name}: holds no article")
+    found: dict[str, dict[str, Strength]] = {key: {} for key in _KEYS}
+    for where, row in rows:
+        key, value, strength = _strength(f"{name}: {where}", row)
+        if value in found[key]:
+            raise InputError(f"{name}: {where}: {key} {shown(value)} is there twice")
+        found[key][value] = strength
+    return Articles(found["article"], found["product_group"])
+
+
+def _strength(where: str, row: Mapping[str, Any]) -> tuple[str, str, Strength]:
+    """One checked row: which name it is of, the name, and its strength."""
+    known = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
+    unknown = [name for name in known if name not in (*_KEYS, *_NUMBERS)]
+    if unknown:
+        fields = ", ".join((*_KEYS, *_NUMBERS))
+        raise InputError(f"{where}: unknown field {shown(unknown[0])}; there are {fields}")
+    keys = [key for key in _KEYS if key in known]
+    if len(keys) != 1:
+        raise InputError(f"{where}: must name either an article or a product_group")
+    numbers = {field: _number(where, field, known[field]) for field in _NUMBERS if field in known}
+    board = [field for field in _BOARD if field not in numbers]
+    if _SIMPLE in numbers and any(field in numbers for field in _BOARD[:2]):
+        raise InputError(f"{where}: give either {_SIMPLE}, or {listed(_BOARD)}")
+    if _SIMPLE not in numbers and board:
+        verb = "is" if len(board) == 1 else "are"
+        raise InputError(f"{where}: needs {_SIMPLE}, or {listed(_BOARD)}; of these {listed(board)} {verb} missing")
+    return keys[0], str(known[keys[0]]), Strength(**numbers)
+
+
+def _number(where: str, field: str, value: Any) -> float:
+    low, high = _NUMBERS[field]
+    try:
+        number = float(value) if not isinstance(value, bool) else math.nan
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not (low < number <= high or number == low == 1.0):
+        least = "≥ 1" if low else "> 0"
+        raise InputError(f"{where}: {field} must be a number {least} and at most {high:g}, got {_got(value)}")
+    return number
+
+
+def _got(value: Any) -> str:
+    return kind(value) if isinstance(value, bool | int | float | str | list | dict) else type(value).__name__
+
+
+def _toml_rows(tables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    for table, rows in tables.items():
+        if table not in _TOML_TABLES or not isinstance(rows, Mapping):
+            raise InputError(
+                f"{name}: must have the tables [articles.NAME] and [product_groups.NAME], got {shown(table)}"
+            )
+        for value, row in rows.items():
+            where = f"{table}.{shown(value)}"
+            if not isinstance(row, Mapping):
+                raise InputError(f"{name}: {where} must be a table with {_SIMPLE}, or with {listed(_BOARD)}")
+            yield where, {**row, _TOML_TABLES[table]: value}
+
+
+def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    data, fault = read_text_bytes(file)
+    if fault is not None:
+        raise InputError(f"{name}: {fault.partition(';')[0]}")
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        raise InputError(f"{name}: is not UTF-8 text") from None
+    header = text.partition("\n")[0]
+    delimiter = max(",;\t", key=header.count)
+    try:
+        for number, row in enumerate(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), start=1):
+            if number == 1:
+                names = row
+            elif row:
+                yield f"row {number}", _named(name, number, names, row, delimiter)
+    except csv.Error as error:
+        raise InputError(f"{name}: not CSV: {reason(error)}") from None
+
+
+def _named(name: str, number: int, names: Sequence[str], row: Sequence[str], delimiter: str) -> dict[str, Any]:
+    if len(row) != len(names):
+        raise InputError(f"{name}: row {number}: has {len(row)} fields instead of {len(names)}")
+    values = dict(zip(names, row, strict=True))
+    if delimiter == ";":
+        values = {
+            field: value.replace(",", ".") if field.strip().lower() in _NUMBERS else value
+            for field, value in values.items()
+        }
+    return values
+
+
+def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    with open_regular(file) as stream:
+        rows = pq.read_table(stream).to_pylist()
+    for number, row in enumerate(rows):
+        yield (
+            f"row {number}",
+            {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in row.items()},
+        )

@@ -1,0 +1,184 @@
+"""How much of their strength boxes of a run bear at rest: ``petmjx.loads``. The verdicts stay as they are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+import pyarrow as pa
+
+from petmjx.checked import reason
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.plans.gather import PathArgument, PlanSource, gather_plans
+from petmjx.plans.plan import Plan
+from petmjx.results.articles import Articles, read_articles
+from petmjx.results.files import write_csv, write_table
+from petmjx.results.manifest import plan_digest
+from petmjx.results.reader import RunResults, load_run
+from petmjx.run_options import RunOptions
+from petmjx.text import counted, printable, shown
+
+_MOST_NAMED: Final = 8
+"""Articles that a note names."""
+
+_BOX_UNITS: Final = {
+    "plan_id": ("", "id of the packing plan"),
+    "variant": ("1", "which set of changes to the plan's nominal world; 0 is nominal"),
+    "box": ("1", "index of the box in packing order, from 0"),
+    "article": ("", "article of the item"),
+    "rest_top_force_n": ("N", "force on top of the box at rest"),
+    "strength_n": ("N", "what the box bears; null: not known"),
+    "load_share": ("1", "rest_top_force_n / strength_n"),
+}
+_PLAN_UNITS: Final = {
+    "plan_id": _BOX_UNITS["plan_id"],
+    "variant": _BOX_UNITS["variant"],
+    "verdict": ("", "what the simulation came to; loads do not change it"),
+    "overloaded": ("1", "whether a box bears more than it can; null: not known, since strengths are missing"),
+    "n_boxes": ("1", "boxes of the plan"),
+    "n_overloaded": ("1", "boxes that bear more than they can"),
+    "n_unknown": ("1", "boxes whose strength or load is not known"),
+    "max_load_share": ("1", "largest load_share of a box"),
+    "box": ("1", "the box that has it"),
+    "article": ("", "its article"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """What :func:`loads` found.
+
+    Attributes:
+        run: the run's folder.
+        boxes: a row a box of each world: ``load_share`` and what it is made of.
+        plans: a row a world: ``overloaded``, and the box that bears most of its strength.
+        notes: a line on articles without strength.
+    """
+
+    run: Path
+    boxes: pd.DataFrame
+    plans: pd.DataFrame
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Loads({counted(len(self.plans), 'world')}, {int(self.plans['overloaded'].sum()):,} overloaded)"
+
+    def write(self, folder: str | Path) -> None:
+        """Write ``box_loads`` and ``plan_loads``, as Parquet with units and as CSV.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        folder = Path(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, frame, units in (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS)):
+                table = pa.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata(None)
+                fields = [
+                    table.schema.field(column).with_metadata({"unit": unit, "description": text})
+                    for column, (unit, text) in units.items()
+                ]
+                table = table.cast(pa.schema(fields))
+                write_table(table, folder / f"{name}.parquet")
+                write_csv(table, folder / f"{name}.csv")
+        except OSError as error:
+            raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
+
+
+def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans: PlanSource | None = None) -> Loads:
+    """Compare what boxes bear at rest with what they can bear.
+
+    Args:
+        run: a run's folder, or what ``petmjx.score`` returned.
+        articles: table of strengths (``petmjx.results.articles.read_articles``).
+        plans: the plans of the run, for sizes and product groups; None: the files that it was of.
+
+    Raises:
+        InputError: no run, an unusable table of articles, or plans that are not those of the run.
+    """
+    results = run if isinstance(run, RunResults) else load_run(run)
+    strengths = articles if isinstance(articles, Articles) else read_articles(Path(articles))
+    of_run = _plans_of(results, plans)
+    known, missing = _strengths(of_run.values(), strengths)
+    boxes = results.boxes[["plan_id", "variant", "box", "article", "rest_top_force_n"]].copy()
+    boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
+    boxes["rest_top_force_n"] = boxes["rest_top_force_n"].astype("float64")
+    boxes["load_share"] = boxes["rest_top_force_n"] / boxes["strength_n"]
+    return Loads(results.path, boxes, _of_worlds(results, boxes), tuple(_notes(missing)))
+
+
+def _plans_of(results: RunResults, plans: PlanSource | None) -> dict[str, Plan]:
+    """The plans of a run by id.
+
+    Raises:
+        InputError: one is not there, or is another one.
+    """
+    listed = results.plans
+    wanted = set(results.worlds["plan_id"])
+    if plans is None:
+        sources = [Path(each) for each in dict.fromkeys(listed["source"])] if len(listed) else []
+        gone = [source for source in sources if not source.exists()]
+        if gone or not sources:
+            what = f"{printable(str(gone[0]))} is not there" if gone else "the run does not say which"
+            raise InputError(f"{results.path}: needs the plans of the run, and {what}: name them")
+        plans = sources
+    found = {plan.plan_id: plan for plan in gather_plans(plans, Simulation(), RunOptions())}
+    digests = dict(zip(listed["plan_id"], listed["digest"], strict=True)) if len(listed) else {}
+    for plan_id in sorted(wanted):
+        if plan_id not in found:
+            raise InputError(f"{results.path}: plan {shown(plan_id)} is not among the plans that were read")
+        digest = plan_digest(found[plan_id])
+        if digests.get(plan_id, digest) != digest:
+            raise InputError(f"{results.path}: plan {shown(plan_id)} differs from the one that was simulated there")
+    return {plan_id: found[plan_id] for plan_id in wanted}
+
+
+def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame, Counter[str]]:
+    """The strength of each box, and the articles that have none with their numbers of boxes."""
+    rows: dict[str, list[Any]] = {"plan_id": [], "box": [], "strength_n": []}
+    missing: Counter[str] = Counter()
+    for plan in plans:
+        groups = plan.product_groups or ("",) * plan.n_boxes
+        sizes = plan.size_mm[:, :2].tolist()
+        for box, (article, group, (x, y)) in enumerate(zip(plan.articles, groups, sizes, strict=True)):
+            strength = articles.find(article, group)
+            if strength is None:
+                missing[article] += 1
+            rows["plan_id"].append(plan.plan_id)
+            rows["box"].append(box)
+            rows["strength_n"].append(None if strength is None else strength.of_box(x, y))
+    return pd.DataFrame(rows).astype({"box": "int32", "strength_n": "float64"}), missing
+
+
+def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
+    """A row a world."""
+    key = ["plan_id", "variant"]
+    marked = boxes.assign(over=boxes["load_share"] > 1, unknown=boxes["load_share"].isna())
+    counts = marked.groupby(key, sort=False, as_index=False).agg(
+        n_overloaded=("over", "sum"), n_unknown=("unknown", "sum")
+    )
+    known = boxes.dropna(subset="load_share")
+    largest = known.loc[known.groupby(key, sort=False)["load_share"].idxmax()]
+    largest = largest[[*key, "box", "article", "load_share"]].rename(columns={"load_share": "max_load_share"})
+    worlds = results.worlds[[*key, "verdict", "n_boxes"]]
+    found = worlds.merge(counts, on=key, how="left").merge(largest, on=key, how="left")
+    overloaded = (found["n_overloaded"] > 0).astype("boolean")
+    overloaded[(found["n_overloaded"] == 0) & (found["n_unknown"] > 0)] = pd.NA
+    found["overloaded"] = overloaded
+    found["box"] = found["box"].astype("Int32")
+    return found[list(_PLAN_UNITS)]
+
+
+def _notes(missing: Mapping[str, int]) -> list[str]:
+    if not missing:
+        return []
+    most = sorted(missing, key=lambda name: (-missing[name], name))
+    named = ", ".join(map(shown, most[:_MOST_NAMED])) + (", …" if len(most) > _MOST_NAMED else "")
+    verb = "has" if len(most) == 1 else "have"
+    boxes = counted(sum(missing.values()), "box", "boxes")
+    return [f"{counted(len(most), 'article')} of {boxes} {verb} no strength: {named}"]

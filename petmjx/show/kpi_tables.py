@@ -1,0 +1,78 @@
+"""The tables of ``petmjx kpis``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from petmjx.rating.kpis import Kpis
+from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.sweep_tables import FEW_ROWS
+
+
+def kpi_tables(found: Kpis, out: str | None = None) -> Iterator[RenderableType]:
+    """The plans if they are few, the means and the ratings, notes.
+
+    Args:
+        out: where the files are, if any were written.
+    """
+    if len(found.plans) <= FEW_ROWS:
+        yield _plans_table(found)
+        yield ""
+    for note in found.notes:
+        yield line(f"note: {note}", style="yellow")
+    yield _summary_table(found)
+    if out is not None:
+        yield line(f"KPIs in {out}")
+
+
+def _plans_table(found: Kpis) -> FittedTable:
+    table = FittedTable(
+        Column("plan", "left", least=12, middle=True),
+        Column("boxes"),
+        Column("kpi 1\nleft out"),
+        Column("kpi 2\nuse"),
+        Column("kpi 3\nm"),
+        Column("kpi 4\nsupport"),
+        Column("kpi 5\nlocked"),
+        Column("kpi 6"),
+        Column("verdict", "left"),
+        Column("score\nratio", spare=1),
+        Column("score\nheight m", spare=2),
+        Column("below\n2 m", spare=3),
+    )
+    for row in found.plans.to_dict("records"):
+        table.add(
+            row["plan_id"],
+            f"{row['n_boxes']:,} of {row['n_ordered']:,}",
+            *(number(row[name], ".3f") for name in ("kpi_1", "kpi_2", "kpi_3", "kpi_4", "kpi_5")),
+            number(row["kpi_6"], ".0f"),
+            Text(row["verdict"] or "-"),
+            number(row["eval_score_pal_ratio"], ".3f"),
+            number(row["eval_score_height"], ".3f"),
+            number(row["n_pal_items"], ".0f"),
+        )
+    return table
+
+
+def _summary_table(found: Kpis) -> FittedTable:
+    summary, means = found.summary, found.summary["means"]
+    table = FittedTable(Column("over all plans", "left"), Column(""), Column("", "left", least=20))
+    table.add("plans", f"{summary['plans']:,}", f"of {summary['orders']:,} orders, {summary['ordered_boxes']:,} boxes")
+    for name, form, meaning in (
+        ("kpi_1", ".4f", "mean share left out"),
+        ("kpi_2", ".4f", "mean use of the space up to the top"),
+        ("kpi_3", ".3f", "mean height, m"),
+        ("kpi_4", ".4f", "mean support"),
+        ("kpi_5", ".4f", "mean share of upper boxes that lock"),
+    ):
+        table.add(name, number(means[name], form), meaning)
+    table.add("kpi_6", percent(means["kpi_6"]), "stable by BED-BPP's rule")
+    table.add("stable", percent(means["stable"]), "stable by petmjx's verdict")
+    table.add("utilisation_2m", number(means["utilisation_2m"], ".4f"), "mean use of the space up to 2 m")
+    table.add("rating", number(summary["rating"], ".4f"), "leaderboard: by kpi_6")
+    table.add("", number(summary["rating_by_verdict"], ".4f"), "by petmjx's verdict")
+    table.add("", number(summary["rating_if_all_stood"], ".4f"), "if all plans stood")
+    return table

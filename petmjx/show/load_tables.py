@@ -1,0 +1,68 @@
+"""The table of ``petmjx loads``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pandas as pd
+from rich.console import RenderableType
+
+from petmjx.results.loads import Loads
+from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.sweep_tables import FEW_ROWS
+from petmjx.text import counted
+
+
+def load_tables(found: Loads, out: str | None = None) -> Iterator[RenderableType]:
+    """The worlds in which a box bears most of its strength, and a line with the counts.
+
+    Args:
+        out: where the files are, if any were written.
+    """
+    yield _table(found)
+    yield ""
+    for note in found.notes:
+        yield line(f"note: {note}", style="yellow")
+    over, unknown = found.plans["overloaded"].sum(), found.plans["overloaded"].isna().sum()
+    boxes = counted(int(found.plans["n_overloaded"].sum()), "box", "boxes")
+    yield line(f"{over:,} of {counted(len(found.plans), 'plan')} overloaded ({boxes}), {unknown:,} not known")
+    if out is not None:
+        yield line(f"loads in {out}")
+
+
+def _table(found: Loads) -> FittedTable:
+    with_variants = (found.plans["variant"] > 0).any()
+    ranked = found.plans.sort_values(["max_load_share", "plan_id"], ascending=[False, True], na_position="last")
+    title = f"the {FEW_ROWS} with the largest loads" if len(ranked) > FEW_ROWS else ""
+    table = FittedTable(
+        Column("plan", "left", least=12, middle=True),
+        *([Column("variant")] if with_variants else []),
+        Column("verdict", "left"),
+        Column("overloaded", "left"),
+        Column("boxes"),
+        Column("over"),
+        Column("not\nknown", spare=2),
+        Column("largest\nload"),
+        Column("of box", "left", least=8, spare=1),
+        Column("rest\nforce N", spare=3),
+        Column("strength\nN", spare=4),
+        title=title,
+    )
+    forces = found.boxes.set_index(["plan_id", "variant", "box"])[["rest_top_force_n", "strength_n"]]
+    for row in ranked.head(FEW_ROWS).to_dict("records"):
+        known = not pd.isna(row["box"])
+        force = forces.loc[(row["plan_id"], row["variant"], row["box"])] if known else None
+        table.add(
+            row["plan_id"],
+            *([str(row["variant"])] if with_variants else []),
+            row["verdict"],
+            "-" if pd.isna(row["overloaded"]) else "yes" if row["overloaded"] else "no",
+            f"{row['n_boxes']:,}",
+            f"{row['n_overloaded']:,}",
+            f"{row['n_unknown']:,}",
+            percent(row["max_load_share"]),
+            f"{row['box']} {row['article']}" if known else "-",
+            "-" if force is None else number(force["rest_top_force_n"], ".0f"),
+            "-" if force is None else number(force["strength_n"], ".0f"),
+        )
+    return table

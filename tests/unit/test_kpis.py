@@ -1,0 +1,426 @@
+"""KPIs: BED-BPP's own figures, its rule of support taken literally, stability from runs, and submissions."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openpyxl
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.command_line import only_line, run, write
+from support.plan_files import placement, tower
+
+import petmjx
+from petmjx.plans.read import load_plans
+from petmjx.plans.samples.order_files import read_orders
+from petmjx.rating.columns import COLUMNS
+from petmjx.rating.files import write_kpis
+from petmjx.rating.submission import parse_name
+from petmjx.rating.support import direct_support
+from petmjx.units import FloatArray
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+PUBLISHED = (
+    *(f"kpi_{number}" for number in range(1, 7)),
+    "eval_score_pal_ratio",
+    "eval_score_height",
+    "eval_score_absolute_n_stable_pal_items",
+)
+
+
+def order_for(*plans: list[dict[str, Any]], more: int = 0, target: str = "euro-pallet") -> dict[str, Any]:
+    """An order of the boxes of one plan, and of so many more."""
+    (plan,) = plans
+    items = [each["item"] for each in plan] + [placement(id="more")["item"]] * more
+    sequence = {str(number): {**item, "sequence": number} for number, item in enumerate(items, start=1)}
+    return {"item_sequence": sequence, "properties": {"target": target}}
+
+
+def rate(plans: dict[str, Any], orders: dict[str, Any] | None = None, **options: Any) -> petmjx.rating.kpis.Kpis:
+    orders = {name: order_for(plan) for name, plan in plans.items()} if orders is None else orders
+    return petmjx.kpis(write(Path("plans.json"), plans), write(Path("orders.json"), orders), **options)
+
+
+# BED-BPP's own figures.
+
+
+@pytest.fixture
+def reference(real_data: Path) -> dict[str, Any]:
+    return json.loads((real_data.parent / "reference" / "bed_bpp_kpis.json").read_text())["plans"]
+
+
+def test_the_published_kpis(real_data: Path, reference: dict[str, Any]) -> None:
+    found = petmjx.kpis(
+        real_data / "packing_plan_5-bed-bpp.json", real_data / "5_bed-bpp.json", assume_stable=True
+    ).plans.set_index("plan_id")
+    assert set(found.index) == set(reference)
+    for plan_id, values in reference.items():
+        for name in PUBLISHED:
+            assert found.loc[plan_id, name] == pytest.approx(values[name], abs=1e-9), (plan_id, name)
+        assert found.loc[plan_id, "n_ordered"] == values["n_items"]
+        assert found.loc[plan_id, "target"] == values["target"]
+        # theirs is the last whole millimetre below the top
+        assert found.loc[plan_id, "height_below_2m_m"] == pytest.approx(values["eval_score_height"] + 0.001, abs=1e-9)
+
+
+def test_the_published_support(real_data: Path, reference: dict[str, Any]) -> None:
+    plans = {plan.plan_id: plan for plan in load_plans(real_data / "packing_plan_5-bed-bpp.json")}
+    extents = {"euro-pallet": (1200, 800), "rollcontainer": (800, 700)}
+    for plan_id, values in reference.items():
+        plan = plans[plan_id]
+        share, _ = direct_support(plan.corner_mm, plan.size_mm, extents[values["target"]])
+        np.testing.assert_allclose(share, values["support"], rtol=0, atol=1e-6)
+
+
+# Their rule, millimetre by millimetre.
+
+EXTENT = (24, 18)
+
+
+def on_a_raster(corner: FloatArray, size: FloatArray) -> tuple[FloatArray, Sequence[int]]:
+    """Support by a map of who is on top of each square millimetre, as their evaluator has it."""
+    last, height = np.zeros(EXTENT, dtype=int), np.zeros(EXTENT)
+    shares, numbers = [], []
+    for box, ((x, y, z), (dx, dy, dz)) in enumerate(zip(corner.astype(int), size.astype(int), strict=True)):
+        here = np.s_[x : x + dx, y : y + dy]
+        below = {each - 1 for each in last[here][height[here] >= z - 5].flat if each}
+        share = 0.0
+        for other in below:
+            length = [
+                max(
+                    0,
+                    min(corner[box][axis] + size[box][axis], corner[other][axis] + size[other][axis])
+                    - max(corner[box][axis], corner[other][axis]),
+                )
+                for axis in (0, 1)
+            ]
+            share += length[0] * length[1] / (dx * dy)
+        shares.append(share if below else 1.0)
+        numbers.append(len(below))
+        last[here], height[here] = box + 1, z + dz
+    return np.array(shares), numbers
+
+
+@st.composite
+def piles(draw: st.DrawFn) -> tuple[FloatArray, FloatArray]:
+    """Boxes that overlap, float, hide each other and reach over the target's far edges."""
+    n = draw(st.integers(1, 12))
+    corner = [
+        (draw(st.integers(0, EXTENT[0] - 1)), draw(st.integers(0, EXTENT[1] - 1)), draw(st.integers(0, 40)))
+        for _ in range(n)
+    ]
+    size = [tuple(draw(st.integers(1, 20)) for _ in range(3)) for _ in range(n)]
+    return np.array(corner, dtype=float), np.array(size, dtype=float)
+
+
+@settings(max_examples=300, deadline=None)
+@given(piles())
+def test_support_is_that_of_a_raster(pile: tuple[FloatArray, FloatArray]) -> None:
+    share, n_below = direct_support(*pile, EXTENT)
+    expected, numbers = on_a_raster(*pile)
+    np.testing.assert_allclose(share, expected, atol=1e-12)
+    assert n_below.tolist() == list(numbers)
+
+
+def test_hidden_and_half_hidden_supporters() -> None:
+    """A thin box on a large one: what lies on it lies on the large one too where that can be seen."""
+    corner = np.array([[0, 0, 0], [0, 0, 10], [0, 0, 11.0]])
+    for width, below in ((10.0, 2), (20.0, 1)):
+        size = np.array([[20, 10, 10], [width, 10, 1], [20, 10, 5.0]])
+        share, n_below = direct_support(corner, size, EXTENT)
+        assert n_below[2] == below
+        assert share[2] == (1.5 if below == 2 else 1)
+
+
+def test_a_heap_of_the_largest_size_takes_no_longer_than_others() -> None:
+    """All 512 boxes overlap: 130,816 pairs."""
+    rng = np.random.default_rng(0)
+    corner = np.concatenate((rng.uniform(0, 600, (512, 2)), rng.uniform(0, 50, (512, 1))), axis=1)
+    begin = time.process_time()
+    share, n_below = direct_support(corner, np.full((512, 3), 600.0), (1200, 800))
+    assert time.process_time() - begin < 10
+    assert (share >= 0).all()
+    assert n_below.max() > 1
+
+
+# Columns and ratings by hand.
+
+
+def test_columns_by_hand() -> None:
+    """Two on the target side by side, a third across both, turned; one of four ordered is left out."""
+    plan = [
+        placement((0, 0, 0), (400, 300, 200)),
+        placement((400, 0, 0), (400, 300, 200)),
+        placement((300, 0, 200), (300, 200, 1801), orientation=1),
+    ]
+    found = rate({"A": plan}, {"A": order_for(plan, more=1)}, assume_stable=True)
+    row = found.plans.iloc[0]
+    volume = 2 * 400 * 300 * 200 + 300 * 200 * 1801
+    assert row["kpi_1"] == 0.25
+    assert row["kpi_2"] == pytest.approx(volume / (1200 * 800 * 2001))
+    assert row["kpi_3"] == 2.001
+    assert row["kpi_4"] == pytest.approx(1.0)
+    assert row["kpi_5"] == 1.0
+    assert row["n_pal_items"] == 3
+    assert row["eval_score_pal_ratio"] == 0.75
+    # the top of 2.001 m ends above 2 m; theirs takes it, since its last whole millimetre is 2.000
+    assert row["eval_score_height"] == 2.0
+    assert row["height_below_2m_m"] == 0.2
+    assert row["volume_m3"] == pytest.approx(volume / 1e9)
+    assert row["utilisation_2m"] == pytest.approx(2 * 400 * 300 * 200 / (1200 * 800 * 2000))
+    assert found.summary["rating"] == 0.75
+    assert rate({"A": plan[:2]}).plans["kpi_5"].isna().all()
+
+
+def test_orders_and_plans_without_each_other() -> None:
+    plans = {"A": tower(2), "B": tower(1), "bad": []}
+    orders = {"A": order_for(plans["A"]), "lost": order_for(tower(6)), "odd": {}}
+    found = rate(plans, orders, assume_stable=True)
+    assert found.plans["plan_id"].tolist() == ["A"]
+    assert found.summary["rating"] == 2 / 8
+    assert found.notes[:2] == (
+        "1 plan has no order and no KPIs (B)",
+        "1 order (6 boxes) has no plan, and counts as not stable in the ratings (lost)",
+    )
+    assert [line.partition(": ")[2] for line in found.skipped] == [
+        "plan bad: has no placement",
+        "order odd: properties.target must be one of euro-pallet, rollcontainer, got nothing",
+    ]
+    with pytest.raises(petmjx.InputError, match="plan bad"):
+        rate(plans, orders, strict=True)
+    with pytest.raises(
+        petmjx.InputError, match=r"no plan has an order: 1 plan and 1 usable order have no id in common$"
+    ):
+        rate({"A": tower(1)}, {"B": order_for(tower(1))})
+    with pytest.raises(
+        petmjx.InputError, match=r"; the first that is unusable: orders\.json: order A: is a packing plan"
+    ):
+        rate({"A": tower(1)}, {"A": tower(1)})
+
+
+# Stability from runs.
+
+FALLS = [placement((0, 0, 0), (300, 300, 200)), placement((290, 0, 200), (300, 300, 200))]
+
+
+@pytest.fixture
+def runs() -> dict[str, Path]:
+    """A tower that stands, one of which a box falls; with both checks."""
+    write(Path("plans.json"), {"stands": tower(2), "falls": FALLS})
+    for check in ("static", "one-by-one"):
+        petmjx.score("plans.json", engine="mujoco", check=check, duration_s=3, out=check)
+    return {check: Path(check) for check in ("static", "one-by-one")}
+
+
+def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
+    plans = {"stands": tower(2), "falls": FALLS}
+    found = rate(plans, run=runs["static"])
+    assert found.plans.set_index("plan_id")["kpi_6"].to_dict() == {"stands": 1, "falls": 0}
+    assert found.plans.set_index("plan_id")["verdict"].to_dict() == {"stands": "stable", "falls": "unstable"}
+    assert found.summary["rating"] == found.summary["rating_by_verdict"] == 0.5
+    assert found.notes == ()
+    both = rate(plans, run=[runs["one-by-one"], runs["static"]])
+    assert both.summary == found.summary
+    alone = rate(plans, run=runs["one-by-one"])
+    assert alone.plans["kpi_6"].isna().all()
+    assert alone.summary["rating"] is None
+    assert alone.summary["rating_by_verdict"] == 0.5
+    assert alone.notes == (
+        "kpi_6 needs a run with check static, and one-by-one has one-by-one: "
+        "petmjx score PLANS --check static --out DIR, then --run DIR too",
+    )
+
+
+def test_runs_that_do_not_fit(runs: dict[str, Path]) -> None:
+    with pytest.raises(petmjx.InputError, match="static: plan stands differs from the one that was simulated there"):
+        rate({"stands": tower(3)}, run=runs["static"])
+    found = rate({"stands": tower(2), "new": tower(1)}, run=runs["static"])
+    assert found.plans.set_index("plan_id")["kpi_6"].isna().to_dict() == {"stands": False, "new": True}
+    assert "1 plan is not in the run or invalid there, so kpi_6 is empty (new)" in found.notes
+    with pytest.raises(petmjx.InputError, match="no such folder"):
+        rate({"stands": tower(2)}, run="nowhere")
+
+
+def test_ten_millimetres_along_z(runs: dict[str, Path]) -> None:
+    """Their rule looks at z alone: 10 mm exactly is stable, whatever the verdict."""
+    file = next((runs["static"] / "boxes").iterdir())
+    table = pq.read_table(file)
+    for shift, expected in ((0.01, 1), (-0.0101, 0), (0.0101, 0)):
+        shifts = np.where(table["plan_id"].to_pandas() == "stands", shift, 1.0).astype(np.float32)
+        number = table.column_names.index("shift_z_m")
+        changed = table.set_column(number, table.schema.field(number), [shifts])
+        pq.write_table(changed, file)
+        found = rate({"stands": tower(2)}, run=runs["static"])
+        assert found.plans["kpi_6"].tolist() == [expected]
+        assert found.plans["verdict"].tolist() == ["stable"]
+
+
+# Files and the command.
+
+
+def test_files(capsys: pytest.CaptureFixture[str]) -> None:
+    plans = {'=HYPERLINK("x")': tower(2), "B, \x1b[31m": tower(1)}
+    found = rate(plans, assume_stable=True)
+    write_kpis(found, "out", xlsx=True)
+    table = pq.read_table("out/kpis.parquet")
+    assert table.column_names == [column.name for column in COLUMNS]
+    assert all(field.metadata[b"description"] for field in table.schema)
+    assert table.schema.field("kpi_3").metadata[b"unit"] == b"m"
+    csv = pd.read_csv("out/kpis.csv")
+    assert csv["plan_id"].tolist() == list(plans)
+    assert csv["kpi_4"].tolist() == table["kpi_4"].to_pylist()
+    assert json.loads(Path("out/summary.json").read_text())["rating"] == found.summary["rating"]
+    sheet = openpyxl.load_workbook("out/kpis.xlsx")["orderwise"]
+    (_, first, second) = sheet.iter_rows()
+    assert (first[0].value, first[0].data_type) == ('=HYPERLINK("x")', "s")
+    assert second[0].value == "B, \\u001b[31m"
+
+
+@pytest.mark.parametrize("columns", ["80", "120"])
+def test_the_command(columns: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    plans = {f"plan-with-a-long-name-{number}": tower(number) for number in (1, 2)}
+    write(Path("plans.json"), plans)
+    write(Path("orders.json"), {name: order_for(plan) for name, plan in plans.items()})
+    assert run("kpis", "plans.json", "--orders", "orders.json", "--assume-stable", "-o", "out") == 0
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= int(columns)
+    assert "rating" in printed
+    assert "KPIs in out" in printed
+    assert run("kpis", "plans.json", "--orders", "orders.json", "--assume-stable", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["rating"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--xlsx"], "--xlsx needs --out: where is it to be written?"),
+        (
+            ["--leaderboard", "doe"],
+            "leaderboard name doe: must be SURNAME_ALGORITHM_TASK or DATE_SURNAME_ALGORITHM_TASK",
+        ),
+        (["--run", "nowhere"], "nowhere: no such folder"),
+    ],
+)
+def test_the_command_refuses(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write(Path("plans.json"), {"A": tower(1)})
+    write(Path("orders.json"), {"A": order_for(tower(1))})
+    assert run("kpis", "plans.json", "--orders", "orders.json", *arguments) == 2
+    assert only_line(capsys.readouterr().err).startswith(f"petmjx: {message}")
+
+
+# Submissions.
+
+
+def test_names_of_submissions() -> None:
+    day = datetime.date(2026, 2, 3)
+    for text, name, choice in (
+        ("doe_layers_offline3dbp", "2026-02-03_doe_layers_offline3dbp.json", None),
+        ("2022-11-25_kagerer_o3dbpp-pct_O3dbp.json", "2022-11-25_kagerer_o3dbpp-pct_O3dbp.json", 1),
+        ("Núñez_v2.1_O3DBP-3-2", "2026-02-03_Núñez_v2.1_O3DBP-3-2.json", 2),
+    ):
+        found = parse_name(text, lambda: day)
+        assert found.file_name == name
+        assert found.choice == choice
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "doe", "a_b_c_d_e", "2026-13-01_doe_x_o3dbp", "doe__o3dbp", "../doe_x_o3dbp", "d/e_x_o3dbp"),
+        *("doe_x_3dbp", "doe_x_o3dbp-2-3", "doe_x_o3dbp-0-0", "doe_x y_o3dbp", "-doe_x_o3dbp", "26-1-1_doe_x_o3dbp"),
+    ],
+)
+def test_names_that_are_none(text: str) -> None:
+    with pytest.raises(petmjx.InputError, match=r"^leaderboard name"):
+        parse_name(text)
+
+
+def submit(plans: dict[str, Any], orders: dict[str, Any], task: str = "offline3dbp") -> int:
+    write(Path("plans.json"), plans)
+    write(Path("orders.json"), orders)
+    return run("kpis", "plans.json", "--orders", "orders.json", "--leaderboard", f"2026-02-03_doe_x_{task}", "-o", "s")
+
+
+def test_a_submission_is_written_as_the_orders_have_it(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plans = json.loads((real_data / "packing_plan_5-bed-bpp.json").read_text())
+    stripped = json.loads(json.dumps(plans))
+    for each in (item for plan in stripped.values() for item in plan):
+        del each["item"]["product_group"]
+    orders = json.loads((real_data / "5_bed-bpp.json").read_text())
+    assert submit(dict(reversed(stripped.items())), orders) == 0
+    file = Path("s/2026-02-03_doe_x_offline3dbp.json")
+    assert capsys.readouterr().out.endswith(f"submission in {file}\n")
+    written = json.loads(file.read_text())
+    assert list(written) == list(orders)
+    assert written == plans
+
+
+A_OTHER = [placement(id="7", article="jam")]
+FAULTY = {
+    "order B has no plan": ({"A": tower(2)}, {"A": order_for(tower(2)), "B": order_for(tower(1))}),
+    "plan B has no order": ({"A": tower(2), "B": tower(1)}, {"A": order_for(tower(2))}),
+    "plan A, box 1: item donut-00101843 (00101843) is there more often than it was ordered": (
+        {"A": tower(2)},
+        {"A": order_for(tower(1))},
+    ),
+    "plan A, box 0: item jam (7) was not ordered": ({"A": A_OTHER}, {"A": order_for(tower(1))}),
+    "plan A, box 0: size or weight differs from the order's donut-00101843": (
+        {"A": [placement(size=(600, 400, 221))]},
+        {"A": order_for(tower(1))},
+    ),
+    "plan A, box 0: coordinates must be whole millimetres, got [0.5, 0, 0]": (
+        {"A": [placement((0.5, 0, 0))]},
+        {"A": order_for(tower(1))},
+    ),
+    "plan A, box 0: begins outside the euro-pallet, at [0, -1, 0]": (
+        {"A": [placement((0, -1, 0))]},
+        {"A": order_for(tower(1))},
+    ),
+    "1 plan or order cannot be used": ({"A": tower(1), "B": []}, {"A": order_for(tower(1))}),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTY)
+def test_what_is_no_submission(fault: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert submit(*FAULTY[fault]) == 2
+    assert f"petmjx: no submission, 1 fault: {fault}\n" in capsys.readouterr().err
+    assert not list(Path("s").glob("2026*"))
+
+
+def test_the_sequence_of_online_tasks(capsys: pytest.CaptureFixture[str]) -> None:
+    items = [placement((0, 0, 220 * n), id=name, article=name, sequence=n + 1) for n, name in enumerate("abcd")]
+    orders = {"A": order_for(items)}
+
+    def packed(names: str) -> dict[str, Any]:
+        by_name = {each["item"]["id"]: each for each in items}
+        return {"A": [{**by_name[name], "flb_coordinates": [0, 0, 220 * n]} for n, name in enumerate(names)]}
+
+    for names, task, code in (
+        ("abcd", "o3dbp", 0),
+        ("acd", "o3dbp", 0),  # b was left out
+        ("acbd", "o3dbp", 2),
+        ("acbd", "o3dbp-3-2", 0),
+        ("cabd", "o3dbp-3-2", 2),
+        ("dcba", "offline3dbp", 0),
+    ):
+        assert submit(packed(names), orders, task) == code, (names, task)
+    assert "box 1: is item 2 of those that wait, and the task lets the packer take the next item" in (
+        capsys.readouterr().err
+    )
+
+
+def test_orders_are_numbered_as_they_were(real_data: Path) -> None:
+    """The submission's check compares numbers of the order with the sequence of items."""
+    for _, order in read_orders(real_data / "5_bed-bpp.json"):
+        assert order.numbers == tuple(range(1, len(order.items) + 1))

@@ -1,0 +1,529 @@
+"""Plans as tables: every form holds the same plans, and damage costs no more than the plans that it hits."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import time
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from support.command_line import only_line, run, write
+from support.plan_files import tower
+
+import petmjx
+from petmjx.plans.ordered import check_orders
+from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.read import load_plans
+from petmjx.results.manifest import plan_digest
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+HEADER = "plan_id,sequence,article,length_mm,width_mm,height_mm,weight_kg,orientation,x_mm,y_mm,z_mm"
+FORMS = ("plans.json", "plans.json.gz", "plans.csv", "plans.csv.gz", "plans.parquet")
+
+
+def row(plan_id: str = "A", sequence: object = 1, **changes: object) -> str:
+    values = {
+        "plan_id": plan_id,
+        "sequence": sequence,
+        "article": "carton",
+        "length_mm": 400,
+        "width_mm": 300,
+        "height_mm": 200,
+        "weight_kg": 5,
+        "orientation": 0,
+        "x_mm": 0,
+        "y_mm": 0,
+        "z_mm": 0,
+    } | changes
+    return ",".join(map(str, values.values()))
+
+
+def read(*rows: str | bytes, name: str = "plans.csv", header: str = HEADER, **options: Any) -> PlanSet:
+    lines = [line if isinstance(line, bytes) else line.encode() for line in (header, *rows)]
+    Path(name).write_bytes(b"\n".join(lines) + b"\n")
+    return load_plans(name, **options)
+
+
+def messages(found: PlanSet) -> list[str]:
+    return [str(skipped) for skipped in found.skipped]
+
+
+def ids(found: PlanSet) -> list[str]:
+    return [plan.plan_id for plan in found]
+
+
+def same(a: Plan, b: Plan) -> bool:
+    """Whether all that reaches results is the same to the last bit, and all else that a file says."""
+    assert plan_digest(a) == plan_digest(b)
+    assert (a.turned == b.turned).all()
+    return (a.product_groups or ("",) * a.n_boxes) == (b.product_groups or ("",) * b.n_boxes)
+
+
+names = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=20)
+sizes = st.one_of(st.integers(1, 4000), st.floats(1, 4000))
+coordinates = st.one_of(st.integers(-20_000, 20_000), st.floats(-20_000, 20_000))
+
+
+@st.composite
+def plan_lists(draw: st.DrawFn) -> list[Plan]:
+    plan_ids = draw(st.lists(names.filter(bool), min_size=1, max_size=4, unique=True))
+    with_groups, turned, numbered = draw(st.booleans()), draw(st.booleans()), draw(st.booleans())
+    plans = []
+    for plan_id in plan_ids:
+        n = draw(st.integers(1, 4))
+        columns: dict[str, Any] = {
+            "article": draw(st.lists(names, min_size=n, max_size=n)),
+            "item_id": draw(st.lists(names, min_size=n, max_size=n)),
+        }
+        if with_groups:
+            columns["product_group"] = draw(st.lists(names, min_size=n, max_size=n))
+        if turned:
+            columns["orientation"] = draw(st.lists(st.integers(0, 1), min_size=n, max_size=n))
+        if numbered:
+            columns["order_sequence"] = draw(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=n, max_size=n))
+        arrays = {
+            "size_mm": draw(st.lists(st.tuples(sizes, sizes, sizes), min_size=n, max_size=n)),
+            "corner_mm": draw(st.lists(st.tuples(coordinates, coordinates, coordinates), min_size=n, max_size=n)),
+            "mass_kg": draw(st.lists(st.floats(0.001, 10_000), min_size=n, max_size=n)),
+        }
+        plans.append(Plan.from_boxes(plan_id, **arrays, **columns))
+    return plans
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(plan_lists(), st.permutations(FORMS))
+def test_no_form_loses_anything(plans: list[Plan], forms: list[str]) -> None:
+    """From each form to the next, and through a data frame."""
+    found = PlanSet(plans)
+    for form in forms:
+        petmjx.save_plans(found.plans, form)
+        found = load_plans(form)
+        assert not found.skipped
+        assert all(map(same, found, plans))
+    again = load_plans(found.to_frame())
+    assert ids(again) == ids(found) == [plan.plan_id for plan in plans]
+    assert all(map(same, again, plans))
+
+
+def test_the_real_plans_go_through_all_forms(real_data: Path) -> None:
+    for file in sorted(real_data.glob("*plan*.json")):
+        petmjx.save_plans(load_plans(file), "a.csv")
+        petmjx.save_plans(load_plans("a.csv"), "b.parquet")
+        petmjx.save_plans(load_plans("b.parquet"), "c.json")
+        assert json.loads(Path("c.json").read_text()) == json.loads(file.read_text())
+
+
+def test_files_of_all_forms_in_a_folder() -> None:
+    write(Path("a.json"), {"J": tower(2)})
+    petmjx.save_plans([load_plans("a.json").plans[0]], "b.csv.gz")
+    frame = load_plans("a.json")
+    for name, form in (("C", "c.csv"), ("P", "p.parquet"), ("Z", "z.json.gz")):
+        petmjx.save_plans([Plan.from_boxes(name, frame.to_frame())], form)
+    found = load_plans(".")
+    assert ids(found) == ["J", "C", "P", "Z"]
+    assert messages(found) == ["b.csv.gz: plan J: repeated plan id, first used in a.json"]
+
+
+# What decides the packing order.
+
+
+def test_rows_come_in_any_order() -> None:
+    found = read(row("B", 2, z_mm=200), row("A", 0), row("B", 1), row("A", 1, z_mm=200, article="top"))
+    assert ids(found) == ["B", "A"]
+    assert [plan.corner_mm[:, 2].tolist() for plan in found] == [[0, 200], [0, 200]]
+    assert found.plans[1].articles == ("carton", "top")
+    assert found.notes == []
+
+
+def test_a_gap_is_told_and_a_duplicate_refused() -> None:
+    found = read(row("A", 1), row("A", 3), row("B", 2), row("C", 7), row("C", 8), row("C", 7))
+    assert ids(found) == ["A", "B"]
+    assert found.notes == ["plans.csv: sequence has gaps in 2 plans (A, B); are rows missing?"]
+    assert messages(found) == ["plans.csv: plan C, rows 5 and 7: sequence 7 is there twice"]
+
+
+def test_orientation_swaps_length_and_width() -> None:
+    (plan,) = read(row(orientation=1))
+    assert plan.size_mm.tolist() == [[300, 400, 200]]
+    assert plan.item_size_mm.tolist() == [[400, 300, 200]]
+    header, line = HEADER.replace(",orientation", ""), row(orientation=1).replace(",1,0,0,0", ",0,0,0")
+    (plan,) = read(line, header=header)
+    assert plan.size_mm.tolist() == [[400, 300, 200]]
+    assert plan.orientation is None
+
+
+# What is refused.
+
+FAULTS = [
+    ({"weight_kg": -1}, "weight_kg must be > 0, got -1"),
+    ({"weight_kg": "six"}, 'weight_kg must be a number, got "six"'),
+    ({"length_mm": 0.6}, "length_mm must be from 1 to 4000 (millimetres), got 0.6"),
+    ({"height_mm": "nan"}, "height_mm must be finite, got NaN"),
+    ({"width_mm": "inf"}, "width_mm must be finite, got Infinity"),
+    ({"width_mm": "9" * 400}, "width_mm must be finite, got Infinity"),
+    ({"width_mm": ""}, "width_mm is missing"),
+    ({"width_mm": "", "z_mm": " "}, "width_mm and z_mm are missing"),
+    ({"orientation": 2}, "orientation must be 0 or 1, got 2"),
+    ({"orientation": ""}, "orientation is missing"),
+    ({"z_mm": 99999}, "z_mm must be from -20000 to 20000 (millimetres), got 99999"),
+    ({"sequence": 1.5}, "sequence must be an integer, got 1.5"),
+    ({"sequence": "first"}, 'sequence must be an integer, got "first"'),
+    ({"sequence": 2**64}, "sequence is too large, got 18446744073709551616"),
+    ({"article": "x" * 1001}, "article must have at most 1,000 characters, got 1,001"),
+]
+
+
+@pytest.mark.parametrize(("changes", "fault"), FAULTS, ids=[fault for _, fault in FAULTS])
+def test_a_bad_row_costs_its_plan_alone(changes: dict[str, Any], fault: str) -> None:
+    found = read(row("good"), row("A", 1), row("A", **{"sequence": 2, **changes}), row("last"))
+    assert messages(found) == [f"plans.csv: plan A, row 4: {fault}"]
+    assert ids(found) == ["good", "last"]
+    with pytest.raises(petmjx.InputError, match="plan A, row 4: "):
+        load_plans("plans.csv", strict=True)
+
+
+def test_all_that_is_missing_in_a_plan_is_named_at_once() -> None:
+    found = read(row(weight_kg=""), row(sequence=2, weight_kg="", x_mm=""), row("B"))
+    assert messages(found) == ["plans.csv: plan A: fields are missing: weight_kg in row 2 and 1 more, x_mm in row 3"]
+    plans = {"A": tower(3)}
+    for placement, field in ((0, "weight/kg"), (2, "weight/kg"), (2, "sequence")):
+        del plans["A"][placement]["item"][field]
+    del plans["A"][2]["orientation"]
+    found = load_plans(write(Path("plans.json"), plans))
+    assert messages(found) == [
+        "plans.json: plan A: fields are missing: weight/kg in placement 0 and 1 more, sequence in placement 2, "
+        "orientation in placement 2"
+    ]
+
+
+def test_all_columns_that_are_missing_are_named_at_once() -> None:
+    found = read("A,1", header="plan_id,order")
+    assert messages(found) == [
+        "plans.csv: columns sequence, article, length_mm, width_mm, height_mm, weight_kg, x_mm, y_mm and z_mm are "
+        "missing; there are: plan_id, order"
+    ]
+    frame = load_plans(write(Path("a.json"), {"A": tower(2)})).to_frame()
+    with pytest.raises(petmjx.InputError, match=r"^data frame: columns article and z_mm are missing; there are: plan_"):
+        load_plans(frame.drop(columns=["z_mm", "article"]))
+
+
+def test_fields_that_nobody_reads_are_named_once() -> None:
+    plans = tower(3)
+    plans[0]["item"] |= {"colour": "red", "friction": 0.3}
+    plans[1] |= {"note": "\x1b[31m"}
+    plans[1]["item"]["colour"] = "blue"
+    write(Path("a.json"), {"A": plans})
+    read(row("B") + ",0.4", header=f"{HEADER},fragile", name="b.csv")
+    note = (
+        "fields of plans that petmjx does not read: item.colour (2 placements), item.friction (1 placement), "
+        "note (1 placement) and fragile (1 placement)"
+    )
+    assert load_plans(["a.json", "b.csv"]).notes == [note]
+    results = petmjx.score(["a.json", "b.csv"], engine="mujoco", check="static", duration_s=0.01)
+    assert note in results.info["warnings"]
+
+
+def test_spellings_and_marks_of_other_programs() -> None:
+    bedbpp = HEADER.replace("_mm,w", "/mm,w").replace("height_mm", "height/mm").replace("weight_kg", " Weight/kg ")
+    assert ids(read(row(), header=bedbpp)) == ["A"]
+    assert ids(read(row(), header="\ufeff" + HEADER)) == ["A"]
+    decimals = row(weight_kg="5.25").replace(",", ";").replace(".", ",")
+    (plan,) = read(decimals, header=HEADER.replace(",", ";"))
+    assert plan.mass_kg.tolist() == [5.25]
+    assert ids(read(row().replace(",", "\t"), header=HEADER.replace(",", "\t"), name="a.tsv")) == ["A"]
+    for end in ("\r\n", "\r"):
+        Path("plans.csv").write_bytes(end.join((HEADER, row(), row(sequence=2), "")).encode())
+        assert load_plans("plans.csv").plans[0].n_boxes == 2
+
+
+def test_large_numbers_beside_bad_ones() -> None:
+    largest = 2**63 - 1
+    found = read(row("A", largest), row("B", "x"), row("C", 2**63), row("D", "3.0"), row("E", 2**60 + 1))
+    assert {plan.plan_id: plan.sequence.tolist() for plan in found} == {"D": [3], "E": [2**60 + 1]} | (
+        {"A": [largest]} if len(found) == 3 else {}
+    )
+    frame = frame_of(sequence=np.array([2**63 - 1, 2**63, 5], dtype="uint64"), plan_id=list("ABC"))
+    found = load_plans(frame)
+    assert {plan.plan_id: plan.sequence.tolist() for plan in found} == {"A": [largest], "C": [5]}
+    assert messages(found) == ["data frame: plan B, row 1: sequence is too large, got 9223372036854775808"]
+
+
+def test_a_limit_keeps_the_notes_of_what_was_taken() -> None:
+    found = read(row("A", 5), row("B"), limit=1)
+    assert ids(found) == ["A"]
+    assert found.notes == ["plans.csv: sequence has gaps in 1 plan (A); are rows missing?"]
+
+
+def test_ids_of_any_kind() -> None:
+    odd = ["00100408", " a ", "<b>&amp;", "😀", 'say ""no""', "a, b", "line\nbreak", "=1+1"]
+    found = read(*[row(f'"{name}"') for name in odd])
+    assert ids(found) == [name.replace('""', '"') for name in odd]
+
+
+def test_damaged_csv() -> None:
+    found = read(row("A"), row("B") + ",7", row("C"), "C,2", row("D"), b"E,1,\xff,1,1,1,1,0,0,0,0", b"\xff,1", "")
+    assert ids(found) == ["A", "D"]
+    assert messages(found) == [
+        "plans.csv: plan E, row 7: is not UTF-8 text",
+        "plans.csv: plan \\udcff, row 8: is not UTF-8 text",
+        "plans.csv: plan B, row 3: has 12 fields instead of 11",
+        "plans.csv: plan C, row 5: has 2 fields instead of 11",
+    ]
+    found = read(row("A"), row("B").replace("carton", '"carton'), row("C"), row("D", weight_kg=0))
+    assert ids(found) == ["A", "C"]
+    assert messages(found) == [
+        "plans.csv: plan B, row 3: has a quotation mark that nothing closes",
+        "plans.csv: plan D, row 5: weight_kg must be > 0, got 0",
+    ]
+    found = read(row("A"), row("", weight_kg=0), row("B"))
+    assert messages(found) == ["plans.csv: row 3: plan_id is missing"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file is empty"),
+        ("\n\n", "the file is empty"),
+        (HEADER, "holds no plan"),
+        ("x" * 200_000, "not CSV: field larger than field limit"),
+        (f"{HEADER}\0\n{row()}", "column z_mm is missing"),
+        (f"{HEADER},z_mm\n{row()},1", "column z_mm is there twice"),
+        (f"{HEADER},length/mm\n{row()},1", "column length_mm is there twice"),
+        (
+            '{"A": []}\n1',
+            f"columns {', '.join(HEADER.replace(',orientation', '').split(',')[:-1])} and z_mm are missing",
+        ),
+    ],
+)
+def test_files_of_which_nothing_can_be_used(text: str, message: str) -> None:
+    Path("plans.csv").write_text(text)
+    (line,) = messages(load_plans("plans.csv"))
+    assert line.startswith(f"plans.csv: {message}")
+
+
+def test_files_that_end_too_early() -> None:
+    whole = "\n".join([HEADER, *(row(f"P{i // 40}", i % 40 + 1, article=f"c{i}") for i in range(8000))]) + "\n"
+    packed = gzip.compress(whole.encode())
+    Path("plans.csv.gz").write_bytes(packed[: len(packed) // 2])
+    found = load_plans("plans.csv.gz")
+    first, last = messages(found)
+    assert first == "plans.csv.gz: the gzip data is cut off; plans up to there are read"
+    assert last == f"plans.csv.gz: plan P{len(found)}: the file ends inside this plan; truncated?"
+    assert all(plan.n_boxes == 40 for plan in found)
+    for cut in (f"{row('A')}\n{row('B')}\nB,2,car", f"{row('A')}\n{row('B')}\nB"):
+        Path("plans.csv").write_text(f"{HEADER}\n{cut}")
+        found = load_plans("plans.csv")
+        assert ids(found) == ["A"]
+        assert messages(found) == ["plans.csv: plan B: the file ends inside this plan; truncated?"]
+
+
+def test_damaged_parquet() -> None:
+    petmjx.save_plans([Plan.from_boxes("A", size_mm=[[1, 1, 1]], corner_mm=[[0, 0, 0]], mass_kg=[1])], "a.parquet")
+    data = Path("a.parquet").read_bytes()
+    for damaged in (data[: len(data) // 2], data[:4], b"", b"PAR1" + bytes(500)):
+        Path("a.parquet").write_bytes(damaged)
+        assert messages(load_plans("a.parquet")) == ["a.parquet: is not a whole Parquet file"]
+    Path("named.json").write_bytes(data)
+    assert ids(load_plans("named.json")) == ["A"]
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_no_damage_ends_in_a_traceback(data: st.DataObject) -> None:
+    text = bytearray("\n".join([HEADER, *(row(name, number) for name in "ABC" for number in (1, 2))]).encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(text) - 1))
+        text[at : at + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=4)) + data.draw(
+            st.sampled_from([b"", b'"', b",", b"\n", b"\xff", b"nan", b"1e999", b"\r"])
+        )
+    Path("plans.csv").write_bytes(text)
+    found = load_plans("plans.csv")
+    assert len(found) + len(found.skipped) > 0
+    for plan in found:
+        assert np.isfinite(plan.size_mm).all()
+        assert (plan.mass_kg > 0).all()
+
+
+# Data frames.
+
+
+def frame_of(**changes: Any) -> pd.DataFrame:
+    frame = pd.read_csv(io.StringIO("\n".join([HEADER, row("A"), row("A", 2, z_mm=200), row("B")])))
+    for name, value in changes.items():
+        frame[name] = value
+    return frame
+
+
+def test_frames_of_many_types() -> None:
+    assert ids(load_plans(frame_of())) == ["A", "B"]
+    whole = frame_of(plan_id=[7, 7, 8], article=[1, 2, 3], orientation=[0.0, 1.0, 0.0])
+    found = load_plans(whole.astype({"article": "category", "weight_kg": "Float32", "sequence": "int8"}))
+    assert ids(found) == ["7", "8"]
+    assert found.plans[0].articles == ("1", "2")
+    assert found.plans[0].turned.tolist() == [False, True]
+    assert ids(load_plans(pa.Table.from_pandas(frame_of()))) == ["A", "B"]
+    assert ids(load_plans(frame_of().iloc[::-1], limit=1)) == ["B"]
+
+
+def test_bad_values_in_frames() -> None:
+    found = load_plans(
+        frame_of(
+            weight_kg=[5, "5", 5],
+            x_mm=[0, 0, np.nan],
+        )
+    )
+    assert messages(found) == [
+        'data frame: plan A, row 1: weight_kg must be a number, got "5"',
+        "data frame: plan B, row 2: x_mm is missing",
+    ]
+    for column, values, fault in (
+        ("weight_kg", [5, 5, True], "weight_kg must be a number, got true"),
+        ("weight_kg", [5, 5, 10**400], "weight_kg must be finite, got an integer of more than 60 digits"),
+        ("weight_kg", [5, 5, Decimal("-5.5")], "weight_kg must be > 0, got -5.5"),
+        ("weight_kg", [5, 5, pd.NaT], "weight_kg is missing"),
+        ("weight_kg", [5, 5, pd.Timestamp(0)], 'weight_kg must be a number, got "1970-01-01 00:00:00"'),
+        ("weight_kg", [5, 5, [5]], "weight_kg must be a number, got a list"),
+        ("article", ["a", "b", "\ud800"], "article is not UTF-8 text"),
+        ("article", ["a", "b", None], "article is missing"),
+        ("orientation", [0, 0, "1"], 'orientation must be 0 or 1, got "1"'),
+    ):
+        found = load_plans(frame_of(**{column: pd.Series(values, dtype=object)}))
+        assert messages(found) == [f"data frame: plan B, row 2: {fault}"]
+        assert ids(found) == ["A"]
+    with pytest.raises(petmjx.InputError, match="plan B, row 2"):
+        load_plans(frame_of(x_mm=[0, 0, np.inf]), strict=True)
+
+
+def test_frames_are_scored_as_files_are() -> None:
+    options: dict[str, Any] = {"engine": "mujoco", "check": "static", "duration_s": 0.05}
+    frame = frame_of()
+    petmjx.save_plans(load_plans(frame), "plans.json")
+    from_frame, from_file = petmjx.score(frame, **options), petmjx.score("plans.json", **options)
+    of_frame, of_file = (
+        run.boxes.sort_values(["plan_id", "box"], ignore_index=True) for run in (from_frame, from_file)
+    )
+    pd.testing.assert_frame_equal(of_frame, of_file)
+    assert from_frame.info["identity"] == from_file.info["identity"]
+
+
+def test_a_run_of_json_is_resumed_with_a_table() -> None:
+    write(Path("plans.json"), {name: tower(2) for name in "AB"})
+    petmjx.save_plans(load_plans("plans.json"), "plans.csv")
+    petmjx.score("plans.json", engine="mujoco", check="static", duration_s=0.05, out="run")
+    again = petmjx.score("plans.csv", engine="mujoco", check="static", duration_s=0.05, out="run", resume=True)
+    assert again.info["counts"]["worlds"] == 2
+    Path("plans.csv").write_text(Path("plans.csv").read_text().replace("6.296", "6.297"))
+    with pytest.raises(petmjx.InputError, match="plan A differs"):
+        petmjx.score("plans.csv", engine="mujoco", check="static", duration_s=0.05, out="run", resume=True)
+
+
+def test_orders_of_plans_without_ids_are_told_apart_by_article() -> None:
+    (plan,) = read(row(), row(sequence=2))
+    items = {str(number): {**tower(1)[0]["item"], "article": "carton", "id": str(number)} for number in (1, 2, 3)}
+    orders = {"A": {"item_sequence": items, "properties": {"target": "euro-pallet"}}}
+    assert check_orders(write(Path("orders.json"), orders), [plan]).of_plan["A"] == (3, 1, 0)
+
+
+# Plans from plain values.
+
+
+def test_plans_from_boxes() -> None:
+    box = {"length_mm": 400, "width_mm": 300, "height_mm": 200, "weight_kg": 6, "x_mm": 0, "y_mm": 0}
+    arrays = {"size_mm": [[400, 300, 200]] * 2, "corner_mm": [[0, 0, 0], [0, 0, 200]], "mass_kg": (6, 6)}
+    plans = [
+        Plan.from_boxes("tower", [{**box, "z_mm": 0}, {**box, "z_mm": 200}]),
+        Plan.from_boxes("tower", {**{name: [value] * 2 for name, value in box.items()}, "z_mm": np.array([0, 200])}),
+        Plan.from_boxes("tower", **arrays),
+        Plan.from_boxes("tower", pd.DataFrame([{**box, "z_mm": 0}, {**box, "z_mm": 200}])),
+    ]
+    assert len({plan_digest(plan) for plan in plans}) == 1
+    assert plans[0].size_mm.tolist() == [[400, 300, 200]] * 2
+    turned = Plan.from_boxes("tower", **arrays, orientation=[0, 1], article=["a", "b"])
+    assert turned.size_mm.tolist() == [[400, 300, 200], [300, 400, 200]]
+    assert turned.articles == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mass_kg": None}, "plan t: column weight_kg is missing"),
+        ({"mass_kg": [1, 2]}, "plan t: all fields must have one value for each box, got length_mm 1, "),
+        ({"mass_kg": [-1]}, "plan t, box 0: weight_kg must be > 0, got -1"),
+        ({"size_mm": [400, 300, 200]}, "plan t: size_mm must have the shape (n, 3), got (3,)"),
+        ({"size_mm": [[]]}, "plan t: size_mm must have the shape (n, 3), got (1, 0)"),
+        ({"size_mm": [["a", 1, 2]]}, 'plan t, box 0: length_mm must be a number, got "a"'),
+        ({"colour": ["red"]}, "plan t: unknown field colour"),
+        ({"article": 5}, "plan t: article must be a list of values, one for each box"),
+        ({"size_mm": np.zeros((0, 3)), "corner_mm": np.zeros((0, 3)), "mass_kg": []}, "plan t: has no box"),
+    ],
+)
+def test_boxes_that_are_refused(changes: dict[str, Any], message: str) -> None:
+    good: dict[str, Any] = {"size_mm": [[400, 300, 200]], "corner_mm": [[0, 0, 0]], "mass_kg": [6]}
+    with pytest.raises(petmjx.InputError) as raised:
+        Plan.from_boxes("t", **(good | changes))
+    assert str(raised.value).startswith(message)
+
+
+# The command.
+
+
+def test_convert(capsys: pytest.CaptureFixture[str]) -> None:
+    plans = {"A": tower(2), "B": tower(1), "bad": []}
+    write(Path("plans.json"), plans)
+    assert run("convert", "plans.json", "-o", "plans.csv") == 0
+    out, err = capsys.readouterr()
+    assert out == "2 plans (3 boxes) in plans.csv\n"
+    assert err == "skipped: plans.json: plan bad: has no placement\n"
+    assert run("convert", "plans.csv", "-o", "again.json.gz", "--limit", "1") == 0
+    assert json.loads(gzip.decompress(Path("again.json.gz").read_bytes())) == {"A": plans["A"]}
+    assert sorted(path.name for path in Path().iterdir()) == ["again.json.gz", "plans.csv", "plans.json"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-o", "plans.txt"], "plans.txt: the name must end in one of .json, .json.gz, .csv, .csv.gz, .parquet"),
+        (["-o", "no/such/plans.csv"], "no/such/plans.csv: cannot be written: No such file or directory"),
+        (["-o", "p.csv", "--strict"], "plans.json: plan bad: has no placement"),
+    ],
+)
+def test_convert_refuses(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write(Path("plans.json"), {"A": tower(1), "bad": []})
+    assert run("convert", "plans.json", *arguments) == 2
+    *_, line = capsys.readouterr().err.splitlines()
+    assert line == f"petmjx: {message}"
+
+
+def test_samples_are_not_written_under_the_name_of_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("samples", "-n", "1", "-o", "plans.csv") == 2
+    line = only_line(capsys.readouterr().err)
+    assert line == "petmjx: plans.csv: samples are written as JSON; petmjx convert makes a table of them"
+    assert not Path("plans.csv").exists()
+
+
+def test_convert_without_a_usable_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    write(Path("plans.json"), {"bad": []})
+    assert run("convert", "plans.json", "-o", "p.csv") == 2
+    assert only_line(capsys.readouterr().err.split("\n", 1)[1]) == "petmjx: no usable plan (1 skipped)"
+
+
+def test_a_large_table_is_read_quickly(tmp_path: Path) -> None:
+    """43,000 rows; 430,000 are to take at most 5 s on two idle cores, and this machine may be busy."""
+    n = 43_000
+    frame = pd.DataFrame({"plan_id": np.arange(n) // 43, "sequence": np.arange(n) % 43 + 1, "article": "carton"})
+    frame = frame.assign(length_mm=400, width_mm=300, height_mm=200, weight_kg=5.5, orientation=1, x_mm=0, y_mm=0)
+    frame = frame.assign(z_mm=200 * (frame["sequence"] - 1))
+    frame.to_csv("plans.csv", index=False)
+    begin = time.process_time()
+    assert len(load_plans("plans.csv")) == 1000
+    assert time.process_time() - begin < 2.5
