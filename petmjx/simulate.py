@@ -35,7 +35,7 @@ from petmjx.sweeps.summary import (
     summary_units,
 )
 from petmjx.sweeps.swept import Answer, SweptWorld
-from petmjx.text import shown
+from petmjx.text import counted, shown
 
 
 @dataclass(frozen=True)
@@ -226,6 +226,9 @@ class _Run:
         writer.odd_plans += map(str, self.found.warnings)
         for note in (*self.found.notes, *hopeless_profiles(self.asked)):
             writer.warn(note)
+        if len(writer.recorded) and (missing := self.recording.missing(writer.out_dir)):
+            of = counted(missing, "world")
+            writer.warn(f"no history of {of} of before, not simulated again: name another folder to record them")
 
     def _take_answer(self, answer: Answer) -> None:
         if self.columns:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from petmjx.errors import InputError
 from petmjx.history import Record
 from petmjx.plans.plan import Plan
+from petmjx.results.files import part_files
+from petmjx.results.reader import read_part
 from petmjx.run_options import ALL, FAILED, RunOptions
 from petmjx.text import counted, shown
 from petmjx.verdict import Outcome, Verdict
 
 MOST_NAMED = 5
 """Unknown plans that a message names."""
+
+_KEY = ("plan_id", "variant")
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,21 @@ class Recording:
         if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
             return outcome
         return replace(outcome, history=None)
+
+    def missing(self, folder: Path) -> int:
+        """How many worlds that are in a run's folder should have a history, but have none."""
+        if self.record is None:
+            return 0
+        frames = [read_part(file, _KEY) for file in part_files(folder, "frames")]
+        there = {key for part in frames for key in zip(*part.to_pydict().values(), strict=True)}
+        worlds = [read_part(file, (*_KEY, "verdict")).to_pydict() for file in part_files(folder, "worlds")]
+        rows = (row for part in worlds for row in zip(*part.values(), strict=True))
+        return sum(
+            (self.plan_ids is None or plan_id in self.plan_ids)
+            and not (self.failed_only and verdict == Verdict.STABLE.value)
+            and (plan_id, variant) not in there
+            for plan_id, variant, verdict in rows
+        )
 
 
 NO_RECORDING = Recording()

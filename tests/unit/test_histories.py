@@ -278,9 +278,19 @@ def test_a_run_that_goes_on_has_the_same_histories(tmp_path: Path) -> None:
     # as after a kill: a history whose world was not written any more
     left = tmp_path / "run" / "histories" / "part-00001.parquet"
     left.write_bytes((tmp_path / "run" / "histories" / "part-00000.parquet").read_bytes())
-    again = by_world(recorded(tmp_path / "run", resume=True))
+    run = recorded(tmp_path / "run", resume=True)
+    again = by_world(run)
+    assert run.info["warnings"] == []
     for name, table in whole.items():
         pd.testing.assert_frame_equal(again[name], table)
+
+
+def test_worlds_of_before_are_not_simulated_again_to_be_recorded(tmp_path: Path) -> None:
+    recorded(tmp_path / "run", record=None, record_details=False)
+    run = recorded(tmp_path / "run", record="failed", resume=True)
+    assert run.histories.empty
+    (line,) = run.info["warnings"]
+    assert line == "no history of 2 worlds of before, not simulated again: name another folder to record them"
 
 
 def test_shards_are_merged_with_their_histories(tmp_path: Path) -> None:
