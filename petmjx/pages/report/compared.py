@@ -1,0 +1,153 @@
+"""Several runs of the same plans, or of several packers on the same orders."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Final
+
+import pandas as pd
+
+from petmjx.pages.report.charts import intervals, percent, stacked
+from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined, table
+from petmjx.pages.report.runs import Kind, ReportRun
+from petmjx.pages.report.svg import figure
+from petmjx.pages.report.verdicts import link
+from petmjx.results.compare import KEY, Comparison, compare_runs
+from petmjx.sweeps.shares import wilson_interval
+from petmjx.text import counted, three_digits
+from petmjx.verdict import Verdict
+
+MOST_FLIPS: Final = 50
+"""Flipped verdicts that are listed; the table of plans has all of them."""
+
+MOST_PAIRS: Final = 28
+"""Pairs of runs that are drawn: those of eight runs."""
+
+
+def compared(runs: Sequence[ReportRun]) -> Markup:
+    """What several runs say of the plans that all of them have."""
+    if len(runs) < 2:
+        return NOTHING
+    common = common_verdicts(runs)
+    parts = [element("p", f"{counted(len(common), 'world')} in all {len(runs)} runs (same plan and variant).")]
+    if len(common):
+        parts += [_rates(runs, common), _won_and_lost(runs, common)]
+    if len(runs) == 2:
+        parts.append(_two(runs, compare_runs(runs[0].results, runs[1].results)))
+    return joined(*parts)
+
+
+def common_verdicts(runs: Sequence[ReportRun]) -> pd.DataFrame:
+    """Verdicts of the worlds that all runs have: one row a world, by plan and variant, one column a run by number."""
+    columns = [run.worlds.set_index(KEY)["verdict"].rename(at) for at, run in enumerate(runs)]
+    return pd.concat(columns, axis=1, join="inner").sort_index()
+
+
+def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
+    """The share that stands in each run, with Wilson's interval."""
+    rows = []
+    for at, run in enumerate(runs):
+        judged = common[at] != Verdict.INVALID.value
+        n, stands = int(judged.sum()), int((common[at] == Verdict.STABLE.value).sum())
+        low, high = (float(bound) for bound in wilson_interval(stands, n))
+        share = stands / n if n else float("nan")
+        text = f"{percent(share)} [{percent(low)}, {percent(high)}]" if n else "none judged"
+        rows.append((run.name, share, low, high, text))
+    invalid = int((common == Verdict.INVALID.value).sum().sum())
+    note = "Share that stands of the worlds in all runs, with Wilson’s 95 % interval."
+    note += f" {counted(invalid, 'invalid world is', 'invalid worlds are')} not counted." if invalid else ""
+    if any(run.kind in (Kind.GRID, Kind.SEARCH) for run in runs):
+        note += " Worlds of one plan depend on each other: the intervals are too narrow."
+    return figure("Stable rates", intervals("Stable rates", rows), note)
+
+
+def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
+    """For each pair of runs, which one's plans stand where the other's do not."""
+    rows = []
+    stands = common == Verdict.STABLE.value
+    pairs = list(itertools.combinations(range(len(runs)), 2))
+    for a, b in pairs[:MOST_PAIRS]:
+        won, lost = int((stands[a] & ~stands[b]).sum()), int((~stands[a] & stands[b]).sum())
+        both, neither = int((stands[a] & stands[b]).sum()), int((~stands[a] & ~stands[b]).sum())
+        parts = [
+            ("stable", both, "stand in both"),
+            ("won", won, f"stand only in {runs[a].name}"),
+            ("lost", lost, f"stand only in {runs[b].name}"),
+            ("unstable", neither, "stand in neither"),
+        ]
+        rows.append((f"{runs[a].name} – {runs[b].name}", parts))
+    key = element(
+        "p",
+        *(
+            element("span", text, class_=f"key {class_}")
+            for class_, text in (("stable", "both stand"), ("won", "only the first"), ("lost", "only the second"))
+        ),
+        element("span", "neither", class_="key unstable"),
+        class_="keys",
+    )
+    more = f"{len(pairs) - MOST_PAIRS:,} more pairs are not drawn." if len(pairs) > MOST_PAIRS else ""
+    picture = stacked("Plans won and lost", rows, names=200)
+    return joined(figure("Plans won and lost, pair by pair", picture, more), key)
+
+
+def _two(runs: Sequence[ReportRun], found: Comparison) -> Markup:
+    """Confusion of verdicts, and flips side by side."""
+    a, b = (run.name for run in runs)
+    rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in found.confusion.iterrows()]
+    agree = percent(found.agreement) if found.agreement is not None else "–"
+    caption = f"Verdicts: {found.n_agree:,} of {counted(found.n_common, 'world')} agree ({agree})"
+    notes = [element("li", note.replace("a ", f"{a} ", 1) if note.startswith("a ") else note) for note in found.notes]
+    said = ""
+    if found.n_not_stable:
+        said = f"Of {counted(found.n_not_stable, 'world')} that neither calls stable, {found.same_reason:,} have the "
+        said += f"same reason and {found.same_culprit:,} the same first box."
+    return joined(
+        element("h3", f"{a} against {b}"),
+        element("ul", *notes, class_="lines warn") if notes else NOTHING,
+        table([f"{a} ↓ {b} →", *map(str, found.confusion.columns)], rows, caption=caption),
+        element("p", said) if said else NOTHING,
+        _only(found, a, b),
+        _flips(runs, found),
+    )
+
+
+def _only(found: Comparison, a: str, b: str) -> Markup:
+    said = [
+        f"{counted(len(frame), 'world')} only in {name}"
+        for name, frame in ((a, found.only_a), (b, found.only_b))
+        if len(frame)
+    ]
+    return element("p", "; ".join(said) + ".", class_="hint") if said else NOTHING
+
+
+def _flips(runs: Sequence[ReportRun], found: Comparison) -> Markup:
+    flips = found.flips
+    if flips.empty:
+        return element("p", "No verdict flipped.")
+    rows: list[list[Content]] = []
+    for row in flips.head(MOST_FLIPS).to_dict("records"):
+        where = link(runs[0], plan=str(row["plan_id"]), variant=str(row["variant"]))
+        name = str(row["plan_id"]) + (f" / {row['variant']}" if row["variant"] else "")
+        cells: list[Content] = [element("a", name, href=f"#{where}")]
+        cells += [_outcome(row, side) for side in "ab"]
+        cells += ["–" if pd.isna(row[f"margin_{side}"]) else three_digits(row[f"margin_{side}"]) for side in "ab"]
+        rows.append(cells)
+    a, b = (run.name for run in runs)
+    said = f"Flipped verdicts ({len(flips):,})"
+    said += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
+    within = found.flips_within
+    note = (
+        "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
+    )
+    return joined(
+        table(["plan", a, b, f"margin, {a}", f"margin, {b}"], rows, caption=said, texts=3),
+        element("p", note, " A click shows both in 3D, side by side.", class_="hint"),
+    )
+
+
+def _outcome(row: dict[str, object], side: str) -> Markup:
+    verdict, reason, culprit = (row[f"{name}_{side}"] for name in ("verdict", "reason", "culprit"))
+    box = "" if pd.isna(culprit) else f", box {culprit} first"
+    why = f" ({reason}{box})" if reason else box
+    return joined(element("span", str(verdict), class_=f"mark {verdict}"), why)
