@@ -15,7 +15,7 @@ from petmjx.errors import InputError
 from petmjx.pages.report.plans_again import FoundPlans, find_plans_again
 from petmjx.results.compare import KEY
 from petmjx.results.reader import RunResults, load_run
-from petmjx.sweeps.shares import ALL_PLANS
+from petmjx.sweeps.shares import ALL_PLANS, share_standing
 from petmjx.units import MM_PER_M
 
 
@@ -91,11 +91,20 @@ class ReportRun:
     @cached_property
     def axes(self) -> list[str]:
         """Columns of ``worlds`` with the parameters that a sweep varies."""
-        if self.kind is Kind.GRID and self.results.summary is not None:
-            overall = self.results.summary[self.results.summary["scope"] == ALL_PLANS]
-            several = overall["axis"].value_counts()
-            return [axis for axis in overall["axis"].unique() if axis and several[axis] > 1]
-        return []
+        if self.shares is None:
+            return []
+        overall = self.shares[self.shares["scope"] == ALL_PLANS]
+        several = overall["axis"].value_counts()
+        return [axis for axis in overall["axis"].unique() if axis and several[axis] > 1]
+
+    @cached_property
+    def shares(self) -> pd.DataFrame | None:
+        """The shares of a grid or a sample, as its ``summary`` has them; None for other runs."""
+        summary = self.results.summary
+        if self.kind is not Kind.GRID or summary is None or "scope" in summary:
+            return summary if self.kind is Kind.GRID else None
+        known = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
+        return share_standing(self.worlds, known)
 
     @property
     def parameters(self) -> list[str]:

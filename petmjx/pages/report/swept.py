@@ -43,8 +43,8 @@ def sweep_answers(run: ReportRun) -> Markup:
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
-    if run.kind is Kind.GRID:
-        return _grid(run, summary)
+    if run.shares is not None:
+        return _grid(run, run.shares)
     if run.kind is Kind.SEARCH:
         return _search(run, summary)
     return _confidence(run, summary)
