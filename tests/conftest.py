@@ -12,6 +12,8 @@ from pathlib import Path
 import jaxtyping
 import pytest
 
+pytest_plugins = ("support.browser",)
+
 XLA_CPU_FLAGS = {
     "--xla_backend_optimization_level": "1",  # tests mostly compile, and run little of what they compile
     # With it on, programs of the mjx-jax engine hang in XLA's thread pool (jaxlib 0.10.2, two cores: 7 runs of 7;

@@ -19,7 +19,10 @@ from petmjx.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
-"""Boxes that lie farther beside the pallet than this do not make the picture smaller."""
+_FAR_SHARE: Final = 0.5
+"""Boxes farther beside the pallet than ``_FAR_M`` and this share of its height do not make the picture smaller."""
+_ARROW_M: Final = 0.45
+"""Room to the left of the carrier for the arrow of gravity (petmjx/pages/static/arrows.js)."""
 
 
 def story_info(story: Story) -> dict[str, Any]:
@@ -86,7 +89,10 @@ def framed(story: Story) -> tuple[FloatArray, FloatArray]:
     low, high = (planned - reach).min(axis=0), (planned + reach).max(axis=0)
     last = story.history.pos[-1]
     last = last[np.isfinite(last).all(axis=1)]
-    near = np.clip(last, low - np.array([_FAR_M, _FAR_M, 0.0]), high + np.array([_FAR_M, _FAR_M, 0.2]))
+    far = _FAR_M + _FAR_SHARE * (high[2] - low[2])
+    near = np.clip(last, low - np.array([far, far, 0.0]), high + np.array([far, far, 0.2]))
+    if story.drive is not None:
+        low[0] -= _ARROW_M
     return np.vstack([near, [low]]).min(axis=0), np.vstack([near, [high]]).max(axis=0)
 
 

@@ -30,7 +30,8 @@ def story_page(story: Story) -> str:
         verdict=escaped(outcome.verdict.value),
         summary=escaped(_summary(story)),
         first=escaped(first_box_in_words(story)),
-        note="" if not story.note else f'<p class="note" id="note">{escaped(story.note)}</p>',
+        variant=f"variant {story.variant}" if story.values else "",
+        note="".join(f'<p class="note">{escaped(note)}</p>' for note in _notes(story)),
         still=still_svg(story),
         facts="".join(f"<span>{escaped(name)} <b>{escaped(value)}</b></span>" for name, value in facts),
         table=_table(story, info["boxes"]),
@@ -45,6 +46,15 @@ def story_page(story: Story) -> str:
         info=info,
         blocks=story_blocks(story),
     )
+
+
+def _notes(story: Story) -> list[str]:
+    """What readers must know beforehand."""
+    notes = [story.note] if story.note else []
+    if story.drive is not None and not np.any(story.history.drive):
+        name = story.drive.excitation.name
+        notes.append(f"It was shaken by {name}, but no push fell on a frame, so none is drawn: take shorter intervals.")
+    return notes
 
 
 def _summary(story: Story) -> str:

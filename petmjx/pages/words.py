@@ -11,7 +11,7 @@ from petmjx.config import Thresholds
 from petmjx.metrics import motion_np
 from petmjx.story import Story
 from petmjx.text import shown
-from petmjx.units import MM_PER_M
+from petmjx.units import MM_PER_M, FloatArray
 from petmjx.verdict import Reason, Verdict
 
 _INVALID: Final = {
@@ -57,10 +57,9 @@ def first_box_in_words(story: Story) -> str:
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """The limits that a box was beyond at the first sign, each with how far, as of the nearest frame."""
-    history, limits = story.history, thresholds_of(story)
-    frame = int(np.argmin(np.abs(history.time_s - story.outcome.first_sign_s)))
-    pos, quat = history.pos[frame, [box]], history.quat[frame, [box]]
+    """The limits that a box was beyond at the first sign, each with how far; between two frames on a straight line."""
+    limits = thresholds_of(story)
+    pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():
         return []
     shift = float(np.abs(motion_np.shift(pos, story.scene.target[[box]], limits.shift_floor_m)).max())
@@ -75,6 +74,12 @@ def _signs(story: Story, box: int) -> list[str]:
     return said
 
 
+def _at(story: Story, values: FloatArray) -> FloatArray:
+    """(k,) values at the first sign, of (f, k) values in frames."""
+    time_s, sign_s = story.history.time_s, story.outcome.first_sign_s
+    return np.array([np.interp(sign_s, time_s, column) for column in values.T])
+
+
 def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
     """Names and values of what the answer depends on most: engine, physics, check, schedule, carrier, solver."""
     options, outcome = story.options, story.outcome
@@ -85,9 +90,14 @@ def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
     if story.drive is not None:
         drive = story.drive
         facts.append(("shaken by", f"{drive.excitation.name} × {drive.scale:g}, {math.degrees(drive.yaw_rad):g}°"))
-    facts += [(shown(str(name)), shown(str(value))) for name, value in story.values.items()]
+    facts += [(shown(str(name)), _value(value)) for name, value in story.values.items() if value is not None]
     facts.append(("simulated", f"{outcome.sim_time_s:.2f} s in {outcome.n_steps:,} steps"))
     return [(name, value) for name, value in facts if value]
+
+
+def _value(value: object) -> str:
+    """The value of a variant's column."""
+    return f"{value:.4g}" if isinstance(value, float) else shown(str(value))
 
 
 def _mm(length_m: float) -> str:

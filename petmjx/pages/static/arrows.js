@@ -7,13 +7,14 @@ const LENGTH = 0.2; // m, of the arrow of a force that the scale names
 const RADIUS = 0.008; // m
 const LEAST = 0.03; // share of that force below which there is no arrow
 const G_LENGTH = 0.45; // m, of the arrow of 1 g
+const DRIVE_RADIUS = 0.014;
 const ORANGE = [0.9, 0.35, 0.05];
 
 const INK = { light: [0.08, 0.08, 0.1], dark: [0.97, 0.97, 0.99] };
 
-export const ink = () => (matchMedia("(prefers-color-scheme: dark)").matches ? INK.dark : INK.light);
+const ink = () => (matchMedia("(prefers-color-scheme: dark)").matches ? INK.dark : INK.light);
 
-// Contact forces frame by frame: {scale_n, at(frame) → arrows, of(frame, box) → number of pairs}.
+// Contact forces frame by frame: {scale_n, at(frame) → arrows}.
 export function contactArrows({ frame, point, force }, frames) {
   const rows = Array.from({ length: frames.count }, () => []);
   frame.forEach((number, row) => rows[number].push(row));
@@ -36,20 +37,24 @@ export function driveArrows(info, frames) {
   const { kind, one_g: oneG } = info.drive;
   const vector = (frame) => [0, 1, 2].map((axis) => frames.drive[3 * frame + axis] / oneG);
   const level = (frame) => norm(vector(frame));
-  const { low, high } = info.frame;
   const reach = info.carrier.size.map((size) => size / 2);
 
   // seen from the carrier, gravity turns: g − a
   const felt = (frame) => sub([0, 0, -1], vector(frame));
-  const beside = [low[0] - 0.3, (low[1] + high[1]) / 2, Math.min(high[2], 1) * 0.8];
-  const gravity = (frame) => ({ from: beside, vector: scaled(felt(frame), G_LENGTH), colour: ORANGE, radius: 0.014 });
+  const { pos } = info.carrier;
+  const beside = [pos[0] - reach[0] - 0.3, pos[1] - reach[1], 0.5];
+  const gravity = (frame) => {
+    const pull = scaled(felt(frame), G_LENGTH);
+    return { from: beside, vector: pull, colour: ORANGE, radius: DRIVE_RADIUS };
+  };
 
   const push = (frame) => {
     const along = unit(vector(frame));
     const carrier = [0, 1, 2].map((axis) => frames.carrier_pos[3 * frame + axis]);
     const toSide = Math.min(...along.map((part, axis) => reach[axis] / Math.max(Math.abs(part), 1e-9)));
     const length = G_LENGTH * level(frame);
-    return { from: sub(carrier, scaled(along, toSide + length)), vector: scaled(along, length), colour: ORANGE, radius: 0.014 };
+    const from = sub(carrier, scaled(along, toSide + length));
+    return { from, vector: scaled(along, length), colour: ORANGE, radius: DRIVE_RADIUS };
   };
 
   const words = (frame) => {
@@ -57,7 +62,8 @@ export function driveArrows(info, frames) {
     if (kind === "force") return `force on the carrier ${now} (of the weight of boxes and carrier)`;
     const [x, y, z] = felt(frame);
     const angle = (Math.atan2(Math.hypot(x, y), -z) * 180) / Math.PI;
-    return `acceleration ${now}; arrow: gravity as the load feels it, ${norm(felt(frame)).toFixed(2)} g, ${angle.toFixed(0)}° from vertical`;
+    const gravity = `${norm(felt(frame)).toFixed(2)} g, ${angle.toFixed(0)}° from vertical`;
+    return `acceleration ${now}; arrow: gravity as the load feels it, ${gravity}`;
   };
   const at = (frame) => (kind === "force" ? (level(frame) > 0 ? [push(frame)] : []) : [gravity(frame)]);
   return { level, at, words };

@@ -13,13 +13,21 @@ export class Camera {
     this.frame([-1, -1, -1], [1, 1, 1], -0.65, 0.4);
   }
 
-  // Looks at the box from `low` to `high` from the nearest place where all of it is seen.
+  // Looks at the box from `low` to `high` from the nearest place where all of it is seen. A corner c, from the box's
+  // middle, is in the picture if |c·side − target·side| ≤ slope (distance + c·forward), for both sides of the picture.
   frame(low, high, azimuth = this.azimuth, elevation = this.elevation) {
-    Object.assign(this, { low, high, azimuth, elevation });
+    Object.assign(this, { low, high, azimuth, elevation, home: { azimuth, elevation }, moved: false });
     this.target = scaled(add(low, high), 0.5);
-    this.distance = MARGIN * this.fitting();
-    this.home = { azimuth, elevation };
-    this.moved = false;
+    this.distance = 0.1;
+    const { right, top, forward } = this.axes();
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [0, 1, 2].map((axis) => (k & (1 << axis) ? high : low)[axis]));
+    const from = corners.map((corner) => sub(corner, this.target));
+    for (const [side, slope] of [[right, SLOPE * this.aspect], [top, SLOPE]]) {
+      const one = Math.max(...from.map((c) => dot(c, side) - slope * dot(c, forward)));
+      const other = Math.max(...from.map((c) => -dot(c, side) - slope * dot(c, forward)));
+      this.distance = Math.max(this.distance, (MARGIN * (one + other)) / (2 * slope));
+      this.target = add(this.target, scaled(side, (one - other) / 2));
+    }
   }
 
   // Back to where `frame` looked from; `resized` does it for a camera that nobody has moved.
@@ -30,20 +38,6 @@ export class Camera {
   resized(aspect) {
     this.aspect = aspect;
     if (!this.moved) this.reset();
-  }
-
-  // Least distance at which the corners of the framed box are within the angles of view.
-  fitting() {
-    const { right, top, forward } = this.axes();
-    let distance = 0.1;
-    for (let k = 0; k < 8; k++) {
-      const corner = [0, 1, 2].map((axis) => ((k >> axis) & 1 ? this.high : this.low)[axis]);
-      const from = sub(corner, this.target);
-      const width = Math.abs(dot(from, right)) / (SLOPE * this.aspect);
-      const height = Math.abs(dot(from, top)) / SLOPE;
-      distance = Math.max(distance, Math.max(width, height) - dot(from, forward));
-    }
-    return distance;
   }
 
   axes() {

@@ -75,6 +75,7 @@ function articleLegend(boxes) {
 
 function scaleLegend(ramp, low, high, unit, limit) {
   const bar = makeSvg("svg", { viewBox: `0 0 ${ramp.length} 8`, preserveAspectRatio: "none", "aria-hidden": "true" });
+  bar.setAttribute("shape-rendering", "crispEdges");
   ramp.forEach((fill, k) => bar.append(makeSvg("rect", { x: k, width: 1.05, height: 8, fill })));
   if (limit !== null) {
     const x = ((limit - low) / (high - low)) * ramp.length;

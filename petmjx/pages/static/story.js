@@ -9,9 +9,11 @@ import { listenToKeys } from "./keys.js";
 import { showNumbers } from "./numbers.js";
 import { Player, SPEEDS } from "./player.js";
 import { Timeline } from "./timeline.js";
+import { clamped } from "./vectors.js";
 import { createViewer } from "./viewer.js";
 
 const GLASS = 0.22; // opacity of boxes while forces are shown
+const LABEL_GAP = 6; // pixels
 const CHOSEN = { light: "#111418", dark: "#ffffff" };
 
 class StoryPage {
@@ -43,7 +45,7 @@ class StoryPage {
     const forces = byId("forces");
     forces.disabled = !this.contacts;
     byId("force-scale").textContent = this.contacts
-      ? `0.2 m of arrow: ${this.contacts.scale_n.toLocaleString("en")} N`
+      ? `0.2 m of arrow: ${this.contacts.scale_n.toLocaleString("en")}\u00a0N`
       : "(not recorded)";
     byId("to-sign").hidden = this.firstSign() === null;
   }
@@ -147,16 +149,16 @@ class StoryPage {
     this.placeLabel(byId("label-chosen"), other, other < 0 ? "" : name(other));
   }
 
-  // Above the middle of the box, within the canvas.
+  // Above the box, or below where there is no room above; always within the canvas.
   placeLabel(label, box, text) {
-    const { pos } = this.poses;
-    const seen = box >= 0 && !Number.isNaN(pos[3 * box]) ? this.viewer.project([...pos.subarray(3 * box, 3 * box + 3)]) : null;
-    label.hidden = !seen;
-    if (!seen) return;
+    const hull = box >= 0 ? this.viewer.hull(box) : null;
+    label.hidden = !hull;
+    if (!hull) return;
     label.textContent = text;
-    const room = label.parentElement;
-    const x = Math.min(Math.max(seen.x - label.offsetWidth / 2, 4), room.clientWidth - label.offsetWidth - 4);
-    const y = Math.min(Math.max(seen.y - label.offsetHeight - 14, 4), room.clientHeight - label.offsetHeight - 4);
+    const { offsetWidth: width, offsetHeight: height, parentElement: room } = label;
+    const above = hull.top - height - LABEL_GAP;
+    const x = clamped((hull.left + hull.right - width) / 2, 4, room.clientWidth - width - 4);
+    const y = clamped(above < 4 ? hull.bottom + LABEL_GAP : above, 4, room.clientHeight - height - 4);
     label.style.transform = `translate(${x}px, ${y}px)`;
   }
 }

@@ -10,7 +10,8 @@
 //   setCarrier(pos, quat)               where the carrier is, if not where the scene says
 //   setColours(rgb)                     3 numbers a box
 //   setOpacity(share)                   1: solid boxes (as at first); less: boxes as glass, so that arrows inside are seen
-//   setGhosts(pos, quat)                transparent boxes at other poses; () removes them
+//   setGhosts(pos, quat)                transparent boxes at other poses, 2 mm smaller, so that a box that is where its
+//                                       ghost is hides it; () removes them
 //   setArrows(list)                     [{from: [x, y, z], vector: [x, y, z], colour: [r, g, b], radius}, …]
 //   setMarks(list)                      [{box, colour: [r, g, b]}, …]: thick edges, seen through other boxes, too
 //   frame(low, high, {azimuth, elevation})  shows all of the box from low to high; azimuth 0 looks along +y, and grows
@@ -18,6 +19,7 @@
 //   turn(right, up), zoom(factor), pan(right, up), reset()   as mouse and fingers do; pan in shares of the height
 //   pick(x, y)                          the box at a point of the canvas in CSS pixels, from 0, or −1
 //   project([x, y, z])                  where a point is on the canvas, {x, y} in CSS pixels, or null behind the eye
+//   hull(box)                           the frame around a box on the canvas, {left, top, right, bottom}, or null
 //   onClick = (box) => …                what a click does; box −1: beside all boxes
 //   onDraw = () => …                    after each drawing: for labels that lie above the canvas
 //   redraw()                            asks for a drawing; all of the above do it themselves. One drawing a frame
@@ -29,7 +31,7 @@
 import { Camera } from "./camera.js";
 import { listen } from "./gestures.js";
 import { ARROW_NUMBERS, BOX_NUMBERS, Painter } from "./painter.js";
-import { dot, norm, sub, turnedBack } from "./vectors.js";
+import { add, dot, norm, sub, turned, turnedBack } from "./vectors.js";
 
 const BOX_STRIDE = BOX_NUMBERS.reduce((a, b) => a + b);
 const ARROW_STRIDE = ARROW_NUMBERS.reduce((a, b) => a + b);
@@ -38,6 +40,7 @@ const CARDBOARD = [0.8, 0.66, 0.47];
 const EDGE = { width: 1.1, light: [0.12, 0.1, 0.08], dark: [0.05, 0.05, 0.06] };
 const MARK_WIDTH = 3.5;
 const GHOST = { opacity: 0.1, light: [0.1, 0.12, 0.16], dark: [0.86, 0.88, 0.92] };
+const GHOST_GAP = 0.002;
 const MOST_PIXELS = 2; // of the screen per CSS pixel; more costs time and is not seen
 
 export function createViewer(canvas, scene) {
@@ -167,6 +170,16 @@ class Viewer {
     return seen && { x: ((seen[0] + 1) / 2) * width, y: ((1 - seen[1]) / 2) * height };
   }
 
+  hull(box) {
+    const { pos, quat, half } = this.box(box);
+    if (Number.isNaN(pos[0])) return null;
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => half.map((size, axis) => (k & (1 << axis) ? size : -size)));
+    const seen = corners.map((corner) => this.project(add(turned(quat, corner), pos)));
+    if (seen.includes(null)) return null;
+    const [x, y] = [seen.map((point) => point.x), seen.map((point) => point.y)];
+    return { left: Math.min(...x), right: Math.max(...x), top: Math.min(...y), bottom: Math.max(...y) };
+  }
+
   redraw() {
     if (this.asked || this.stop.signal.aborted) return;
     this.asked = requestAnimationFrame(() => {
@@ -277,7 +290,8 @@ class Viewer {
     for (let k = 0; k < this.n; k++) {
       const pos = this.ghosts.pos.subarray(3 * k, 3 * k + 3);
       const quat = this.ghosts.quat.subarray(4 * k, 4 * k + 4);
-      this.write(glass, { pos, quat, half: this.half.subarray(3 * k, 3 * k + 3) }, [...tint, GHOST.opacity], edge);
+      const half = this.half.subarray(3 * k, 3 * k + 3).map((size) => size - GHOST_GAP);
+      this.write(glass, { pos, quat, half }, [...tint, GHOST.opacity], edge);
     }
   }
 
