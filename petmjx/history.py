@@ -49,6 +49,12 @@ class Contacts:
     force: FloatArray
     distance: FloatArray
 
+    @classmethod
+    def none(cls) -> Contacts:
+        """No contacts."""
+        vectors = np.zeros((0, 3))
+        return cls(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), vectors, vectors, vectors, np.zeros(0))
+
     def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
         """Those of the frames that are kept, with frames numbered higher by ``shift``."""
         rows = kept[self.frame]
@@ -77,6 +83,7 @@ class History:
         top_force_n: (f, n) force on top of each box, N.
         carrier_pos: (f, 3) the carrier's centre, m; carrier_quat: (f, 4).
         drive: (f, 3) what shakes the world: force on the carrier, N, or its acceleration, m/s²; zero without a drive.
+        drive_kind: which of them, "force" or "acceleration"; "" without a drive.
         lin_acc, ang_acc: (f, n, 3) m/s² and rad/s²; penetration_m: (f, n) greatest depth of any contact of the box.
             None where details were not recorded, as ``contacts``.
     """
@@ -89,6 +96,7 @@ class History:
     carrier_pos: FloatArray
     carrier_quat: FloatArray
     drive: FloatArray
+    drive_kind: str = ""
     lin_acc: FloatArray | None = None
     ang_acc: FloatArray | None = None
     penetration_m: FloatArray | None = None
@@ -104,7 +112,9 @@ class History:
         joined: dict[str, Any] = {}
         for field in fields(self):
             ours, theirs = getattr(self, field.name), getattr(later, field.name)
-            if ours is None or theirs is None:
+            if isinstance(ours, str):
+                joined[field.name] = theirs
+            elif ours is None or theirs is None:
                 joined[field.name] = None
             elif isinstance(ours, Contacts):
                 first = int(kept.sum()) - int((~after).sum())

@@ -16,11 +16,12 @@ from petmjx.history import History, Record
 from petmjx.plans.gather import PlanSource, find_plan, usable_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
+from petmjx.results.histories import read_history
 from petmjx.results.reader import RunResults, load_run
-from petmjx.results.worlds import world_row
+from petmjx.results.worlds import read_outcome, world_row
 from petmjx.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
 from petmjx.sweeps.again import plan_of_run, sweep_of_run
-from petmjx.sweeps.file import Sweep, nominal_sweep
+from petmjx.sweeps.file import nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.recording import Recording
 from petmjx.sweeps.run import SweepRun
@@ -64,11 +65,11 @@ def tell(
     *,
     plans: PlanSource | None = None,
     variant: int | None = None,
-    interval_s: float = FRAME_INTERVAL_S,
-    details: bool = True,
+    interval_s: float | None = None,
+    details: bool | None = None,
     **options: Any,
 ) -> Story:
-    """Simulate one world again, as a run did or with options of its own, and keep what happens, frame by frame.
+    """What happens in one world, frame by frame: what a run recorded of it, else it is simulated (again).
 
     ``petmjx.tell("s0-000016", "results")`` is the very world that the run in the folder ``results`` has in its table
     ``worlds``: the same options, the same attempts, the same bits. Where the run's engine cannot run here, ``mujoco``
@@ -80,15 +81,16 @@ def tell(
             the bundled plans.
         plans: of a run whose plan files are not where they were: where they are now.
         variant: of a run with several worlds a plan, its index as in ``worlds``; by default the nominal one.
-        interval_s: time between two frames, s; each placement, and the end, is a frame too.
-        details: also accelerations, penetrations and contacts, on the engine ``mujoco``.
+        interval_s: time between two frames, s, by default 0.05; each placement, and the end, is a frame too.
+        details: also accelerations, penetrations and contacts, on the engine ``mujoco``; by default so. What a run has
+            recorded is taken as it is, unless one of these two is given.
         options: without a run, fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``.
 
     Raises:
         InputError: no such plan or variant, plans or a sweep file that are gone or have changed, or unusable options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    record = Record(interval_s, details)
+    record = Record(FRAME_INTERVAL_S if interval_s is None else interval_s, details is not False)
     run = _run_in(source)
     if run is None:
         if variant is not None or plans is not None:
@@ -97,7 +99,12 @@ def tell(
         return _of_plans(plan_id, source, record, options)
     if options:
         raise InputError(f"{next(iter(options))}: the options of a run's story are those of the run")
-    return _of_run(plan_id, run, plans, variant, record)
+    worlds, index = _worlds(plan_id, run, plans, variant)
+    if interval_s is None and details is None and (story := _recorded(run, worlds, index)) is not None:
+        return story
+    engine, note = _engine_of(run.info["config"])
+    story = _story(worlds, index, engine, record)
+    return replace(story, note="; ".join(filter(None, (note, _difference(story, run)))))
 
 
 def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
@@ -115,25 +122,38 @@ def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: 
     plan = find_plan(usable_plans(source, sweep.simulation, run), plan_id)
     worlds = SweepPlan(sweep, [plan])
     engine, _ = resolve_engine(run, worlds.work())
-    return _story(worlds, plan, 0, engine, record)
+    return _story(worlds, 0, engine, record)
 
 
-def _of_run(plan_id: str, run: RunResults, plans: PlanSource | None, variant: int | None, record: Record) -> Story:
+def _worlds(plan_id: str, run: RunResults, plans: PlanSource | None, variant: int | None) -> tuple[SweepPlan, int]:
+    """A plan's worlds in a run, and which of them is asked for: by default the nominal one."""
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
-    worlds = SweepPlan(sweep, [plan])
-    index = _index(run, plan_id, sweep, variant)
-    engine, note = _engine_of(run.info["config"])
-    story = _story(worlds, plan, index, engine, record)
-    return replace(story, note="; ".join(filter(None, (note, _difference(story, run)))))
+    if variant is None and not sweep.nominal:
+        raise InputError(f"{run.path}: plan {shown(plan_id)} has many worlds: name a variant, as in the table worlds")
+    return SweepPlan(sweep, [plan]), variant or 0
 
 
-def _index(run: RunResults, plan_id: str, sweep: Sweep, asked: int | None) -> int:
-    """Which world of a plan: the one that is asked for, else the nominal one."""
-    if asked is not None:
-        return asked
-    if sweep.nominal:
-        return 0
-    raise InputError(f"{run.path}: plan {shown(plan_id)} has many worlds: name a variant, as in the table worlds")
+def _recorded(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:
+    """The story that a run recorded; None where it did not."""
+    (plan,) = worlds.plans
+    history = read_history(run.path, plan.plan_id, index, plan.n_boxes)
+    outcome = read_outcome(run, plan.plan_id, index)
+    if history is None or outcome is None:
+        return None
+    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])  # in full precision
+    group, variant = worlds.find(plan.plan_id, index)
+    row = world_row(run, plan.plan_id, index) or {}
+    return Story(
+        plan=plan,
+        scene=worlds.scene(group),
+        outcome=replace(outcome, boxes=boxes),
+        history=history,
+        engine=run.info["config"]["engine"],
+        variant=index,
+        values={param["name"]: row[param["name"]] for param in run.info["params"]},
+        drive=worlds.drive(plan, variant) if history.drive_kind else None,
+        options=worlds.sweep.simulation.model_dump(mode="json"),
+    )
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
@@ -147,7 +167,9 @@ def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
         return make_engine("mujoco"), f"simulated on mujoco: {error}"
 
 
-def _story(worlds: SweepPlan, plan: Plan, index: int, engine: Engine, record: Record) -> Story:
+def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Story:
+    """The story of a world that is simulated now."""
+    (plan,) = worlds.plans
     recording = Recording(replace(record, details=record.details and engine.name == "mujoco"))
     world = SweepRun(worlds, engine, recording=recording).world(plan.plan_id, index)
     if world.outcome.history is None:

@@ -45,6 +45,7 @@ def history_of(
         carrier_pos=carrier[:, :3],
         carrier_quat=carrier[:, 3:],
         drive=_drive(job, step, driven_from),
+        drive_kind=job.drive.excitation.kind if job.drive is not None else "",
     )
 
 

@@ -4,12 +4,15 @@
     DIR/worlds/part-*.parquet       one row per world
     DIR/boxes/part-*.parquet        one row per box of each world
     DIR/attempts/part-*.parquet     one row per attempt, for worlds that needed more than one
+    DIR/histories/part-*.parquet    worlds that were recorded: one row per frame and placed box
+    DIR/frames/part-*.parquet       one row per frame: the carrier, and what shakes it
+    DIR/contacts/part-*.parquet     one row per contact of each frame, if details were recorded
     DIR/summary/part-*.parquet      sweeps: the answers
     DIR/plans/part-*.parquet        a row a plan, with its digest: what a run was of
     DIR/.lock                       while a run writes there
 
-Every file appears whole or not at all. Parts with the same number belong together. The boxes of a part are written
-before its worlds. Boxes without their worlds are left from a crash, and ``load_run`` does not read them.
+Every file appears whole or not at all. Parts with the same number belong together. The boxes of a part, and all else
+that it has, are written before its worlds. What is without its worlds is left from a crash, and not read.
 """
 
 from __future__ import annotations
@@ -29,14 +32,17 @@ import pyarrow.parquet as pq
 from petmjx.errors import InputError
 
 RUN_FILE: Final = "run.json"
-TABLES: Final = ("worlds", "boxes", "attempts", "summary", "plans")
+OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
+"""Tables of which a part may be missing: none of its worlds has a row there."""
+
+TABLES: Final = ("worlds", "boxes", *OF_SOME_WORLDS, "summary", "plans")
 
 _PART: Final = re.compile(r"part-\d{5,}\.parquet")
 _TEMPORARY: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)(\.[0-9a-f]{32})?\.tmp")
 
 
 def part_name(number: int) -> str:
-    """File name of a part: the same in ``worlds``, ``boxes`` and ``attempts``."""
+    """File name of a part: the same in ``worlds``, ``boxes`` and all other tables of worlds."""
     return f"part-{number:05d}.parquet"
 
 
@@ -109,9 +115,9 @@ def tidy(folder: Path) -> None:
 
 
 def drop_unfinished_parts(folder: Path) -> None:
-    """Take away boxes and attempts of a part whose worlds were not written any more."""
+    """Take away boxes and all else of a part whose worlds were not written any more."""
     whole = {file.name for file in part_files(folder, "worlds")}
-    for file in [*part_files(folder, "boxes"), *part_files(folder, "attempts")]:
+    for file in (file for table in ("boxes", *OF_SOME_WORLDS) for file in part_files(folder, table)):
         if file.name not in whole:
             file.unlink()
 

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from petmjx.metrics.spec import box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.plans.plan import Plan
+from petmjx.results import histories
 from petmjx.results.files import part_name, write_table
+from petmjx.results.schema import filled
 from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
 
@@ -29,12 +31,14 @@ class Row:
         cells: columns of ``worlds`` that are not made from boxes.
         block: (boxes, columns) metrics of boxes, in the order of ``box_columns``.
         attempts: empty if there was only one.
+        recorded: its history; None if there is none.
     """
 
     plan: Plan
     cells: dict[str, Any]
     block: FloatArray
     attempts: tuple[Attempt, ...]
+    recorded: histories.Recorded | None = None
 
     @classmethod
     def of(
@@ -62,18 +66,35 @@ class Row:
         values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]
         block = np.concatenate(values, axis=1, dtype=np.float64)
         block[outcome.n_placed :] = np.nan  # never placed; where the answer is yes or no, it reads as "no"
-        return cls(plan, cells, block, tuple(attempts) if len(attempts) > 1 else ())
+        history = outcome.history
+        recorded = None if history is None else histories.Recorded(plan.plan_id, variant, history)
+        return cls(plan, cells, block, tuple(attempts) if len(attempts) > 1 else (), recorded)
 
 
 @dataclass
 class Part:
-    """The rows of one part, and its number."""
+    """The rows of one part, and its number.
+
+    Attributes:
+        history_bytes: memory of the rows' histories.
+    """
 
     number: int
     rows: list[Row] = field(default_factory=list)
+    history_bytes: int = 0
+
+    def add(self, row: Row) -> None:
+        """Add one more world."""
+        self.rows.append(row)
+        self.history_bytes += row.recorded.size if row.recorded is not None else 0
 
     def write(self, directory: Path, schemas: Mapping[str, pa.Schema]) -> None:
         """Write the tables: ``worlds`` last, since a part counts only once its worlds are there."""
+        recorded = [row.recorded for row in self.rows if row.recorded is not None]
+        for name, columns_of in histories.TABLES.items():
+            columns = columns_of(recorded)
+            if len(columns["plan_id"]):
+                write_table(filled(columns, schemas[name]), directory / name / part_name(self.number))
         for name, make in (("boxes", self.boxes), ("attempts", self.attempts), ("worlds", self.worlds)):
             table = make(schemas[name])
             if len(table) or name != "attempts":
@@ -91,7 +112,7 @@ class Part:
             if metric.of_world is not None:
                 columns[metric.of_world.name] = reduce_boxes(metric.of_world.reduction, values, starts)
         rest = [name for name in schema.names if name not in columns]
-        return _table(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
+        return filled(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
         """The ``boxes`` table: world after world, boxes in packing order."""
@@ -107,29 +128,15 @@ class Part:
         columns["item_id"] = [item for row in self.rows for item in row.plan.item_ids]
         columns["article"] = [article for row in self.rows for article in row.plan.articles]
         columns["sequence"] = np.concatenate([np.arange(0), *(row.plan.sequence for row in self.rows)])
-        return _table(columns, schema)
+        return filled(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
         """The ``attempts`` table: no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
-        return _table({name: [cell[name] for cell in cells] for name in schema.names}, schema)
+        return filled({name: [cell[name] for cell in cells] for name in schema.names}, schema)
 
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
         """All box metrics of the part, and the number of boxes of each world."""
         blocks = np.concatenate([np.empty((0, len(box_columns()))), *(row.block for row in self.rows)])
         return blocks, np.array([len(row.block) for row in self.rows], dtype=np.int64)
-
-
-def _table(columns: dict[str, Any], schema: pa.Schema) -> pa.Table:
-    """The columns in the schema's order and types; NaN becomes null."""
-    arrays = []
-    for column in schema:
-        values = columns[column.name]
-        if isinstance(values, pa.Array):
-            arrays.append(values)
-        elif isinstance(values, np.ndarray):
-            arrays.append(pa.array(np.ascontiguousarray(values), from_pandas=True).cast(column.type, safe=False))
-        else:
-            arrays.append(pa.array(values, column.type, from_pandas=True))
-    return pa.Table.from_arrays(arrays, schema=schema)

@@ -18,7 +18,7 @@ from petmjx.bounded import open_regular, read_regular
 from petmjx.errors import InputError
 from petmjx.plans.ordered import Ordered
 from petmjx.results.counts import COUNTED, Counts
-from petmjx.results.files import RUN_FILE, part_files
+from petmjx.results.files import OF_SOME_WORLDS, RUN_FILE, part_files
 from petmjx.results.run_file import check_run_file
 from petmjx.results.schema import SCHEMA_VERSION, plans_schema, schema_version_of, schemas
 from petmjx.text import counted, one_line
@@ -66,6 +66,21 @@ class RunResults:
         return self._read("attempts")
 
     @cached_property
+    def histories(self) -> pd.DataFrame:
+        """One row per frame and placed box of each world that was recorded; often empty."""
+        return self._read("histories")
+
+    @cached_property
+    def frames(self) -> pd.DataFrame:
+        """One row per frame of each world that was recorded: the carrier, and what shook it."""
+        return self._read("frames")
+
+    @cached_property
+    def contacts(self) -> pd.DataFrame:
+        """One row per contact of each frame, for worlds that were recorded with details."""
+        return self._read("contacts")
+
+    @cached_property
     def plans(self) -> pd.DataFrame:
         """One row per plan, also those of other shards; empty in runs of petmjx before 0.2. Missing counts are null."""
         parts = [read_part(file) for file in part_files(self.path, "plans")]
@@ -86,7 +101,7 @@ class RunResults:
 
     def _read(self, table: str) -> pd.DataFrame:
         files = [self.path / table / file.name for file in part_files(self.path, "worlds")]
-        parts = [read_part(file) for file in files if table != "attempts" or file.exists()]
+        parts = [read_part(file) for file in files if table not in OF_SOME_WORLDS or file.exists()]
         parts = parts or [schemas()[table].empty_table()]
         frame: pd.DataFrame = pa.concat_tables(parts, promote_options="default").to_pandas()
         return frame

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
 import pyarrow as pa
 
 from petmjx.config import Schedule
@@ -102,6 +103,48 @@ _ATTEMPT_COLUMNS = (
 )
 
 
+_FRAME_KEY = (
+    *_KEY,
+    *_counts(frame="number of the frame in its world, from 0"),
+    _column("time_s", pa.float64(), "s", "simulated time after the soft start"),
+)
+
+
+def _vector(name: str, unit: str, text: str, parts: str = "xyz", end: str = "") -> list[pa.Field]:
+    """A column for each component: ``name_x``, …, and ``end``."""
+    return [_column(f"{name}_{part}{end}", pa.float64(), unit, f"{text}, {part}") for part in parts]
+
+
+_HISTORY_COLUMNS = (
+    *_FRAME_KEY,
+    *_counts(box="index of the box in packing order, from 0; boxes that are not placed yet have no row"),
+    *_vector("pos", "m", "centre; z = 0 is the carrier's top before the soft start", end="_m"),
+    *_vector("quat", DIMENSIONLESS, "orientation, unit quaternion", "wxyz"),
+    _column("top_force_n", pa.float64(), "N", "force on its top during the step that led to the frame"),
+    *_vector("lin_acc", "m/s^2", "linear acceleration during that step; null where details were not recorded"),
+    *_vector("ang_acc", "rad/s^2", "angular acceleration during that step, in world axes"),
+    _column("penetration_m", pa.float64(), "m", "greatest depth of its contacts at that step's beginning; 0 for none"),
+)
+
+_FRAME_COLUMNS = (
+    *_FRAME_KEY,
+    *_counts(n_placed="boxes in the world"),
+    *_vector("carrier_pos", "m", "centre of the carrier", end="_m"),
+    *_vector("carrier_quat", DIMENSIONLESS, "orientation of the carrier, unit quaternion", "wxyz"),
+    *_vector("drive_force", "N", "force on the carrier during the step; null without a profile of forces", end="_n"),
+    *_vector("drive_acc", "m/s^2", "acceleration of the carrier during the step; null without such a profile"),
+)
+
+_CONTACT_COLUMNS = (
+    *_FRAME_KEY,
+    *_counts(body_1="first body: index of a box, -1 carrier, -2 floor", body_2="second body"),
+    *_vector("point", "m", "where they touch, world axes", end="_m"),
+    *_vector("normal", DIMENSIONLESS, "unit vector from the first body to the second"),
+    *_vector("force", "N", "force of the first body on the second, world axes", end="_n"),
+    _column("distance_m", pa.float64(), "m", "between the two; negative where they penetrate"),
+)
+
+
 _ORDER_COLUMNS = _counts(
     ordered_boxes="boxes of the plan's order; null where it has none",
     left_out="boxes that were ordered, but are not in the plan",
@@ -115,7 +158,8 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
 
 
 def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa.Schema]:
-    """Schemas of ``worlds``, ``boxes`` and ``attempts`` (one row per attempt, for worlds that needed more than one).
+    """Schemas of ``worlds``, ``boxes``, ``attempts`` (one row per attempt, for worlds that needed more than one), and
+    those of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
     Args:
         params: of a sweep's variants; the last columns of ``worlds``.
@@ -131,6 +175,7 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa
         raise ValueError(f"a variant's parameter cannot be called {repeated[0]!r}: worlds has such a column")
     boxes = (*_BOX_COLUMNS, *_metrics(spec.box_columns(driven=dynamic)))
     tables = {"worlds": worlds, "boxes": boxes, "attempts": _ATTEMPT_COLUMNS}
+    tables |= {"histories": _HISTORY_COLUMNS, "frames": _FRAME_COLUMNS, "contacts": _CONTACT_COLUMNS}
     return {table: _schema(table, columns) for table, columns in tables.items()}
 
 
@@ -158,6 +203,20 @@ def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: 
             raise ValueError(f"summary column {field.name!r} needs a unit")
     columns = [_column(c.name, c.type, units.get(c.name, TEXT), descriptions.get(c.name, "")) for c in inferred]
     return _schema("summary", columns)
+
+
+def filled(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
+    """The columns in the schema's order and types; NaN becomes null."""
+    arrays = []
+    for column in schema:
+        values = columns[column.name]
+        if isinstance(values, pa.Array):
+            arrays.append(values)
+        elif isinstance(values, np.ndarray):
+            arrays.append(pa.array(np.ascontiguousarray(values), from_pandas=True).cast(column.type, safe=False))
+        else:
+            arrays.append(pa.array(values, column.type, from_pandas=True))
+    return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:

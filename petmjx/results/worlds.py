@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from petmjx.metrics.spec import box_metrics, world_metrics
 from petmjx.results.files import part_files
 from petmjx.results.reader import RunResults, read_part
+from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
@@ -19,6 +23,35 @@ def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | N
         row: dict[str, Any] = table.to_pylist()[0]
         return row
     return None
+
+
+def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
+    """A world's outcome, as far as the tables have it; None where there is no such world.
+
+    Values of boxes that were never placed are NaN, and measured ones have the precision of the table ``boxes``.
+    """
+    row = world_row(run, plan_id, variant)
+    parts = list(rows_of(run.path, "boxes", plan_id, variant))
+    if row is None or not parts:
+        return None
+    table = pa.concat_tables(parts).sort_by("box")
+    values: dict[str, Any] = {}
+    for metric in box_metrics():
+        there = [name for name in metric.columns if name in table.column_names]
+        columns = [table[name].to_numpy().astype(np.float64) for name in there] or [np.full(len(table), np.nan)]
+        values[metric.attribute] = np.stack(columns, axis=1) if len(columns) > 1 else columns[0]
+    values["dropped"] = values["dropped"] > 0
+    cells: dict[str, Any] = {name: row[name] for name in ("n_boxes", "n_placed", "solver", "attempt")}
+    cells |= {metric.name: math.nan if row[metric.name] is None else row[metric.name] for metric in world_metrics()}
+    return Outcome(
+        job=0,
+        verdict=Verdict(row["verdict"]),
+        reason=Reason(row["reason"]),
+        culprit=-1 if row["culprit"] is None else row["culprit"],
+        flags=Flag(row["flags"]),
+        boxes=BoxMetrics(**values),
+        **cells,
+    )
 
 
 def rows_of(folder: Path, table: str, plan_id: str, variant: int) -> Iterator[pa.Table]:

@@ -23,6 +23,7 @@ from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan, Skipped
 from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import (
+    OF_SOME_WORLDS,
     RUN_FILE,
     copy_file,
     drop_unfinished_parts,
@@ -49,6 +50,9 @@ from petmjx.verdict import Attempt, Outcome
 
 WORLDS_PER_PART: Final = 1_000
 """A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little."""
+
+HISTORY_BYTES_PER_PART: Final = 64 << 20
+"""Histories of a part, in memory: of about 60 worlds of 43 boxes, a third as many with details."""
 
 SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this time, even if worlds finish slowly."""
@@ -283,8 +287,8 @@ class RunWriter:
                 self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
                 self._timer.daemon = True
                 self._timer.start()
-            rows.append(row)
-            enough = len(rows) >= self._worlds_per_part
+            pending.part.add(row)
+            enough = len(rows) >= self._worlds_per_part or pending.part.history_bytes >= HISTORY_BYTES_PER_PART
             if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
                 self._write_part()
 
@@ -310,9 +314,9 @@ class RunWriter:
             with self._lock:
                 number = self._pending.part.number
                 try:
-                    for table in ("boxes", "attempts", "worlds"):
+                    for table in (*OF_SOME_WORLDS, "boxes", "worlds"):
                         source = folder / table / file.name
-                        if table != "attempts" or source.exists():
+                        if table not in OF_SOME_WORLDS or source.exists():
                             copy_file(source, self.out_dir / table / part_name(number))
                 except OSError as error:
                     raise self._trouble(error) from error

@@ -107,7 +107,7 @@ class Recorder:
         n, k = self._job.scene.n_boxes, live.n_placed
         pose, values = np.full((n, 7), np.nan), np.full((n, 8), np.nan)
         pose[:k] = live.pose[:k]
-        contacts = _no_contacts()
+        contacts = Contacts.none()
         if acted:
             values[:k, 0] = live.top_forces()
             if self._details:
@@ -150,11 +150,6 @@ def _penetration(contacts: Contacts, n_placed: int) -> FloatArray:
         box = contacts.body[:, side]
         np.maximum.at(depth, box[box >= 0], -contacts.distance[box >= 0])
     return depth
-
-
-def _no_contacts() -> Contacts:
-    none = np.zeros((0, 3))
-    return Contacts(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), none, none, none, np.zeros(0))
 
 
 def _joined(parts: list[Contacts]) -> Contacts:
