@@ -33,6 +33,8 @@ TENTHS_PER_M: Final = 10_000
 
 _POSITION: Final = ("pos_x_m", "pos_y_m", "pos_z_m")
 _QUATERNION: Final = ("quat_w", "quat_x", "quat_y", "quat_z")
+_METRICS: Final = ("max_tilt_deg", "max_top_force_n", "rest_top_force_n", "drop_s")
+_NUMBERS: Final = (*_POSITION, *_QUATERNION, *_METRICS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
     drawn = np.full(len(table), -1)
     drawn[chosen] = np.arange(len(chosen))
     worlds = _worlds(runs, table.iloc[chosen])
-    blocks = {}
+    blocks: dict[str, str] = {}
     for first in range(0, len(chosen), WORLDS_PER_BLOCK):
         part = [next(worlds) for _ in range(first, min(first + WORLDS_PER_BLOCK, len(chosen)))]
         blocks[f"boxes-{first // WORLDS_PER_BLOCK}"] = block(_packed(part))
@@ -82,13 +84,19 @@ def _chosen(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class _World:
-    """One world's boxes: rows of ``boxes`` in packing order, and what the plan says of them."""
+    """One world's boxes in packing order, and what the plan says of them.
 
-    boxes: pd.DataFrame
+    Attributes:
+        numbers: (n, columns) values of ``_NUMBERS``.
+        names: n pairs of item and article.
+        target: (n, 3) planned centres, m; ``carrier``: (6,) its centre and its size, m.
+    """
+
+    numbers: FloatArray
+    names: Sequence[tuple[str, str]]
     plan: Plan
     target: FloatArray
     carrier: FloatArray
-    """(6,) its centre and its size, m."""
 
 
 def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
@@ -96,14 +104,18 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
         run = runs[int(at)]
         sim = simulation_of(run.info)
         boxes = run.results.boxes.merge(part[KEY], on=KEY).sort_values([*KEY, "box"], kind="stable")
-        places = boxes.groupby(KEY, sort=False).indices
+        places = boxes.reset_index().groupby(KEY, sort=False).indices
+        numbers = boxes[[*_NUMBERS]].to_numpy(np.float64)
+        names = list(zip(boxes["item_id"], boxes["article"], strict=True))
         scenes: dict[str, tuple[FloatArray, FloatArray]] = {}
         for plan_id, variant in zip(part["plan_id"], part["variant"], strict=True):
             plan = run.found.plans[plan_id]
             if plan_id not in scenes:
                 scene = build_scene(plan, sim)
                 scenes[plan_id] = scene.target, np.concatenate([scene.carrier_pos, 2 * scene.carrier_half_size])
-            yield _World(boxes.iloc[places[plan_id, variant]], plan, *scenes[plan_id])
+            rows = places[plan_id, variant]
+            here = slice(rows[0], rows[-1] + 1)
+            yield _World(numbers[here], names[here], plan, *scenes[plan_id])
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
@@ -117,27 +129,28 @@ def simulation_of(info: Mapping[str, Any]) -> Simulation:
 
 def _packed(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | Packed]:
     """The columns of a block. ``items`` is JSON as UTF-8: [item, article, three sides in mm, kg] of each kind."""
-    frame = pd.concat([world.boxes for world in worlds])
+    numbers = np.concatenate([world.numbers for world in worlds])
+    pos, quat, (tilt, force, rest, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
     target = np.concatenate([world.target for world in worlds])
     size = np.concatenate([world.plan.size_mm for world in worlds])
     mass = np.concatenate([world.plan.mass_kg for world in worlds])
     kinds: dict[tuple[Any, ...], int] = {}
-    rows = zip(frame["item_id"], frame["article"], *size.T.tolist(), mass.tolist(), strict=True)
+    names = [name for world in worlds for name in world.names]
+    rows = zip(names, *size.T.tolist(), mass.tolist(), strict=True)
     kind = np.array([kinds.setdefault(row, len(kinds)) for row in rows])
-    items = [[printable(item), printable(article), *numbers] for item, article, *numbers in kinds]
-    quat = frame[[*_QUATERNION]].to_numpy(np.float64)
+    items = [[printable(item), printable(article), *of_plan] for (item, article), *of_plan in kinds]
     quat = np.where(quat[:, :1] < 0, -quat, quat)
     planned = np.rint(target * TENTHS_PER_M).astype(np.int64)
     return {
-        "count": whole(np.array([len(world.boxes) for world in worlds])),
+        "count": whole(np.array([len(world.names) for world in worlds])),
         "carrier": np.array([world.carrier for world in worlds], dtype=np.float32),
         "items": np.frombuffer(json.dumps(items).encode(), dtype=np.uint8),
         "kind": whole(kind),
         "planned": whole(planned),
-        "moved": quantised(frame[[*_POSITION]].to_numpy(np.float64) - planned / TENTHS_PER_M),
+        "moved": quantised(pos - planned / TENTHS_PER_M),
         "turn": quantised(quat[:, 1:]),
-        "tilt": quantised(frame["max_tilt_deg"].to_numpy(np.float64)),
-        "force": quantised(np.log1p(frame["max_top_force_n"].to_numpy(np.float64))),
-        "rest": quantised(np.log1p(frame["rest_top_force_n"].to_numpy(np.float64))),
-        "drop": quantised(frame["drop_s"].to_numpy(np.float64)),
+        "tilt": quantised(tilt),
+        "force": quantised(np.log1p(force)),
+        "rest": quantised(np.log1p(rest)),
+        "drop": quantised(drop),
     }

@@ -29,6 +29,8 @@ MOST_POINTS: Final = 400
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 ROW_HEIGHT: Final = 24
+LETTER: Final = 6
+"""Width of a letter, rather too much, pixels."""
 
 
 def percent(share: float) -> str:
@@ -131,8 +133,9 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
         names: width that names have, pixels.
     """
     longest = max((row.length for row in rows), default=0.0) or 1.0
-    room = width - names - 90
-    letters = names // 7
+    letters = min(names // LETTER, max((len(row.name) for row in rows), default=0))
+    names = letters * LETTER + 10
+    room = width - names - LETTER * max((len(row.text) for row in rows), default=0) - 5
     marks: list[Content] = []
     for at, row in enumerate(rows):
         y = at * ROW_HEIGHT
@@ -163,7 +166,7 @@ def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]], 
         marks.append(element("text", f"{100 * value:.0f} %", x=px, y=height - 6, text_anchor="middle"))
     for at, (name, share, low, high, text) in enumerate(rows):
         y = at * ROW_HEIGHT + 16
-        letters = names // 7
+        letters = names // LETTER
         short = name if len(name) <= letters else name[: letters - 1] + "…"
         marks.append(element("text", element("title", name), short, x=names - 10, y=y + 4, text_anchor="end"))
         marks.append(element("text", text, x=names + room + 10, y=y + 4))
@@ -183,7 +186,7 @@ def stacked(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]
     for at, (name, parts) in enumerate(rows):
         y = at * ROW_HEIGHT * 1.25
         whole = sum(count for _, count, _ in parts) or 1
-        letters = names // 7
+        letters = names // LETTER
         short = name if len(name) <= letters else name[: letters - 1] + "…"
         marks.append(element("text", element("title", name), short, x=names - 6, y=y + 18, text_anchor="end"))
         left = float(names)

@@ -30,12 +30,17 @@ def compared(runs: Sequence[ReportRun]) -> Markup:
     if len(runs) < 2:
         return NOTHING
     common = common_verdicts(runs)
-    parts = [element("p", f"{counted(len(common), 'world')} in all {len(runs)} runs (same plan and variant).")]
+    both = "both runs" if len(runs) == 2 else f"all {len(runs)} runs"
+    parts = [element("p", f"{counted(len(common), _word(runs))} in {both}.")]
     if len(common):
         parts += [_rates(runs, common), _won_and_lost(runs, common)]
     if len(runs) == 2:
         parts.append(_two(runs, compare_runs(runs[0].results, runs[1].results)))
     return joined(*parts)
+
+
+def _word(runs: Sequence[ReportRun]) -> str:
+    return "plan" if all(run.what == "plan" for run in runs) else "world"
 
 
 def common_verdicts(runs: Sequence[ReportRun]) -> pd.DataFrame:

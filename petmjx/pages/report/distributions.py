@@ -19,7 +19,7 @@ from petmjx.pages.report.charts import (
     share_curve,
 )
 from petmjx.pages.report.markup import NOTHING, Markup, element, joined
-from petmjx.pages.report.runs import ReportRun
+from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import Frame, Scale, figure
 from petmjx.pages.report.verdicts import ORDER
 from petmjx.results.compare import thresholds_of
@@ -88,7 +88,7 @@ def distributions(run: ReportRun) -> Markup:
     alone = [_histogram(metric, worlds, limits) for metric in METRICS if metric.of(worlds).notna().any()]
     parts = [element("div", *alone, class_="charts")]
     if sizes:
-        shares = [_share(size, worlds) for size in sizes]
+        shares = [_share(size, worlds, one_each=run.kind is not Kind.GRID) for size in sizes]
         known = [metric for metric in METRICS if metric.of(worlds).notna().sum() > 1]
         against = [_against(size, metric, worlds, limits) for metric in known for size in sizes]
         parts.append(element("h3", "Against number of boxes, height and weight"))
@@ -131,16 +131,24 @@ def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thr
     return figure(title, frame.svg(), note)
 
 
-def _share(size: Quantity, worlds: pd.DataFrame) -> Markup:
-    """The share that stands in groups of about equal size, with Wilson's interval."""
+def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
+    """The share that stands in groups of about equal size.
+
+    Args:
+        one_each: whether plans have one world each: then shares have Wilson's interval.
+    """
     judged = worlds[(worlds["verdict"] != Verdict.INVALID.value) & size.of(worlds).notna()]
     x = size.of(judged).to_numpy(np.float64)
     stands = (judged["verdict"] == Verdict.STABLE.value).to_numpy()
     found = np.array(list(_grouped(x, stands))).reshape(-1, 4)
     title = f"Share that stands against {size.title}"
     frame = Frame(title, Scale.over(size.of(worlds)), Scale(0, 1), size.label, "stand", y_percent=True)
-    share_curve(frame, *found.T)
-    return figure(title, frame.svg(), "Band: Wilson 95 %; groups of about equal size.")
+    middle, share, low, high = found.T
+    missing = np.full(len(found), np.nan)
+    share_curve(frame, middle, share, *((low, high) if one_each else (missing, missing)))
+    return figure(
+        title, frame.svg(), ("Band: Wilson 95 %; " if one_each else "") + "points: groups of about equal size."
+    )
 
 
 def _grouped(x: np.ndarray, stands: np.ndarray) -> Iterator[tuple[float, float, float, float]]:

@@ -17,6 +17,7 @@ from petmjx.pages.report.compared import compared
 from petmjx.pages.report.distributions import distributions
 from petmjx.pages.report.first_boxes import first_boxes
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined
+from petmjx.pages.report.replays import replays
 from petmjx.pages.report.rows import table_rows
 from petmjx.pages.report.runs import Kind, ReportRun, open_runs
 from petmjx.pages.report.swept import sweep_answers
@@ -75,7 +76,9 @@ def report_page(runs: Sequence[ReportRun]) -> str:
     """The page as text."""
     rows, table = table_rows(runs)
     boxes = box_blocks(runs, table)
-    arrays = {**rows.arrays, "drawn": whole(boxes.drawn), "of": whole(table["run"].to_numpy(dtype="int64"))}
+    played = replays(runs, table, boxes.drawn)
+    arrays = {**rows.arrays, "of": whole(table["run"].to_numpy(dtype="int64"))}
+    arrays |= {"drawn": whole(boxes.drawn), "replay": whole(played.number)}
     info = {
         "columns": rows.columns,
         "texts": rows.texts,
@@ -87,9 +90,9 @@ def report_page(runs: Sequence[ReportRun]) -> str:
         "categories": [category(number) for number in range(N_CATEGORIES)],
     }
     title = "petmjx report: " + ", ".join(run.name for run in runs)
-    notes = _notes(runs, rows.left_out, boxes.without_boxes)
+    notes = _notes(runs, rows.left_out, boxes.without_boxes, played.left_out)
     body = _body(runs, notes)
-    blocks = {"rows": block(arrays), **boxes.blocks}
+    blocks = {"rows": block(arrays), **boxes.blocks, **played.blocks}
     return page(title, body, script="report.js", styles=("report.css",), info=info, blocks=blocks)
 
 
@@ -106,13 +109,16 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
     }
 
 
-def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int) -> list[str]:
+def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
     """What the page does not show, a line each."""
     notes = [f"{run.name}: {run.found.note}. These have no 3D picture." for run in runs if run.found.note]
     if left_out:
         notes.append(f"{counted(left_out, 'world')} that stand are not in the table: it would be too large.")
     if without_boxes:
         notes.append(f"{counted(without_boxes, 'world')} have no 3D picture: the page would be too large.")
+    if not_played:
+        worlds = counted(not_played, "recorded world")
+        notes.append(f"{worlds} cannot be played here: the page would be too large. petmjx show plays them.")
     return notes
 
 

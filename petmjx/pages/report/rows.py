@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.pages.columns import Packed, whole
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.results.compare import KEY
+from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.text import printable
 from petmjx.units import MM_PER_M
 from petmjx.verdict import Verdict
@@ -95,7 +96,8 @@ def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, 
     rows.arrays["variant"] = whole(frame["variant"].to_numpy(np.int64))
     if frame["variant"].nunique() > 1:
         rows.columns.append(_column("variant", "variant", "number"))
-    _add_parameters(rows, runs, frame)
+    of_variants = {"replicate", *(kind.column for kind in AXIS_KINDS.values())}
+    _add_parameters(rows, runs, frame, lambda name: name in of_variants)
     _add_choice(rows, "verdict", "verdict", frame["verdict"], True)
     _add_choice(rows, "reason", "reason", frame["reason"], True)
     if OTHER in frame:
@@ -104,6 +106,7 @@ def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, 
         _add_number(rows, shown, frame)
         if shown.column == "culprit":
             _add_choice(rows, "article", "article of it", frame["first_article"], True)
+    _add_parameters(rows, runs, frame, lambda name: name not in of_variants)
     return rows, frame
 
 
@@ -124,12 +127,12 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
     return found
 
 
-def _add_parameters(rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame) -> None:
-    """Columns that sweeps add: parameters of variants, and what became of them."""
+def _add_parameters(rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, wanted: Callable[[str], bool]) -> None:
+    """Columns that sweeps add: parameters of variants, or what became of them."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     known = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
-        if name not in frame or name in known or frame[name].nunique() == 0:
+        if not wanted(name) or name not in frame or name in known or frame[name].nunique() == 0:
             continue
         unit = units.get(name, "")
         label = name.removesuffix(f"_{unit}").replace("_", " ")

@@ -81,7 +81,7 @@ class Scale:
     def ticks(self) -> list[tuple[float, str]]:
         """(value, label) of round values, at most ``MOST_TICKS`` or so."""
         if not self.log:
-            step = max(_round_step((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
+            step = max(round_step((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
             return [(at * step, _label(at * step, step)) for at in range(first, last + 1)]
         decades = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
@@ -94,7 +94,7 @@ class Scale:
         return found
 
 
-def _round_step(step: float) -> float:
+def round_step(step: float) -> float:
     """The next of 1, 2, 5, 10, … times a power of ten."""
     power = 10.0 ** math.floor(math.log10(step))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step * (1 - 1e-9))

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from petmjx.pages.report.charts import Bar, bars, histogram, percent, rose, share_curve
+from petmjx.pages.report.charts import ROSE_RINGS, Bar, bars, histogram, percent, rose, share_curve
 from petmjx.pages.report.markup import NOTHING, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
-from petmjx.pages.report.svg import Frame, Scale, figure
+from petmjx.pages.report.svg import MOST_TICKS, Frame, Scale, figure, round_step
 from petmjx.pages.report.verdicts import link
 from petmjx.sweeps.shares import ALL_PLANS, share_standing
 from petmjx.text import counted, three_digits
@@ -85,6 +85,8 @@ def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: Repo
         f"Share that stands by {axis}", Scale.over(x), Scale(0, 1), _with_unit(axis, unit), "stand", y_percent=True
     )
     share, low, high = (rows[name].to_numpy(np.float64)[order] for name in ("share", "low", "high"))
+    if len(x) <= MOST_TICKS:
+        frame.x_ticks = [(value, f"{value:g}") for value in x[order]]
     share_curve(frame, x[order], share, low, high)
     of = counted(int(rows["n_draws"].max()), "random draw" if drawn else "plan")
     return figure(_title(axis), frame.svg(), f"Band: Wilson 95 % over {of} a value.")
@@ -203,9 +205,10 @@ def _rose_figure(title: str, unit: str, largest: pd.DataFrame, top: float) -> Ma
         return np.asarray(by.quantile(share).reindex(directions), dtype=np.float64)
 
     found = {"low": at(0.25), "middle": at(0.5), "high": at(0.75)}
-    picture = rose(title, directions, found, top, unit)
+    reach = ROSE_RINGS * round_step(float(np.nanmax(found["high"], initial=top / 10)) / ROSE_RINGS)
+    picture = rose(title, directions, found, reach, unit)
     n = counted(int(largest["plan_id"].nunique()), "plan")
-    return figure(f"{title} by direction", picture, f"{ROSE} {n}; outer ring: highest level tested.")
+    return figure(f"{title} by direction", picture, f"{ROSE} {n}; tested up to {top:g} {unit}.")
 
 
 # Searches.

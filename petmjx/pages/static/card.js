@@ -1,12 +1,14 @@
 // One world in 3D as it ended, with its boxes' numbers.
 //
-//   const card = new Card(info, run, name, first, world);   card.element; card.dispose()
+//   const card = new Card(info, run, first, world, replay);   card.element; card.start(); card.dispose()
 //
-// `run` is an entry of info.runs, `first` the box that went first or −1, `world` what endedWorld of ended.js gives.
+// `run` is an entry of info.runs, `first` the box that went first or −1, `world` what endedWorld of ended.js gives,
+// `replay` the number of what was recorded of it or −1.
 
 import { rgbOf } from "./colours.js";
 import { make, makeSvg } from "./dom.js";
 import { bounds } from "./ended.js";
+import { Replay } from "./replay.js";
 import { createViewer } from "./viewer.js";
 
 const COLOURS = { article: "article", moved: "movement", tilt: "largest tilt", force: "largest force on top" };
@@ -14,14 +16,14 @@ const UNITS = { moved: "mm", tilt: "°", force: "N" };
 const UNPLACED = [0.6, 0.6, 0.6];
 
 export class Card {
-  constructor(info, run, name, first, world) {
-    Object.assign(this, { info, run, first, world, chosen: -1 });
-    this.canvas = make("canvas", { role: "img", "aria-label": `${name}: the pallet as it ended` });
+  constructor(info, run, first, world, replay) {
+    Object.assign(this, { info, run, first, world, replay, chosen: -1 });
+    this.canvas = make("canvas", { role: "img", "aria-label": `${run.name}: the pallet as it ended` });
     this.legend = make("div", { class: "legend faint small" });
     this.facts = make("p", { class: "small", role: "status" }, "Click a box for its numbers.");
     this.lines = Array.from({ length: world.n }, (_, box) => this.line(box));
     this.element = make("article", { class: "card3d" });
-    if (info.runs.length > 1) this.element.append(make("h4", {}, name));
+    if (info.runs.length > 1) this.element.append(make("h4", {}, run.name));
     this.element.append(this.canvas, this.controls(), this.legend, this.facts, this.table());
     if (run.nominalSizes) this.element.append(hint("Sizes are the plan’s; this world’s errors of size are not drawn."));
   }
@@ -38,9 +40,14 @@ export class Card {
     this.viewer.onClick = (box) => this.choose(box);
     this.colour("article");
     this.mark();
+    if (this.replay >= 0) {
+      this.player = new Replay(this.replay, this.viewer);
+      this.canvas.after(this.player.element);
+    }
   }
 
   dispose() {
+    this.player?.dispose();
     this.viewer?.dispose();
   }
 
@@ -107,7 +114,8 @@ export class Card {
 
   table() {
     const heads = ["box", "article", "mm", "kg", "moved mm", "tilt °", "force N", "at rest N", "dropped s"];
-    const head = make("tr", {}, ...heads.map((text, k) => make("th", { scope: "col", class: k === 1 ? "text" : "" }, text)));
+    const cells = heads.map((text, k) => make("th", { scope: "col", class: k === 1 ? "text" : "" }, text));
+    const head = make("tr", {}, ...cells);
     const body = make("tbody", {}, ...this.lines);
     body.addEventListener("click", (event) => {
       const at = this.lines.indexOf(event.target.closest("tr"));

@@ -14,6 +14,7 @@ export async function endedWorld(number, worldsPerBlock) {
   const first = arrays.count.subarray(0, at).reduce((sum, count) => sum + count, 0);
   const n = arrays.count[at];
   const part = (name, size) => arrays[name].subarray(size * first, size * (first + n));
+  const carrier = arrays.carrier.subarray(6 * at, 6 * at + 6);
   const kinds = Array.from(part("kind", 1), (kind) => arrays.items[kind]);
   const planned = Float32Array.from(part("planned", 3), (tenths) => tenths / PER_M);
   const moved = part("moved", 3);
@@ -32,7 +33,7 @@ export async function endedWorld(number, worldsPerBlock) {
     force: part("force", 1).map(Math.expm1),
     rest: part("rest", 1).map(Math.expm1),
     drop: part("drop", 1),
-    carrier: { pos: [...arrays.carrier.subarray(6 * at, 6 * at + 3)], size: [...arrays.carrier.subarray(6 * at + 3, 6 * at + 6)] },
+    carrier: { pos: [...carrier.subarray(0, 3)], size: [...carrier.subarray(3)] },
   };
 }
 

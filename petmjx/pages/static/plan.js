@@ -80,9 +80,12 @@ export class PlanView {
   async card(row) {
     const number = this.rows.arrays.drawn[row];
     const run = this.runOf(row);
-    if (number < 0) return make("p", { class: "hint" }, `${run.name}: no 3D picture${run.missing ? ` (${run.missing})` : ""}.`);
+    if (number < 0) {
+      const why = run.missing ? ` (${run.missing})` : "";
+      return make("p", { class: "hint" }, `${run.name}: no 3D picture${why}.`);
+    }
     const world = await endedWorld(number, this.info.worldsPerBlock);
-    return new Card(this.info, run, run.name, this.first(row), world);
+    return new Card(this.info, run, this.first(row), world, this.rows.arrays.replay[row]);
   }
 
   howToSeeItMove(id, variant, row) {

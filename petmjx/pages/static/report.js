@@ -14,7 +14,10 @@ async function start() {
   let state = readState();
 
   const filters = new Filters(byId("filters"), rows, (next) => apply(next));
-  const table = new Table(byId("table"), rows, { onOpen: (row) => apply(opened(state, row)), onSort: (key) => apply(sorted(state, key)) });
+  const table = new Table(byId("table"), rows, {
+    onOpen: (row) => apply(opened(state, row)),
+    onSort: (key) => apply(sorted(state, key)),
+  });
   const plan = new PlanView(byId("plan"), info, rows, () => apply(closed(state)));
   let shown = -1;
 
@@ -34,7 +37,7 @@ async function start() {
     byId("plans").classList.toggle("open", row >= 0);
     table.open(row);
     if (row < 0) plan.close();
-    else plan.show(row).catch((error) => console.error(error));
+    else plan.show(row);
   }
 
   function rowOf(asked) {

@@ -11,7 +11,7 @@ import { make } from "./dom.js";
 
 const ROW_PIXELS = 30;
 const SPARE = 8; // rows above and below what is in sight
-const LETTER = 7.4; // pixels
+const LETTER = 8.2; // pixels
 const PADDING = 22;
 const NARROWEST = 6; // letters
 const WIDEST = 30;
