@@ -96,7 +96,7 @@ def write_run(folder: Path, plans: Sequence[Plan], outcomes: Sequence[Outcome], 
 
 
 def scored(folder: Path, n: int = 30, n_boxes: int = 12) -> Path:
-    """A run of n plans "plan-0" …, in the folder ``run``: of ten, plans 3 and 7 fall, 7 by a tilt; plan 9 is invalid."""
+    """A run of n plans "plan-0" … in the folder ``run``. Of ten, 3 and 7 fall (7 by a tilt), and 9 is invalid."""
     plans = write_plans(folder / "plans.json", [f"plan-{k}" for k in range(n)], n_boxes)
     return write_run(folder / "run", plans, [_outcome(plan, k) for k, plan in enumerate(plans)])
 

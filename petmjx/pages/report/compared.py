@@ -12,7 +12,7 @@ from petmjx.pages.report.charts import intervals, percent, stacked
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import figure
-from petmjx.pages.report.verdicts import link
+from petmjx.pages.report.verdicts import plan_link
 from petmjx.results.compare import KEY, Comparison, compare_runs
 from petmjx.sweeps.shares import wilson_interval
 from petmjx.text import counted, three_digits
@@ -132,7 +132,7 @@ def _flips(runs: Sequence[ReportRun], found: Comparison) -> Markup:
         return element("p", "No verdict flipped.")
     rows: list[list[Content]] = []
     for row in flips.head(MOST_FLIPS).to_dict("records"):
-        where = link(runs[0], plan=str(row["plan_id"]), variant=str(row["variant"]))
+        where = plan_link(runs[0], str(row["plan_id"]), int(row["variant"]))
         name = str(row["plan_id"]) + (f" / {row['variant']}" if row["variant"] else "")
         cells: list[Content] = [element("a", name, href=f"#{where}")]
         cells += [_outcome(row, side) for side in "ab"]

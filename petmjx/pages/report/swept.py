@@ -12,7 +12,7 @@ from petmjx.pages.report.charts import ROSE_RINGS, Bar, bars, histogram, percent
 from petmjx.pages.report.markup import NOTHING, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import MOST_TICKS, Frame, Scale, figure, round_step
-from petmjx.pages.report.verdicts import link
+from petmjx.pages.report.verdicts import link, plan_link
 from petmjx.sweeps.shares import ALL_PLANS, share_standing
 from petmjx.text import counted, three_digits
 from petmjx.units import FloatArray
@@ -299,7 +299,7 @@ def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
     histogram(frame, known["share"].astype("float64"), known["verdict"], [verdict.value for verdict in Verdict])
     tosses = summary.loc[summary["coin_toss"].astype(bool), "plan_id"].tolist()
     links = [
-        element("li", element("a", str(each), href=f"#{link(run, plan=str(each))}")) for each in tosses[:MOST_NAMED]
+        element("li", element("a", str(each), href=f"#{plan_link(run, str(each))}")) for each in tosses[:MOST_NAMED]
     ]
     more = element("li", f"{len(tosses) - MOST_NAMED:,} more") if len(tosses) > MOST_NAMED else NOTHING
     said = f"{counted(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: one half is in the 95 % interval."

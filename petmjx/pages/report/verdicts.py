@@ -11,7 +11,7 @@ from petmjx.pages.report.charts import percent
 from petmjx.pages.report.markup import Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.sweeps.shares import wilson_interval
-from petmjx.text import counted
+from petmjx.text import counted, printable
 from petmjx.verdict import Verdict
 
 ORDER: Final = [verdict.value for verdict in Verdict]
@@ -20,6 +20,11 @@ ORDER: Final = [verdict.value for verdict in Verdict]
 def link(run: ReportRun, **filters: str) -> str:
     """The fragment that shows some rows of the table: the part of the address behind #."""
     return urlencode({"run": run.name, **filters})
+
+
+def plan_link(run: ReportRun, plan_id: str, variant: int = 0) -> str:
+    """The fragment that shows a plan, without any filter."""
+    return urlencode({"plan": printable(plan_id), "variant": variant, "of": run.name})
 
 
 def verdict_table(run: ReportRun) -> Markup:

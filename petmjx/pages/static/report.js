@@ -61,6 +61,7 @@ async function start() {
     byId("plans").scrollIntoView();
   });
   show();
+  if (state.toString()) byId("plans").scrollIntoView();
   document.documentElement.dataset.ready = "true";
 }
 

@@ -87,8 +87,7 @@ export class Rows {
   // By a column, "-" before its key: falling. Rows without a value come last either way.
   sorted(rows, order) {
     const falling = order.startsWith("-");
-    const column = this.column(falling ? order.slice(1) : order);
-    if (!column) return rows;
+    const column = this.column(falling ? order.slice(1) : order) ?? this.column("plan");
     const values = this.sortable(column);
     const sign = falling ? -1 : 1;
     return rows.slice().sort((a, b) => {
