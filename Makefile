@@ -19,10 +19,11 @@ demo: $(VENV)/.runtime ## install, score the bundled plans on the CPU and print 
 test: check ## lint, types, then the whole test suite
 	$(BIN)/python -m pytest -q $(TESTS)
 
-check: $(VENV)/.dev ## lint, format and types only
+check: $(VENV)/.dev ## lint, format and types only; rules for scripts of pages
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m pytest -q tests/unit/test_page_scripts.py
 
 bench: $(VENV)/.runtime ## two minutes of benchmarks on the CPU; benchmarks/README.md tells of the others
 	$(BIN)/python -m benchmarks run stacks-16 stacks-40 W-adaptive plain-loop --limit 20 --oracle mujoco-fixed \

@@ -93,4 +93,4 @@ def block(columns: Mapping[str, NDArray[Any] | Packed]) -> str:
     head = json.dumps(header, allow_nan=False).encode()
     head += b" " * (-(len(head) + 4) % _ALIGNED)
     raw = len(head).to_bytes(4, "little") + head + bytes(body)
-    return base64.b64encode(zlib.compress(raw, 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(raw)).decode("ascii")

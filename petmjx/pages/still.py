@@ -12,6 +12,7 @@ from petmjx.pages.palette import article_colours, hex_of, rgb_of
 from petmjx.pages.story_data import framed
 from petmjx.story import Story
 from petmjx.units import FloatArray
+from petmjx.world.scene import IDENTITY_QUAT
 
 # The same view as the first one of petmjx/pages/static/camera.js, without its perspective.
 _AZIMUTH: Final = -0.65
@@ -39,8 +40,11 @@ def still_svg(story: Story) -> str:
     """The last frame of a story; the first box to go is outlined."""
     history, scene = story.history, story.scene
     shown = np.flatnonzero(np.isfinite(history.pos[-1]).all(axis=1))
-    pos = np.vstack([history.pos[-1][shown], history.carrier_pos[-1]])
-    axes = _axes(np.vstack([history.quat[-1][shown], history.carrier_quat[-1]]))
+    carrier_pos, carrier_quat = history.carrier_pos[-1], history.carrier_quat[-1]
+    if not np.isfinite(carrier_pos).all():
+        carrier_pos, carrier_quat = scene.carrier_pos, np.array(IDENTITY_QUAT)
+    pos = np.vstack([history.pos[-1][shown], carrier_pos])
+    axes = _axes(np.vstack([history.quat[-1][shown], carrier_quat]))
     half = np.vstack([scene.half_size[shown], scene.carrier_half_size])
     colours = article_colours(story.plan.articles)
     names = [*(f"{box} {story.plan.articles[box]}" for box in shown), "carrier"]

@@ -21,6 +21,8 @@ from petmjx.world.job import FORCE
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
 """Boxes farther beside the pallet than ``_FAR_M`` and this share of its height do not make the picture smaller."""
+_LOST_M: Final = 50.0
+"""Boxes beyond it, of simulations that blew up, are not drawn, and do not make all other places inexact."""
 _ARROW_M: Final = 0.45
 """Room to the left of the carrier for the arrow of gravity (petmjx/pages/static/arrows.js)."""
 
@@ -105,19 +107,25 @@ def story_blocks(story: Story) -> dict[str, str]:
 
 
 def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed]:
-    """The columns of f frames of n boxes; ``shift_mm`` and ``tilt_deg`` are those that limits are for."""
+    """The columns of f frames of n boxes; ``shift_mm`` and ``tilt_deg`` are those that limits are for.
+
+    Of forces there is the square root with their sign, as impacts are a thousand times what a box bears at rest.
+    """
     history = story.history
     n_frames, n = history.pos.shape[:2]
-    shift = np.abs(motion_np.shift(history.pos, story.scene.target, limits.shift_floor_m)).max(axis=2, initial=0.0)
-    tilt = motion_np.tilt_deg(history.quat.reshape(-1, 4)).reshape(n_frames, n)
+    lost = ~(np.abs(history.pos) < _LOST_M).all(axis=2, keepdims=True)
+    pos, quat = np.where(lost, np.nan, history.pos), np.where(lost, np.nan, history.quat)
+    shift = np.abs(motion_np.shift(pos, story.scene.target, limits.shift_floor_m)).max(axis=2, initial=0.0)
+    tilt = motion_np.tilt_deg(quat.reshape(-1, 4)).reshape(n_frames, n)
+    force = history.top_force_n
     return {
         "time": history.time_s.astype(np.float64),
         "placed": whole(history.n_placed, steps=True),
-        "pos": quantised(history.pos, steps=True),
-        "quat": quantised(history.quat, steps=True),
+        "pos": quantised(pos, steps=True),
+        "quat": quantised(quat, steps=True),
         "shift_mm": quantised(MM_PER_M * shift, steps=True),
         "tilt_deg": quantised(tilt, steps=True),
-        "force_n": quantised(history.top_force_n, steps=True),
+        "force_root": quantised(np.copysign(np.sqrt(np.abs(force)), force), steps=True),
         "carrier_pos": quantised(history.carrier_pos, steps=True),
         "carrier_quat": quantised(history.carrier_quat, steps=True),
         "drive": history.drive.astype(np.float32),
@@ -131,21 +139,21 @@ def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
     press on the lower body: their z is not positive.
     """
     strength = np.linalg.norm(contacts.force, axis=1)
-    keys = np.column_stack([contacts.body, contacts.frame])
-    rows, row_of = np.unique(keys, axis=0, return_inverse=True)
-    row_of = row_of.reshape(-1)
+    first, other, frame = (keys - keys.min(initial=0) for keys in (*contacts.body.T.astype(np.int64), contacts.frame))
+    ranks = (first * (other.max(initial=0) + 1) + other) * (frame.max(initial=0) + 1) + frame
+    _, sample, row_of = np.unique(ranks, return_index=True, return_inverse=True)
 
     def summed(values: FloatArray) -> FloatArray:
-        return np.column_stack([np.bincount(row_of, values[:, axis], len(rows)) for axis in range(3)])
+        return np.column_stack([np.bincount(row_of, values[:, axis]) for axis in range(3)])
 
-    weight = np.bincount(row_of, strength, len(rows))
+    weight = np.bincount(row_of, strength)
     felt = weight > 0
     force, centre = summed(contacts.force)[felt], summed(contacts.point * strength[:, None])[felt] / weight[felt, None]
-    rows = rows[felt]
+    sample = sample[felt]
     force *= np.where(force[:, 2] > 0, -1.0, 1.0)[:, None]
     return {
-        "pair": whole(rows[:, :2], steps=True),
-        "frame": whole(rows[:, 2], steps=True),
+        "pair": whole(contacts.body[sample], steps=True),
+        "frame": whole(contacts.frame[sample], steps=True),
         "point": quantised(centre, steps=True),
         "force": quantised(force, steps=True),
     }

@@ -23,7 +23,7 @@ def story_page(story: Story) -> str:
     """
     info = story_info(story)
     outcome, plan = story.outcome, story.plan
-    facts = [*how_it_was_simulated(story), ("petmjx", __version__)]
+    facts = [*how_it_was_simulated(story), ("petmjx", __version__), ("units", "s, mm, °, kg, N; 1 g is 9.81 m/s²")]
     body = filled(
         "story.html",
         plan=escaped(plan.plan_id),

@@ -224,6 +224,11 @@ def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
     assert "level_g" in printed
 
 
+def test_examples_of_seeing_run(tmp_path: Path) -> None:
+    run_in(tmp_path, "\n".join(blocks("seeing.md", "python")))
+    assert "hand-falls-off" in (tmp_path / "plan.html").read_text(encoding="utf-8")
+
+
 def edited(field: str, value: Any) -> list[dict[str, Any]]:
     """Eight placements, the last with another value of one field; None takes the field away."""
     plan = [placement() for _ in range(8)]

@@ -29,7 +29,13 @@ LAYERS: tuple[frozenset[str], ...] = (
 """Modules and packages of petmjx, from left to right. A module imports from its own layer or those before it; what has
 no layer fails the test. ``petmjx/__init__`` imports nothing: it looks names up when they are first used."""
 
-READERS = ("petmjx.results.reader", "petmjx.results.compare", "petmjx.show.tables", "petmjx.plans")
+READERS = (
+    "petmjx.results.reader",
+    "petmjx.results.compare",
+    "petmjx.show.tables",
+    "petmjx.pages.story_page",
+    "petmjx.plans",
+)
 SIMULATORS = ("jax", "mujoco", "warp")
 
 

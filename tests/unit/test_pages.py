@@ -20,7 +20,7 @@ from petmjx.pages.modules import joined_modules, static_text
 from petmjx.pages.page import escaped, page
 from petmjx.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb_of
 from petmjx.pages.still import drawing_order, still_svg
-from petmjx.pages.story_data import framed, placed_s, story_info
+from petmjx.pages.story_data import framed, placed_s, story_blocks, story_info
 from petmjx.pages.story_page import story_page
 from petmjx.pages.words import first_box_in_words, how_it_was_simulated, reason_in_words
 from petmjx.verdict import Reason, Verdict
@@ -236,6 +236,20 @@ def test_the_still_picture_has_every_box_that_is_there() -> None:
     pos = story.history.pos.copy()
     pos[-1, FALLING] = np.nan
     assert still_svg(replace(story, history=replace(story.history, pos=pos))).count("<g") == 3
+
+
+def test_numbers_that_are_not_finite_spoil_nothing() -> None:
+    """A simulation that blew up: a box is lost, and the carrier with it."""
+    story = falling_story()
+    pos, carrier = story.history.pos.copy(), story.history.carrier_pos.copy()
+    pos[-2, 0], pos[-1, 0], carrier[-1] = 1e30, np.inf, np.nan
+    history = replace(story.history, pos=pos, carrier_pos=carrier)
+    blown_up = replace(story, history=history)
+    frames = opened_block(story_blocks(blown_up)["frames"])
+    assert frames["pos"]["scale"] < 1e-3
+    assert "nan" not in still_svg(blown_up)
+    (info,) = re.findall(r'id="info">(.*?)</script>', story_page(blown_up))
+    assert "Infinity" not in info
 
 
 def test_the_table_has_the_numbers_of_all_boxes() -> None:

@@ -140,8 +140,9 @@ def test_lanes_and_queue_are_as_annotated_from_begin_to_end(worlds: Worlds, tabl
     consistent(lanes, table, queue)
     lanes, table, queue, _ = stage.refill(lanes, table, worlds, queue)
     consistent(lanes, table, queue)
-    lanes = stage.run_chunk(lanes, jnp.zeros((1, 1, 3)))
+    lanes, trail = stage.run_chunk(lanes, jnp.zeros((1, 1, 3)))
     consistent(lanes, table, queue)
+    assert axis_sizes(trail) == {"step": 1, "lane": LANES, "box": CAPACITY}
     consistent(lanes, stage.unload(lanes, table), queue)
 
 

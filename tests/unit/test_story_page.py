@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ AZIMUTH, ELEVATION, SLOPE, MARGIN = -0.65, 0.4, np.tan(np.radians(16)), 1.06
 
 def opened_story(open_page: OpenPage, story: Story, **options: Any) -> Opened:
     """The page of a story, once it is drawn."""
-    opened = open_page(story_page(story), **options)
+    opened = open_page(story_page(story), **{"width": 900, "height": 560} | options)
     opened.page.wait_for_selector("#view:not([hidden])")
     opened.settled()
     return opened
@@ -34,10 +35,7 @@ def opened_story(open_page: OpenPage, story: Story, **options: Any) -> Opened:
 
 def seen(opened: Opened) -> FloatArray:
     """The picture, without labels and legends above it, as numbers that can be subtracted."""
-    opened.page.add_style_tag  # noqa: B018
-    opened.page.evaluate(
-        "for (const id of ['label-first', 'label-chosen', 'shaken']) document.getElementById(id).style.opacity = 0"
-    )
+    opened.page.evaluate("for (const label of document.querySelectorAll('#view > .label')) label.style.opacity = 0")
     opened.settled()
     return opened.pixels("#canvas").astype(float)
 
@@ -141,12 +139,13 @@ def test_boxes_have_the_colours_of_their_articles_where_they_should_be(open_page
 def test_play_moves_the_boxes_to_the_end(open_page: OpenPage) -> None:
     opened = opened_story(open_page, falling_story())
     end = seen(opened)
-    opened.page.select_option("#speed", "4")
+    opened.page.select_option("#speed", "0.5")
     opened.page.click("#play")
     assert opened.page.locator("#play").get_attribute("aria-label") == "Pause"
-    opened.page.wait_for_function("Number(document.getElementById('time').value) < 1")
+    opened.until("Number(document.getElementById('time').value) < 0.5")
     assert changed(end, seen(opened)) > 0.002
-    opened.page.wait_for_function("!document.getElementById('play').classList.contains('playing')")
+    opened.page.select_option("#speed", "4")
+    opened.until("!document.getElementById('play').classList.contains('playing')")
     assert text(opened, "#now") == "1.00 of 1.00 s, 3 of 3 boxes placed"
     assert changed(end, seen(opened)) < 0.001
     assert opened.errors == []
@@ -190,6 +189,8 @@ def test_a_click_names_the_box(open_page: OpenPage, box: int) -> None:
     opened.page.mouse.click(x, y)
     assert opened.page.locator("#box").input_value() == str(box)
     assert number_of(opened, "item") == f"item-{box}"
+    force_n = story.history.top_force_n[-1, box]
+    assert number_of(opened, "force on top now") == f"{force_n:.1f} N"
     assert number_of(opened, "size") == " × ".join(f"{size:g}" for size in story.plan.size_mm[box]) + " mm"
 
 
@@ -244,7 +245,7 @@ def test_keys(open_page: OpenPage) -> None:
     assert opened.page.locator("#box").input_value() == "-1"
     press("Home")
     press(" ")
-    opened.page.wait_for_function("Number(document.getElementById('time').value) > 0.1")
+    opened.until("Number(document.getElementById('time').value) > 0.1")
     press(" ")
     paused = now(opened)
     opened.page.wait_for_timeout(100)
@@ -265,8 +266,21 @@ def test_the_mouse_turns_zooms_and_moves_the_view(open_page: OpenPage) -> None:
         pictures.append(seen(opened))
     mouse.wheel(0, 300)
     pictures.append(seen(opened))
-    assert all(changed(a, b) > 0.03 for a, b in zip(pictures, pictures[1:], strict=False))
+    assert all(changed(a, b) > 0.03 for a, b in pairwise(pictures))
     assert opened.page.locator("#box").input_value() == str(FALLING), "a drag is no click"
+
+
+def test_two_fingers_zoom(open_page: OpenPage) -> None:
+    opened = opened_story(open_page, falling_story(), has_touch=True)
+    before = seen(opened)
+    frame = opened.page.locator("#canvas").bounding_box()
+    x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
+    fingers = opened.page.context.new_cdp_session(opened.page)
+    for kind, apart in (("touchStart", 40), ("touchMove", 70), ("touchMove", 100), ("touchEnd", None)):
+        points = [] if apart is None else [{"x": x + side * apart, "y": y, "id": side + 1} for side in (-1, 1)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    assert changed(before, seen(opened)) > 0.05
+    assert opened.page.locator("#box").input_value() == str(FALLING), "a pinch is no click"
 
 
 def test_colours_follow_the_choice_and_have_a_scale(open_page: OpenPage) -> None:
@@ -285,10 +299,11 @@ def test_ghosts_and_forces_are_drawn(open_page: OpenPage) -> None:
     opened = opened_story(open_page, falling_story())
     before = seen(opened)
     opened.page.check("#ghosts")
-    assert changed(before, seen(opened)) > 0.005, "box 2 has left its ghost"
+    assert changed(before, seen(opened)) > 0.001, "box 2 has left its ghost"
     opened.page.uncheck("#ghosts")
-    assert "100" in text(opened, "#force-scale")
     opened.page.check("#forces")
+    opened.until("document.getElementById('force-scale').textContent !== ''")
+    assert text(opened, "#force-scale") == "0.2 m of arrow: 200\xa0N", "the carrier bears 118 N"
     assert changed(before, seen(opened)) > 0.03
     opened.page.uncheck("#forces")
     assert changed(before, seen(opened)) < 0.001
@@ -367,9 +382,8 @@ def test_the_page_fits_a_phone_and_follows_light_and_dark(open_page: OpenPage, d
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= 400
     brightness = opened.pixels("body")[3, 3].mean()
     assert (brightness < 60) == dark
-    assert opened.page.evaluate(
-        "document.getElementById('canvas').width / document.getElementById('canvas').clientWidth"
-    ) == pytest.approx(2, abs=0.01)
+    canvas = "document.getElementById('canvas')"
+    assert opened.page.evaluate(f"{canvas}.width / {canvas}.clientWidth") == pytest.approx(2, abs=0.01)
 
 
 def test_blocks_are_read_as_they_were_written(open_page: OpenPage) -> None:

@@ -18,6 +18,7 @@ from petmjx.config import Check, Cone, Schedule, Simulation
 from petmjx.engines.base import GROUP_WORLDS, Progress, RunLock
 from petmjx.engines.batch.capacities import class_capacities, growing_capacities
 from petmjx.engines.batch.outcomes import handed_on, outcomes, pick, started_states
+from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.stage import Queue, Stage, Stepper
@@ -76,6 +77,9 @@ class Group:
     worlds: Worlds
     table: State
     profiles: jax.Array
+    recorder: Recorder
+    frames: dict[str, jax.Array] | None = None
+    """Room for frames on the device, of engines that have some there."""
 
     def status(self) -> NDArray[np.int32]:
         """Statuses of the jobs' rows, on the host."""
@@ -180,7 +184,7 @@ class MjxEngine(ABC):
             rows = np.flatnonzero(group.handed_on(group.status()) & ~emitted)
             emitted[rows] = True
             picked = pick(rows, group.table, group.worlds, run.sim)
-            yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim)
+            yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim, group.recorder)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
         for kind in sorted(run.capacities, key=("", "force", "acceleration").index):
@@ -207,7 +211,8 @@ class MjxEngine(ABC):
                     ends[row] = timetable.static_end if static else timetable.one_by_one_end[n]
         fresh = fresh_state(worlds, all_placed=static, ends=jnp.asarray(ends), rest_steps=timetable.rest_steps)
         table = started_states(jobs, fresh)
-        return Group(run, jobs, first_job, worlds, table, jnp.asarray(profiles))
+        recorder = Recorder(jobs, sim.physics.timestep_s)
+        return Group(run, jobs, first_job, worlds, table, jnp.asarray(profiles), recorder)
 
     def _run_stages(
         self,
@@ -235,7 +240,7 @@ class MjxEngine(ABC):
         growth = self._growth.get((run.sim.physics.cone, capacity), 1)
         while len(rows):
             lanes = self._lane_count(run, capacity, len(rows))
-            entered = group.table
+            entered, marks = group.table, group.recorder.marks()
             try:
                 stage = self._stage(group, capacity, lanes, drive, growth)
                 self._drive_lanes(group, stage, rows, may_drain=may_drain)
@@ -243,6 +248,7 @@ class MjxEngine(ABC):
                 if not is_out_of_memory(error):
                     raise
                 group.table = entered
+                group.recorder.go_back(marks, rows.tolist())
                 self.stages.clear()
                 self._warm.clear()
                 self.release()
@@ -253,6 +259,7 @@ class MjxEngine(ABC):
                 run.progress.message = f"out of device memory with {lanes} lanes, again with {run.lane_limit}"
                 continue
             rows = group.overflowed()
+            group.recorder.go_back(marks, rows.tolist())
             self.release()
             if len(rows) == 0:
                 return
@@ -309,7 +316,9 @@ class MjxEngine(ABC):
         lanes = stage.empty(group.worlds, group.table)
         lanes, table, queue, counters = stage.refill(lanes, group.table, group.worlds, queue)
         while True:
-            lanes = stage.run_chunk(lanes, profiles)
+            lanes, trail = stage.run_chunk(lanes, profiles)
+            if not group.recorder.idle:
+                group.recorder.add_trail(trail)
             lanes, table, queue, following = stage.refill(lanes, table, group.worlds, queue)
             running, queued, contacts, constraint_rows, iterations, slowest = (int(n) for n in np.asarray(counters))
             counters = following

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.config import Simulation
+from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.state import State, Status, Worlds, take_rows
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.metrics import motion_jax as motion
@@ -78,11 +79,12 @@ def outcomes(
     first_job: int,
     timetable: Timetable,
     sim: Simulation,
+    recorder: Recorder,
 ) -> Iterator[Outcome]:
-    """Outcomes of rows of a table that ``pick`` has picked."""
+    """Outcomes of rows of a table that ``pick`` has picked, with their histories."""
     for batch, first in zip(picked, range(0, len(rows), PICKED), strict=True):
         state, found = jax.device_get(batch)
-        yield from _outcomes(rows[first : first + PICKED], state, found, jobs, first_job, timetable, sim)
+        yield from _outcomes(rows[first : first + PICKED], state, found, jobs, first_job, timetable, sim, recorder)
 
 
 def _outcomes(
@@ -93,6 +95,7 @@ def _outcomes(
     first_job: int,
     timetable: Timetable,
     sim: Simulation,
+    recorder: Recorder,
 ) -> Iterator[Outcome]:
     m, clock, dt = host.metrics, timetable.clock, sim.physics.timestep_s
 
@@ -134,6 +137,9 @@ def _outcomes(
             boxes=boxes,
             solver=sim.solver.value,
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), host) if job.keep_state else None,
+            history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
+            if job.record
+            else None,
         )
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import SOFT_START_STEPS, Physics
+from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State, Status, Worlds, choose_rows, narrow, put_rows, take_rows
@@ -197,11 +198,27 @@ class Stage:
             carrier_warm=jnp.where(idle, 0.0, state.carrier_warm),
         )
 
-    def _run_chunk(self, lanes: Lanes, profiles: Float[Array, "profile step 3"]) -> Lanes:
-        def body(carry: Lanes, _: None) -> tuple[Lanes, None]:
-            return self._advance(carry, profiles), None
+    def _run_chunk(self, lanes: Lanes, profiles: Float[Array, "profile step 3"]) -> tuple[Lanes, Trail]:
+        """The lanes after a chunk, and what they went through. That is always kept: with and without a recorder it must
+        be the same program, since another one might round differently."""
 
-        return jax.lax.scan(body, lanes, None, length=self.chunk_steps)[0]
+        def body(carry: Lanes, _: None) -> tuple[Lanes, Trail]:
+            after, top_force = self._advance(carry, profiles)
+            state = after.state
+            passed = Trail(
+                row=carry.row,
+                ran=carry.state.running,
+                fresh=(state.last_placed_at == state.step) & (state.placed > carry.state.placed),
+                number=state.step,
+                placed=state.placed,
+                status=state.status,
+                pose=state.pose,
+                top_force=top_force,
+                carrier_pose=state.carrier_pose,
+            )
+            return after, passed
+
+        return jax.lax.scan(body, lanes, None, length=self.chunk_steps)
 
     def _excitation(
         self, lanes: Lanes, profiles: Float[Array, "profile step 3"]
@@ -226,8 +243,10 @@ class Stage:
         active = state.running[:, None]
         return jnp.where(active, gravity, 0.0), jnp.where(active, force, 0.0)
 
-    def _advance(self, lanes: Lanes, profiles: Float[Array, "profile step 3"]) -> Lanes:
-        """One step of every lane and all that follows from it."""
+    def _advance(
+        self, lanes: Lanes, profiles: Float[Array, "profile step 3"]
+    ) -> tuple[Lanes, Float[Array, "lane box"]]:
+        """One step of every lane and all that follows from it; and the forces on tops during it."""
         state, rules = lanes.state, self.rules
         n, capacity = self.lanes, rules.capacity
         gravity, force = self._excitation(lanes, profiles)
@@ -278,7 +297,7 @@ class Stage:
         usage = jnp.maximum(lanes.usage, self.stepper.usage(scratch))
         spent = jnp.where(lanes.state.running, self.stepper.iterations(scratch), 0)
         iterations = lanes.iterations + jnp.stack([spent.sum(), spent.max()])
-        return lanes._replace(state=state, scratch=scratch, usage=usage, iterations=iterations)
+        return lanes._replace(state=state, scratch=scratch, usage=usage, iterations=iterations), top_force
 
     def _join(
         self, carrier: Float[Array, "lane k"], boxes: Float[Array, "lane box k"]

@@ -20,6 +20,7 @@ from petmjx.engines.batch.stage import Stepper
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
 from petmjx.engines.cost import MEASURED
+from petmjx.engines.warp.frames import hand_over
 from petmjx.engines.warp.march import SLICE_NS, Shape
 from petmjx.engines.warp.newton import MAX_DOFS
 from petmjx.engines.warp.rollout import Rollout
@@ -180,6 +181,7 @@ class MjxWarpEngine(MjxEngine):
                 rollout.start(group, order)
             while not emitted.all():
                 status = group.status() if rollout is None else rollout.wait(group)
+                frames = None if rollout is None or group.recorder.idle else rollout.frames
                 full = np.flatnonzero(status == Status.OVERFLOWED)
                 if len(full):
                     rollout = self._make_room(group, full)
@@ -189,7 +191,9 @@ class MjxWarpEngine(MjxEngine):
                 picked = pick(rows, group.table, group.worlds, run.sim)
                 if rollout is not None and not emitted.all():
                     rollout.start(group, order)
-                yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim)
+                if frames is not None:
+                    hand_over(frames, group.recorder)
+                yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim, group.recorder)
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise

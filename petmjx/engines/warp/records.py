@@ -185,6 +185,21 @@ class Workspace:
     n_blocks: Annotated[wp.array[int], "lane"]  # up to the highest block with a contact
     iterations: Annotated[wp.array[int], "lane"]  # of the solver
     world: Annotated[wp.array[int], "lane"]  # which a lane has; negative: none
+    frame: Annotated[wp.array[int], "lane"]  # which a lane writes
+
+
+@record
+class Frames:
+    """Frames of recorded worlds, in the order in which lanes write them; all worlds of a call share the room."""
+
+    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: it is not recorded
+    used: Annotated[wp.array[int], "1"]
+    of: Annotated[wp.array[int], "frame"]  # the world of a frame
+    step: Annotated[wp.array[int], "frame"]
+    placed: Annotated[wp.array[int], "frame"]
+    pose: Annotated[wp.array3d[float], "frame box 7"]
+    top_force: Annotated[wp.array2d[float], "frame box"]
+    carrier_pose: Annotated[wp.array2d[float], "frame 7"]
 
 
 @record

@@ -18,6 +18,7 @@ from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds, ch
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.sinking import MOST_IMPEDANCE
+from petmjx.engines.warp.frames import room_for
 from petmjx.engines.warp.march import SLICE_NS, March
 
 TOLERANCE = 1e-8
@@ -103,8 +104,10 @@ class Rollout:
 
     def start(self, group: Group, order: Int[Array, " world"]) -> None:
         """Begin a slice of time for all worlds of a group that run. ``wait`` waits for its end."""
-        arguments = (group.table, self.workspace, group.worlds, group.profiles, order)
-        shapes = (len(order), *group.profiles.shape)
+        if group.frames is None:
+            group.frames = room_for(group, self.march.sizes["lane"])
+        arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
+        shapes = (len(order), *group.profiles.shape, len(group.frames["of"]))
         if shapes not in self._programs:
             begin, progress = time.perf_counter(), group.run.progress
             progress.message = "compiling"
@@ -112,7 +115,7 @@ class Rollout:
             self._programs[shapes] = self._advancing.lower(*arguments).compile()
             progress.compile_s += time.perf_counter() - begin
         self.began = time.perf_counter()
-        group.table, self.workspace, self.status, self.counts = self._programs[shapes](*arguments)
+        group.table, self.workspace, self.status, self.frames, self.counts = self._programs[shapes](*arguments)
 
     def close(self) -> None:
         """Wait for a slice that is under way, and free the lanes' memory."""
@@ -143,16 +146,17 @@ class Rollout:
         worlds: Worlds,
         profiles: Array,
         order: Int[Array, " world"],
-    ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array]]:
-        """A slice of time. Returns states, workspace, a copy of the statuses, and counts."""
+        frames: dict[str, jax.Array],
+    ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
+        """A slice of time. Returns states, workspace, a copy of the statuses, frames, and counts."""
         table = self._begin_drives(table, worlds)
         flat = table._asdict()
         flat |= flat.pop("metrics")._asdict()
         tables = worlds._asdict() | {"profiles": profiles, "order": order}
-        after, workspace, counts = self.march(tables, flat, workspace)
+        after, workspace, frames, counts = self.march(tables, flat, workspace, frames)
         metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
         table = State(**after, metrics=metrics)
-        return table, workspace, table.status + 0, counts
+        return table, workspace, table.status + 0, frames, counts
 
     def _begin_drives(self, table: State, worlds: Worlds) -> State:
         """Drives begin in worlds whose placement has settled."""

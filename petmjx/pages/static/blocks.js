@@ -14,11 +14,12 @@ const MISSING = -32768; // stands for NaN
 
 export const readInfo = () => JSON.parse(document.getElementById("info").textContent);
 
+export const hasBlock = (name) => document.getElementById(`block-${name}`) !== null;
+
 // The arrays of a block by name: flat typed arrays, with their shape as `shape`. Resolves to null if there is none.
 export async function readBlock(name) {
-  const element = document.getElementById(`block-${name}`);
-  if (!element) return null;
-  const bytes = await inflated(element.textContent);
+  if (!hasBlock(name)) return null;
+  const bytes = await inflated(document.getElementById(`block-${name}`).textContent);
   const length = new DataView(bytes).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
   return Object.fromEntries(header.map((column) => [column.name, unpacked(bytes, 4 + length, column)]));

@@ -3,9 +3,11 @@
 import { slerp } from "./vectors.js";
 
 export class Frames {
-  // arrays: those of the block "frames" (petmjx/pages/story_data.py)
+  // arrays: time, pos, quat, carrier_pos and carrier_quat; the others of petmjx/pages/story_data.py where they are
+  // asked for
   constructor(arrays) {
     Object.assign(this, arrays);
+    if (arrays.force_root) this.force_n = arrays.force_root.map((root) => root * Math.abs(root));
     this.count = arrays.time.length;
     this.n = arrays.pos.shape[1];
     this.start = arrays.time[0];

@@ -1,7 +1,7 @@
 // The page of one story (petmjx/pages/story_page.py): joins viewer, player, time line, colours and numbers.
 
 import { contactArrows, driveArrows } from "./arrows.js";
-import { readBlock, readInfo } from "./blocks.js";
+import { hasBlock, readBlock, readInfo } from "./blocks.js";
 import { colourings, rgbOf } from "./colours.js";
 import { byId, make } from "./dom.js";
 import { Frames } from "./frames.js";
@@ -17,10 +17,9 @@ const LABEL_GAP = 6; // pixels
 const CHOSEN = { light: "#111418", dark: "#ffffff" };
 
 class StoryPage {
-  constructor(info, frames, contacts, viewer) {
+  constructor(info, frames, viewer) {
     Object.assign(this, { info, frames, viewer, chosen: info.first ? info.first.box : -1 });
     this.night = matchMedia("(prefers-color-scheme: dark)");
-    this.contacts = contacts && contactArrows(contacts, frames);
     this.drive = info.drive && driveArrows(info, frames);
     this.colourings = colourings(info, frames);
     this.player = new Player(frames, (time) => this.show(time), (playing) => this.showPlaying(playing));
@@ -42,11 +41,8 @@ class StoryPage {
     byId("speed").append(...SPEEDS.map((speed) => option(speed, `${speed}×`)));
     byId("speed").value = this.player.speed;
     for (const [key, { title }] of Object.entries(this.colourings)) byId("colour").append(option(key, title));
-    const forces = byId("forces");
-    forces.disabled = !this.contacts;
-    byId("force-scale").textContent = this.contacts
-      ? `0.2 m of arrow: ${this.contacts.scale_n.toLocaleString("en")}\u00a0N`
-      : "(not recorded)";
+    byId("forces").disabled = !hasBlock("contacts");
+    if (!hasBlock("contacts")) byId("force-scale").textContent = "(not recorded)";
     byId("to-sign").hidden = this.firstSign() === null;
   }
 
@@ -62,7 +58,7 @@ class StoryPage {
     on("speed", "change", (event) => (player.speed = Number(event.target.value)));
     on("colour", "change", () => this.showColours());
     on("ghosts", "change", () => this.showGhosts());
-    on("forces", "change", () => this.show(player.time));
+    on("forces", "change", () => this.showForces());
     on("box", "change", (event) => this.choose(Number(event.target.value)));
     this.night.addEventListener("change", () => this.choose(this.chosen));
     listenToKeys({
@@ -96,7 +92,7 @@ class StoryPage {
     const carrier = frames.carrier(time);
     viewer.setCarrier([...carrier.pos], [...carrier.quat]);
     viewer.setColours(this.colouring.colours(time));
-    const forces = byId("forces").checked;
+    const forces = this.contacts && byId("forces").checked;
     viewer.setOpacity(forces ? GLASS : 1);
     viewer.setArrows([...(forces ? this.contacts.at(frame) : []), ...(this.drive ? this.drive.at(frame) : [])]);
     if (this.drive) {
@@ -108,6 +104,13 @@ class StoryPage {
     byId("now").textContent = words;
     this.timeline.show(time, words);
     showNumbers(byId("numbers"), this.chosen, this.info, frames, time);
+  }
+
+  // There may be millions of contacts, so they are read when they are asked for.
+  async showForces() {
+    this.contacts ??= contactArrows(await readBlock("contacts"), this.frames);
+    byId("force-scale").textContent = `0.2 m of arrow: ${this.contacts.scale_n.toLocaleString("en")}\u00a0N`;
+    this.show(this.player.time);
   }
 
   showPlaying(playing) {
@@ -149,16 +152,21 @@ class StoryPage {
     this.placeLabel(byId("label-chosen"), other, other < 0 ? "" : name(other));
   }
 
-  // Above the box, or below where there is no room above; always within the canvas.
+  // Above the box, or beside it where there is no room above; always within the canvas.
   placeLabel(label, box, text) {
     const hull = box >= 0 ? this.viewer.hull(box) : null;
     label.hidden = !hull;
     if (!hull) return;
     label.textContent = text;
     const { offsetWidth: width, offsetHeight: height, parentElement: room } = label;
-    const above = hull.top - height - LABEL_GAP;
-    const x = clamped((hull.left + hull.right - width) / 2, 4, room.clientWidth - width - 4);
-    const y = clamped(above < 4 ? hull.bottom + LABEL_GAP : above, 4, room.clientHeight - height - 4);
+    let [x, y] = [(hull.left + hull.right - width) / 2, hull.top - height - LABEL_GAP];
+    if (y < 0) {
+      const right = hull.right + LABEL_GAP;
+      x = right + width < room.clientWidth ? right : hull.left - width - LABEL_GAP;
+      y = (Math.max(hull.top, 0) + hull.bottom - height) / 2;
+    }
+    x = clamped(x, 4, room.clientWidth - width - 4);
+    y = clamped(y, 4, room.clientHeight - height - 4);
     label.style.transform = `translate(${x}px, ${y}px)`;
   }
 }
@@ -177,11 +185,11 @@ async function main() {
     byId("why-still").textContent = "As it ended. This browser has no WebGL 2, so the pallet cannot be played and turned.";
     return;
   }
-  const [frames, contacts] = await Promise.all([readBlock("frames"), readBlock("contacts")]);
+  const frames = new Frames(await readBlock("frames"));
   byId("still").hidden = true;
   for (const id of ["view", "player", "side", "help"]) byId(id).hidden = false;
   byId("all").open = false;
-  new StoryPage(info, new Frames(frames), contacts, viewer);
+  new StoryPage(info, frames, viewer);
 }
 
 main();

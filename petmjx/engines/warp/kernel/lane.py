@@ -9,10 +9,11 @@ import warp as wp
 from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.kernel.block import any_of_all, clock, wait_for_all
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_blocks, list_pairs, make_rows
+from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.motion import begin_step, end_step
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import newton
-from petmjx.engines.warp.records import Counts, Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.records import Counts, Frames, Lane, Model, State, Tables, Workspace
 from petmjx.verdict import Flag
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
@@ -58,6 +59,7 @@ def advance(
     tables: Tables,
     state: State,
     work: Workspace,
+    frames: Frames,
     counts: Counts,
     at: Lane,
     near: Any,
@@ -76,7 +78,8 @@ def advance(
     gravity, push = excitation(model, tables, state, at.world)
     step = state.step[at.world] + 1
     sample = step > 0 and step % model.sample_every == 0
-    measured = sample or step > state.rest_from[at.world]
+    every = frames.every[at.world]
+    measured = sample or step > state.rest_from[at.world] or every > 0
     left = any_of_all(begin_step(model, tables, state, work, at, gravity, push, sample))
     n_pairs = listed
     if left or n_pairs < 0:
@@ -102,6 +105,8 @@ def advance(
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
     after_step(model, tables, state, work, at, astray)
+    if every > 0:
+        keep_frame(state, work, frames, at, every)
     return listed
 
 
@@ -110,12 +115,14 @@ def run_lane(
     lane: int,
     thread: int,
     threads: int,
+    n_lanes: int,
     n_worlds: int,
     slice_ns: wp.int64,
     model: Model,
     tables: Tables,
     state: State,
     work: Workspace,
+    frames: Frames,
     counts: Counts,
     near: Any,
     near_words: int,
@@ -123,6 +130,7 @@ def run_lane(
     """Take worlds and step them, until the queue is empty or the call's time is over.
 
     Args:
+        n_lanes: of the call.
         n_worlds: length of the queue.
         slice_ns: time of the call, ns; with 0 a lane takes one step.
         near: a tile in shared memory for ``near_words`` numbers.
@@ -147,16 +155,24 @@ def run_lane(
         iterations = int(0)
         stood = int(-1)  # boxes for which pairs are listed
         listed = int(-1)
+        recorded = frames.every[at.world] > 0
+        full = bool(False)
+        if recorded and thread == 0:
+            full = no_room(frames, n_lanes)
+        late = any_of_all(full)
         while state.status[at.world] == RUNNING and not late:
             at.placed = state.placed[at.world]
             at.held = wp.where(state.driven_from[at.world] != NEVER and tables.held[at.world], 1, 0)
             if at.placed != stood:
                 listed = -1
             stood = at.placed
-            listed = advance(model, tables, state, work, counts, at, near, near_words, listed)
+            listed = advance(model, tables, state, work, frames, counts, at, near, near_words, listed)
             steps += 1
             iterations += work.iterations[lane]
-            late = any_of_all(thread == 0 and clock() - begin >= slice_ns)
+            full = bool(False)
+            if recorded and thread == 0:
+                full = no_room(frames, n_lanes)
+            late = any_of_all(thread == 0 and (full or clock() - begin >= slice_ns))
         if thread == 0:
             wp.atomic_add(counts.steps, 0, steps)
             wp.atomic_add(counts.iterations, 0, iterations)

@@ -1,0 +1,161 @@
+"""Frames of the worlds of a group, as they come from the device, and the histories made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.engines.batch.state import NEVER, State, Status
+from petmjx.engines.frames import history_of
+from petmjx.history import History
+from petmjx.units import seconds_to_steps
+from petmjx.world.job import Job
+
+
+class Trail(NamedTuple):
+    """What lanes went through in the steps of a chunk; all as it was after a step and what followed from it.
+
+    ``row``: the world of a lane; ``ran``: whether the step was taken; ``fresh``: a box has just been placed.
+    """
+
+    row: Int[Array, "step lane"]
+    ran: Bool[Array, "step lane"]
+    fresh: Bool[Array, "step lane"]
+    number: Int[Array, "step lane"]
+    placed: Int[Array, "step lane"]
+    status: Int[Array, "step lane"]
+    pose: Float[Array, "step lane box 7"]
+    top_force: Float[Array, "step lane box"]
+    carrier_pose: Float[Array, "step lane 7"]
+
+
+class Frames(NamedTuple):
+    """Some frames of one world of n boxes. NumPy arrays; as the arguments of ``history_of``."""
+
+    step: NDArray[np.int32]
+    placed: NDArray[np.int32]
+    pose: NDArray[np.float32]
+    top_force: NDArray[np.float32]
+    carrier_pose: NDArray[np.float32]
+
+
+class Recorder:
+    """Frames of those worlds of a group whose jobs ask for a history.
+
+    Args:
+        jobs: of the group.
+        timestep_s: of the simulation, s.
+
+    Attributes:
+        every: (job,) steps between two frames of a world; 0: it is not recorded.
+    """
+
+    def __init__(self, jobs: Sequence[Job], timestep_s: float) -> None:
+        self._jobs = jobs
+        intervals = [None if job.record is None else job.record.interval_s for job in jobs]
+        steps = [0 if each is None else max(seconds_to_steps(each, timestep_s), 1) for each in intervals]
+        self.every = np.array(steps, np.int32)
+        self._found: dict[int, list[Frames]] = {row: [] for row in np.flatnonzero(self.every).tolist()}
+
+    @property
+    def idle(self) -> bool:
+        """Whether no world is recorded."""
+        return not self._found
+
+    def add(self, row: int, frames: Frames) -> None:
+        """Frames of a world, later than those before; with as many boxes as they have, or more than the world."""
+        n = self._jobs[row].scene.n_boxes
+        pose, force = frames.pose[:, :n], frames.top_force[:, :n]
+        missing = [(0, 0), (0, n - pose.shape[1])]
+        padded = frames._replace(pose=np.pad(pose, [*missing, (0, 0)]), top_force=np.pad(force, missing))
+        self._found[row].append(padded)
+
+    def add_trail(self, trail: Trail) -> None:
+        """The frames among the steps of a chunk, of the lanes that have recorded worlds."""
+        rows = np.asarray(trail.row[0])
+        lanes = [lane for lane, row in enumerate(rows.tolist()) if row in self._found]
+        if not lanes:
+            return
+        taken: list[Any] = [np.asarray(values)[:, lanes] for values in trail]
+        some = Trail(*taken)
+        regular = (some.number >= 0) & (some.number % self.every[rows[lanes]] == 0) & (some.placed > 0)
+        due = np.asarray(some.ran & (regular | some.fresh | (some.status != Status.RUNNING)))
+        for lane, row in enumerate(rows[lanes].tolist()):
+            (at,) = np.nonzero(due[:, lane])
+            if len(at):
+                passed: list[Any] = [values[at, lane] for values in some]
+                self.add(row, self._frames(row, Trail(*passed)))
+
+    def _frames(self, row: int, steps: Any) -> Frames:
+        """Frames from some steps of one world, a ``Trail`` on the host without the axis of lanes. Nothing has acted yet
+        on a box that was just placed."""
+        (fresh,) = np.nonzero(steps.fresh)
+        steps.top_force[fresh, steps.placed[fresh] - 1] = 0.0
+        frames = Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
+        if steps.status[-1] != Status.READY:
+            return frames
+        # its next box is placed where it is handed on to, before the next step
+        box, scene = int(steps.placed[-1]), self._jobs[row].scene
+        wider = [(0, 0), (0, 1)]
+        pose, force = np.pad(frames.pose, [*wider, (0, 0)]), np.pad(frames.top_force, wider)
+        pose[-1, box] = np.concatenate((scene.start_pos[box], scene.start_quat[box]))
+        force[-1, box] = 0.0
+        frames.placed[-1] += 1
+        return frames._replace(pose=pose, top_force=force)
+
+    def marks(self) -> Mapping[int, int]:
+        """How far each world's frames have come."""
+        return {row: len(found) for row, found in self._found.items()}
+
+    def go_back(self, marks: Mapping[int, int], rows: Sequence[int]) -> None:
+        """Forget what some worlds went through since: they go through it again."""
+        for row in self._found.keys() & set(rows):
+            del self._found[row][marks[row] :]
+
+    def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
+        """The history of a world that has ended, whose frames are forgotten; None if it was not recorded.
+
+        Args:
+            world: its last state: one row, on the host.
+            time_s: the time after a step.
+        """
+        found = self._found.pop(row, None)
+        if found is None:
+            return None
+        job = self._jobs[row]
+        if job.start is not None:
+            found.insert(0, _of_state(job, job.start))
+        last = _of_state(job, world)
+        if not found or found[-1].step[-1] != last.step[0]:
+            found.append(last)  # given up by the host
+        parts: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in found]) for name in Frames._fields
+        }
+        driven_from = None if world.driven_from == NEVER else int(world.driven_from)
+        return history_of(
+            job,
+            parts["step"],
+            parts["placed"],
+            parts["pose"],
+            parts["top_force"],
+            parts["carrier_pose"],
+            lambda step: time_s(max(step, 0)),
+            driven_from,
+        )
+
+
+def _of_state(job: Job, state: Any) -> Frames:
+    """A frame of a state; what acted is not known."""
+    n = job.scene.n_boxes
+    pose = np.array(state.pose, np.float32)[None, :n]
+    return Frames(
+        np.array([state.step], np.int32),
+        np.array([state.placed], np.int32),
+        pose,
+        np.full((1, n), np.nan, np.float32),
+        np.array(state.carrier_pose, np.float32)[None],
+    )

@@ -1,0 +1,71 @@
+"""Room on the device for the frames of a slice of time, and how they come to the host."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Final
+
+import jax
+import numpy as np
+import warp as wp
+
+from petmjx.engines.batch.engine import Group
+from petmjx.engines.batch.recorder import Frames as FramesOfWorld
+from petmjx.engines.batch.recorder import Recorder
+from petmjx.engines.warp import records
+from petmjx.engines.warp.records import Frames
+
+MOST_BYTES: Final = 64 << 20
+"""Most room for frames: with 45 boxes 40,000 of them. In a slice of 250 ms the 264 lanes of an H200 take some 10,000 if
+all worlds are recorded. Lanes that find no room wait for the next slice."""
+
+FRAMES_PER_WORLD: Final = 512
+"""Room for each recorded world: more than the quickest ones take in a slice."""
+
+FRAMES_PER_LANE: Final = 4
+"""Least room: each lane may be about to write a frame when it is looked whether there is room."""
+
+FEWEST: Final = 256
+"""Frames that come to the host together, at least; then four times as many, and so on. Each number is compiled once."""
+
+_KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in records.array_types(Frames).items()}
+
+
+def room_for(group: Group, lanes: int) -> dict[str, jax.Array]:
+    """Empty room for frames; next to none where no world of the group is recorded."""
+    n_worlds, n_boxes = group.table.pose.shape[:2]
+    words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
+    n_recorded = int(np.count_nonzero(group.recorder.every))
+    wanted = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))
+    n_frames = 1 if group.recorder.idle else max(wanted, FRAMES_PER_LANE * lanes)
+    room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, n_worlds).items()}
+    room["every"][: len(group.jobs)] = group.recorder.every
+    placed: dict[str, jax.Array] = jax.device_put(room)
+    return placed
+
+
+def hand_over(frames: dict[str, jax.Array], recorder: Recorder) -> None:
+    """Give the frames of a slice to a recorder, world by world, in the order of their steps."""
+    used = int(np.asarray(frames["used"])[0])
+    if used == 0:
+        return
+    some, room = FEWEST, len(frames["of"])
+    while some < used:
+        some *= 4
+    firsts = jax.device_get(_first({name: frames[name] for name in ("of", *FramesOfWorld._fields)}, min(some, room)))
+    host = {name: values[:used] for name, values in firsts.items()}
+    order = np.lexsort((host["step"], host["of"]))
+    begins = np.flatnonzero(np.diff(host["of"][order], prepend=-1))
+    for rows in np.split(order, begins[1:]):
+        parts = {name: host[name][rows] for name in FramesOfWorld._fields}
+        recorder.add(int(host["of"][rows[0]]), FramesOfWorld(**parts))
+
+
+@partial(jax.jit, static_argnames="count")
+def _first(frames: dict[str, jax.Array], count: int) -> dict[str, jax.Array]:
+    return {name: values[:count] for name, values in frames.items()}
+
+
+def _shapes(n_frames: int, n_boxes: int, n_worlds: int) -> dict[str, tuple[int, ...]]:
+    return records.array_shapes(Frames, {"frame": n_frames, "box": n_boxes, "world": n_worlds})

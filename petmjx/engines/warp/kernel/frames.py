@@ -1,0 +1,47 @@
+"""Frames of recorded worlds: poses after a step, and the forces on tops during it (petmjx.history)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.warp.kernel.block import wait_for_all
+from petmjx.engines.warp.kernel.rules import RUNNING
+from petmjx.engines.warp.records import Frames, Lane, State, Workspace
+
+
+@wp.func
+def no_room(frames: Frames, lanes: int) -> bool:
+    """Whether a lane must not step a recorded world, since each lane may be about to write a frame. By one thread.
+
+    An atomic addition reads what all lanes have written; a plain load may read a multiprocessor's own cache.
+    """
+    return wp.atomic_add(frames.used, 0, 0) + lanes > frames.of.shape[0]
+
+
+@wp.func
+def keep_frame(state: State, work: Workspace, frames: Frames, at: Lane, every: int) -> None:
+    """Keep a frame after a step of a recorded world and all that followed from it, if one is due.
+
+    Args:
+        every: steps between two frames.
+    """
+    world = at.world
+    step = state.step[world]
+    placed = state.placed[world]
+    regular = at.placed > 0 and step >= 0 and step % every == 0
+    if regular or placed > at.placed or state.status[world] != RUNNING:
+        if at.thread == 0:
+            work.frame[at.lane] = wp.atomic_add(frames.used, 0, 1)
+        wait_for_all()
+        frame = work.frame[at.lane]
+        for box in range(at.thread, placed, at.threads):
+            for i in range(7):
+                frames.pose[frame, box, i] = state.pose[world, box, i]
+            # nothing has acted yet on a box that was just placed
+            frames.top_force[frame, box] = wp.where(box < at.placed, work.top_force[at.lane, box], 0.0)
+        if at.thread == 0:
+            frames.of[frame] = world
+            frames.step[frame] = step
+            frames.placed[frame] = placed
+            for i in range(7):
+                frames.carrier_pose[frame, i] = state.carrier_pose[world, i]
