@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     )
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
     from petmjx.history import History
+    from petmjx.pages.report.make import report
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.results.compare import compare_runs
@@ -52,6 +53,7 @@ _HOME = {
     "InputError": "petmjx.errors",
     "PetmjxError": "petmjx.errors",
     "History": "petmjx.history",
+    "report": "petmjx.pages.report.make",
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
@@ -89,6 +91,7 @@ __all__ = [
     "load_plans",
     "load_run",
     "merge_runs",
+    "report",
     "score",
     "sweep",
     "tell",

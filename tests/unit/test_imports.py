@@ -34,6 +34,7 @@ READERS = (
     "petmjx.results.compare",
     "petmjx.show.tables",
     "petmjx.pages.story_page",
+    "petmjx.pages.report.make",
     "petmjx.plans",
 )
 SIMULATORS = ("jax", "mujoco", "warp")

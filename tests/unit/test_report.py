@@ -139,7 +139,7 @@ def test_plans_are_found_again_only_if_they_are_what_was_simulated(tmp_path: Pat
 
 def test_boxes_come_back_as_they_ended(run: Path) -> None:
     runs = open_runs([run])
-    rows, table = table_rows(runs)
+    _, table = table_rows(runs)
     packed = box_blocks(runs, table)
     assert packed.drawn.tolist() == list(range(30))
     assert len(packed.blocks) == math.ceil(30 / WORLDS_PER_BLOCK)
