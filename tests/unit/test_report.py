@@ -19,6 +19,7 @@ from test_pages import opened_block
 
 from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.pages.columns import block
 from petmjx.pages.report.about import differing
 from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks
 from petmjx.pages.report.charts import bars, equal_groups, histogram
@@ -91,7 +92,7 @@ def test_verdicts_have_their_counts_and_wilson_intervals(run: Path) -> None:
     (opened,) = open_runs([run])
     text = words_of(verdict_table(opened))
     low, high = (100 * float(bound) for bound in wilson_interval(21, 30))
-    assert f"stable 21 70.0 % {low:.1f} % to {high:.1f} %" in text
+    assert f"stable 21 70.0 % {low:.1f} to {high:.1f} %" in text
     assert [int(count) for count in re.findall(r"(?:drop|tilt|failed) +(\d+)", text)] == [3, 3, 3]
 
 
@@ -173,6 +174,14 @@ def test_of_too_many_worlds_those_that_fall_are_kept(run: Path) -> None:
     packed = box_blocks(runs, table, most=40)
     assert packed.without_boxes == 7
     assert set(table["verdict"][packed.drawn >= 0]) <= {"unstable", "invalid"}
+
+
+def test_ten_thousand_plans_fit_into_a_mail(tmp_path: Path) -> None:
+    runs = open_runs([scored(tmp_path, 100, n_boxes=44)])
+    rows, table = table_rows(runs)
+    bytes_a_box = sum(map(len, box_blocks(runs, table).blocks.values())) / table["n_boxes"].sum()
+    bytes_a_row = len(block(rows.arrays)) / len(table)
+    assert 10_003 * (43 * bytes_a_box + bytes_a_row) < 18e6, "of 20 MB"
 
 
 def test_odd_runs_look_right(tmp_path: Path) -> None:
@@ -263,29 +272,55 @@ def test_explained_variance_is_that_of_one_way_analysis() -> None:
     assert math.isnan(explained(pd.Series([1.0, 1.0]), pd.Series(["a", "b"])))
 
 
-def test_sweeps_have_their_answers(tmp_path: Path) -> None:
+SHORT = '[simulation]\ncheck = "static"\nduration_s = 0.1\nrest_s = 0.05\n'
+
+
+def swept(folder: Path, rest: str) -> tuple[pd.DataFrame, Path]:
+    """The worlds of a short sweep of two plans of two boxes each, and its folder."""
     import petmjx
 
-    plans = [petmjx.load_plans(write_file(tmp_path))]
-    grid = tmp_path / "grid.toml"
-    grid.write_text(
-        'name = "grid"\nplans = "samples"\n[simulation]\ncheck = "static"\nduration_s = 0.1\nrest_s = 0.05\n'
-        '[axes]\nprofile = "eumos-40509"\nlevel = [0.2, 1.5]\ndirection = [0, 90, 180]\n'
-    )
-    shaken = petmjx.sweep(grid, plans[0], engine="mujoco", out=tmp_path / "grid")
-    (opened,) = open_runs([tmp_path / "grid"])
+    write_plans(folder / "two.json", ["a", "b"], n_boxes=4)
+    file = folder / "sweep.toml"
+    file.write_text('name = "grid"\nplans = "two.json"\n' + SHORT + rest, encoding="utf-8")
+    return petmjx.sweep(file, engine="mujoco", out=folder / "swept").worlds, folder / "swept"
+
+
+def test_grids_have_their_answers(tmp_path: Path) -> None:
+    axes = '[axes]\nprofile = "eumos-40509"\nlevel = [0.2, 1.5]\ndirection = [0, 90, 180]\n'
+    worlds, folder = swept(tmp_path, axes)
+    (opened,) = open_runs([folder])
     assert (opened.kind, opened.axes) == (Kind.GRID, ["direction_deg", "level_g"])
-    html = page_of(tmp_path / "grid")
+    html = page_of(folder)
     body = checked(html)
     for words in ("Share that stands by level", "Largest level of eumos-40509 by direction", "Which axis matters most"):
         assert words in body
-    assert info_of(html)["n"] == len(shaken.worlds) == 12
-    assert {"x-level_g", "x-direction_deg"} <= {column["key"] for column in info_of(html)["columns"]}
+    assert info_of(html)["n"] == len(worlds) == 12
+    keys = [column["key"] for column in info_of(html)["columns"]]
+    assert keys.index("x-level_g") < keys.index("verdict") < keys.index("x-mode")
+    shares = worlds.assign(stands=worlds["verdict"] == "stable").groupby("level_g")["stands"].mean()
+    assert f"<title>0.2: {100 * shares[0.2]:.1f} %, 95 %:" in body
 
 
-def write_file(folder: Path) -> Path:
-    write_plans(folder / "two.json", ["a", "b"], n_boxes=2)
-    return folder / "two.json"
+def test_searches_have_their_answers(tmp_path: Path) -> None:
+    search = "[search]\nlower = 0.2\nupper = 0.6\ntolerance = 0.2\n"
+    axes = '[axes]\nprofile = "eumos-40509"\ndirection = [0, 90, 180]\n'
+    _, folder = swept(tmp_path, search + axes)
+    body = checked(page_of(folder))
+    for words in ("6 searches of placements that stand at rest", "tested up to 0.6 g", "Largest level survived, g"):
+        assert words in body
+    assert "Tilt: histogram" not in body, "its worlds say where it looked"
+
+
+def test_confidence_has_its_answers(tmp_path: Path) -> None:
+    import petmjx
+
+    write_plans(tmp_path / "two.json", ["a", "b"], n_boxes=4)
+    options: dict[str, Any] = {"engine": "mujoco", "check": "static", "duration_s": 0.1, "confidence": 4}
+    petmjx.score(tmp_path / "two.json", out=tmp_path / "sure", **options)
+    html = page_of(tmp_path / "sure")
+    assert "How sure are the verdicts?" in checked(html)
+    assert info_of(html)["n"] == 2, "a row a plan, not a row a world"
+    assert {"share", "low", "high"} <= {column["key"] for column in info_of(html)["columns"]}
 
 
 # Charts.

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from petmjx.pages.report.markup import Content, Markup, element
-from petmjx.pages.report.svg import RIGHT, WIDTH, Frame, Scale, drawing
+from petmjx.pages.report.svg import WIDTH, Frame, Scale, drawing
 from petmjx.text import three_digits
 from petmjx.units import FloatArray
 
@@ -29,6 +29,10 @@ MOST_POINTS: Final = 400
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 ROW_HEIGHT: Final = 24
+TALL_ROW: Final = 42
+"""Of charts with the name above the drawing, pixels."""
+
+MOST_LETTERS: Final = 28
 LETTER: Final = 6
 """Width of a letter, rather too much, pixels."""
 
@@ -36,6 +40,11 @@ LETTER: Final = 6
 def percent(share: float) -> str:
     """A share for people: "97.3 %"."""
     return "–" if math.isnan(share) else f"{100 * share:.1f} %"
+
+
+def between(low: float, high: float) -> str:
+    """An interval of shares for people: "25.6 to 61.1 %"."""
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
 def histogram(frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str]) -> None:
@@ -110,7 +119,7 @@ def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray,
     frame.line(x, share, "curve")
     px, py = frame.at(x, share)
     for at in np.flatnonzero(np.isfinite(share)):
-        interval = "" if math.isnan(low[at]) else f", 95 %: {percent(low[at])} to {percent(high[at])}"
+        interval = "" if math.isnan(low[at]) else f", 95 %: {between(low[at], high[at])}"
         title = element("title", f"{x[at]:g}: {percent(share[at])}{interval}")
         frame.add(element("circle", title, cx=float(px[at]), cy=float(py[at]), r=3, class_="dot"))
 
@@ -153,54 +162,53 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
     return drawing(title, width, max(1, len(rows)) * ROW_HEIGHT + 4, *marks)
 
 
-def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]], *, names: int = 130) -> Markup:
-    """A dot with its interval a row: (name, share, low, high, text). All between 0 and 100 %."""
-    width = 2 * WIDTH
-    scale = Scale(0.0, 1.0)
-    room = width - names - RIGHT - 190
-    height = len(rows) * ROW_HEIGHT + 30
+def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) -> Markup:
+    """A dot with its interval a row, between 0 and 100 %: (name, share, low, high, text), name and text above it."""
+    left, right = 12.0, WIDTH - 16.0
+    height = len(rows) * TALL_ROW + 22
     marks: list[Content] = []
     for value in (0.0, 0.25, 0.5, 0.75, 1.0):
-        px = names + room * value
-        marks.append(element("line", x1=px, y1=4, x2=px, y2=height - 22, class_="grid"))
-        marks.append(element("text", f"{100 * value:.0f} %", x=px, y=height - 6, text_anchor="middle"))
+        px = left + (right - left) * value
+        marks.append(element("line", x1=px, y1=4, x2=px, y2=height - 16, class_="grid"))
+        marks.append(element("text", f"{100 * value:.0f} %", x=px, y=height - 4, text_anchor="middle"))
     for at, (name, share, low, high, text) in enumerate(rows):
-        y = at * ROW_HEIGHT + 16
-        letters = names // LETTER
-        short = name if len(name) <= letters else name[: letters - 1] + "…"
-        marks.append(element("text", element("title", name), short, x=names - 10, y=y + 4, text_anchor="end"))
-        marks.append(element("text", text, x=names + room + 10, y=y + 4))
+        y = at * TALL_ROW
+        marks.append(_named(name, y + 13))
+        marks.append(element("text", text, x=WIDTH, y=y + 13, text_anchor="end", class_="halo"))
         if math.isnan(share):
             continue
-        left, middle, right = (names + room * scale.place([low, share, high])).tolist()
-        marks.append(element("line", x1=left, y1=y, x2=right, y2=y, class_="whisker"))
-        marks.append(element("circle", element("title", text), cx=middle, cy=y, r=4.5, class_="dot"))
-    return drawing(title, width, height, *marks, class_="broad")
+        ends = [left + (right - left) * value for value in (low, share, high)]
+        marks.append(element("line", x1=ends[0], y1=y + 25, x2=ends[2], y2=y + 25, class_="whisker"))
+        marks.append(element("circle", element("title", text), cx=ends[1], cy=y + 25, r=4.5, class_="dot"))
+    return drawing(title, WIDTH, height, *marks)
 
 
-def stacked(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]]], *, names: int = 130) -> Markup:
-    """A bar of several parts a row: (name, [(class, count, meaning), …]); all bars are equally long."""
-    width = 2 * WIDTH
-    room = width - names - RIGHT
+def stacked(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]]]) -> Markup:
+    """A bar of several parts a row, its name above: (name, [(class, count, meaning), …]); all are equally long."""
     marks: list[Content] = []
     for at, (name, parts) in enumerate(rows):
-        y = at * ROW_HEIGHT * 1.25
+        y = at * TALL_ROW
+        marks.append(_named(name, y + 13))
         whole = sum(count for _, count, _ in parts) or 1
-        letters = names // LETTER
-        short = name if len(name) <= letters else name[: letters - 1] + "…"
-        marks.append(element("text", element("title", name), short, x=names - 6, y=y + 18, text_anchor="end"))
-        left = float(names)
+        left = 0.0
         for class_, count, meaning in parts:
             if not count:
                 continue
-            wide = room * count / whole
+            wide = WIDTH * count / whole
             said = f"{count:,}"
-            inside = element("text", said, x=left + wide / 2, y=y + 18, text_anchor="middle", class_="on")
-            rect = element("rect", x=left, y=y + 4, width=max(wide - 1, 0.5), height=20, class_=f"fill {class_}")
-            fits = wide > 8 * len(said)
+            inside = element("text", said, x=left + wide / 2, y=y + 31, text_anchor="middle", class_="on")
+            rect = element("rect", x=left, y=y + 18, width=max(wide - 1, 0.5), height=18, class_=f"fill {class_}")
+            fits = wide > (LETTER + 2) * len(said)
             marks.append(element("g", element("title", f"{said} {meaning}"), rect, inside if fits else None))
             left += wide
-    return drawing(title, width, len(rows) * ROW_HEIGHT * 1.25 + 4, *marks, class_="broad")
+    return drawing(title, WIDTH, len(rows) * TALL_ROW + 4, *marks)
+
+
+def _named(name: str, y: float) -> Markup:
+    """A row's name; all of it is told when pointed at."""
+    letters = MOST_LETTERS
+    short = name if len(name) <= letters else name[: letters - 1] + "…"
+    return element("text", element("title", name), short, x=0, y=y, class_="halo")
 
 
 ROSE: Final = 300

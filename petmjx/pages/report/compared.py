@@ -8,7 +8,7 @@ from typing import Final
 
 import pandas as pd
 
-from petmjx.pages.report.charts import intervals, percent, stacked
+from petmjx.pages.report.charts import between, intervals, percent, stacked
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import figure
@@ -31,9 +31,9 @@ def compared(runs: Sequence[ReportRun]) -> Markup:
         return NOTHING
     common = common_verdicts(runs)
     both = "both runs" if len(runs) == 2 else f"all {len(runs)} runs"
-    parts = [element("p", f"{counted(len(common), _word(runs))} in {both}.")]
+    parts: list[Content] = [element("p", f"{counted(len(common), _word(runs))} in {both}.")]
     if len(common):
-        parts += [_rates(runs, common), _won_and_lost(runs, common)]
+        parts.append(element("div", _rates(runs, common), _won_and_lost(runs, common), class_="charts"))
     if len(runs) == 2:
         parts.append(_two(runs, compare_runs(runs[0].results, runs[1].results)))
     return joined(*parts)
@@ -57,7 +57,7 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
         n, stands = int(judged.sum()), int((common[at] == Verdict.STABLE.value).sum())
         low, high = (float(bound) for bound in wilson_interval(stands, n))
         share = stands / n if n else float("nan")
-        text = f"{percent(share)} [{percent(low)}, {percent(high)}]" if n else "none judged"
+        text = f"{percent(share)} ({between(low, high)})" if n else "none judged"
         rows.append((run.name, share, low, high, text))
     invalid = int((common == Verdict.INVALID.value).sum().sum())
     note = "Share that stands of the worlds in all runs, with Wilson’s 95 % interval."
@@ -92,8 +92,8 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
         class_="keys",
     )
     more = f"{len(pairs) - MOST_PAIRS:,} more pairs are not drawn." if len(pairs) > MOST_PAIRS else ""
-    picture = stacked("Plans won and lost", rows, names=200)
-    return joined(figure("Plans won and lost, pair by pair", picture, more), key)
+    picture = stacked("Plans won and lost", rows)
+    return element("div", figure("Plans won and lost, pair by pair", picture, more), key)
 
 
 def _two(runs: Sequence[ReportRun], found: Comparison) -> Markup:
@@ -102,13 +102,13 @@ def _two(runs: Sequence[ReportRun], found: Comparison) -> Markup:
     rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in found.confusion.iterrows()]
     agree = percent(found.agreement) if found.agreement is not None else "–"
     caption = f"Verdicts: {found.n_agree:,} of {counted(found.n_common, 'world')} agree ({agree})"
-    notes = [element("li", note.replace("a ", f"{a} ", 1) if note.startswith("a ") else note) for note in found.notes]
+    notes = [element("li", note) for note in found.notes]
     said = ""
     if found.n_not_stable:
         said = f"Of {counted(found.n_not_stable, 'world')} that neither calls stable, {found.same_reason:,} have the "
         said += f"same reason and {found.same_culprit:,} the same first box."
     return joined(
-        element("h3", f"{a} against {b}"),
+        element("h3", f"{a} (a) against {b} (b)"),
         element("ul", *notes, class_="lines warn") if notes else NOTHING,
         table([f"{a} ↓ {b} →", *map(str, found.confusion.columns)], rows, caption=caption),
         element("p", said) if said else NOTHING,
@@ -136,7 +136,7 @@ def _flips(runs: Sequence[ReportRun], found: Comparison) -> Markup:
         name = str(row["plan_id"]) + (f" / {row['variant']}" if row["variant"] else "")
         cells: list[Content] = [element("a", name, href=f"#{where}")]
         cells += [_outcome(row, side) for side in "ab"]
-        cells += ["–" if pd.isna(row[f"margin_{side}"]) else three_digits(row[f"margin_{side}"]) for side in "ab"]
+        cells += [_margin(row[f"margin_{side}"]) for side in "ab"]
         rows.append(cells)
     a, b = (run.name for run in runs)
     said = f"Flipped verdicts ({len(flips):,})"
@@ -149,6 +149,10 @@ def _flips(runs: Sequence[ReportRun], found: Comparison) -> Markup:
         table(["plan", a, b, f"margin, {a}", f"margin, {b}"], rows, caption=said, texts=3),
         element("p", note, " A click shows both in 3D, side by side.", class_="hint"),
     )
+
+
+def _margin(value: float) -> str:
+    return "–" if pd.isna(value) else f"{value:.2f}".replace("-", "−")
 
 
 def _outcome(row: dict[str, object], side: str) -> Markup:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -37,6 +37,7 @@ class Quantity:
         label: name and unit.
         log_from: the lower end of a logarithmic axis; None: a linear one from 0.
         lowest: what stands there, for smaller values.
+        counts: whether values are whole numbers.
     """
 
     column: str
@@ -45,6 +46,7 @@ class Quantity:
     factor: float = 1.0
     log_from: float | None = None
     lowest: str = ""
+    counts: bool = False
 
     def of(self, worlds: pd.DataFrame) -> pd.Series:
         """The values, in the unit of the label; NaN where there is none, or an infinite one."""
@@ -54,6 +56,10 @@ class Quantity:
     def scale(self, values: pd.Series) -> Scale:
         """An axis with all values."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
+
+    def across(self, values: pd.Series) -> Scale:
+        """An axis from the smallest to the largest value."""
+        return replace(Scale.over(values.to_numpy()), counts=self.counts)
 
     def limit(self, thresholds: Thresholds) -> float | None:
         """The threshold of this metric, in the unit of the label."""
@@ -72,7 +78,7 @@ METRICS: Final = (
 )
 
 SIZES: Final = (
-    Quantity("n_boxes", "boxes", "boxes of the plan"),
+    Quantity("n_boxes", "boxes", "boxes of the plan", counts=True),
     Quantity("height_m", "height", "height of the plan, m"),
     Quantity("mass_kg", "weight", "weight of the load, kg"),
 )
@@ -119,7 +125,7 @@ def _limit(frame: Frame, metric: Quantity, limits: Thresholds, *, across: bool =
 def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thresholds) -> Markup:
     x, y = size.of(worlds), metric.of(worlds)
     title = f"{metric.title} against {size.title}"
-    frame = Frame(title, Scale.over(x), metric.scale(y), size.label, metric.label)
+    frame = Frame(title, size.across(x), metric.scale(y), size.label, metric.label)
     known = int((x.notna() & y.notna()).sum())
     if known <= MOST_POINTS:
         points(frame, x, y, worlds["verdict"])
@@ -142,7 +148,7 @@ def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
     stands = (judged["verdict"] == Verdict.STABLE.value).to_numpy()
     found = np.array(list(_grouped(x, stands))).reshape(-1, 4)
     title = f"Share that stands against {size.title}"
-    frame = Frame(title, Scale.over(size.of(worlds)), Scale(0, 1), size.label, "stand", y_percent=True)
+    frame = Frame(title, size.across(size.of(worlds)), Scale(0, 1), size.label, "stand", y_percent=True)
     middle, share, low, high = found.T
     missing = np.full(len(found), np.nan)
     share_curve(frame, middle, share, *((low, high) if one_each else (missing, missing)))

@@ -101,6 +101,7 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
     limits = thresholds_of(run.info)
     return {
         "name": run.name,
+        "command": "sweep" if run.kind in (Kind.GRID, Kind.SEARCH) else "score",
         "floorZ": simulation_of(run.info).physics.floor_z_m,
         "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
         "missing": run.found.note,

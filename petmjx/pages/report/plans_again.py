@@ -10,6 +10,7 @@ from typing import Final
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
+from petmjx.plans.samples import bundled_path
 from petmjx.results.manifest import Manifest, plan_digest
 from petmjx.results.reader import RunResults
 from petmjx.text import counted, shown
@@ -39,7 +40,11 @@ def find_plans_again(run: RunResults, given: Sequence[Path] = ()) -> FoundPlans:
     except InputError as error:
         return FoundPlans({}, str(error))
     sources = list(given) or [Path(source) for source in dict.fromkeys(source for _, source in manifest.plans.values())]
-    there = [source for source in sources if given or (source.name and source.exists())]
+    if not given:
+        # bundled plans may have been elsewhere, on another machine
+        bundled = bundled_path()
+        sources = [bundled if source.name == bundled.name and not source.is_file() else source for source in sources]
+    there = [source for source in sources if given or source.is_file()]
     read = load_plans(there).plans if there else []
     same = {plan.plan_id: plan for plan in read if manifest.plans.get(plan.plan_id, ("",))[0] == plan_digest(plan)}
     wanted = set(run.worlds["plan_id"])

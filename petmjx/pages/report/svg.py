@@ -209,7 +209,7 @@ def path(x: FloatArray, y: FloatArray) -> str:
     return "".join(written)
 
 
-def drawing(title: str, width: float, height: float, *marks: Content, class_: str | None = None) -> Markup:
+def drawing(title: str, width: float, height: float, *marks: Content) -> Markup:
     """An SVG picture that shrinks with the page."""
     return element(
         "svg",
@@ -219,7 +219,6 @@ def drawing(title: str, width: float, height: float, *marks: Content, class_: st
         height=f"{height:g}",
         role="img",
         aria_label=title,
-        class_=class_,
     )
 
 

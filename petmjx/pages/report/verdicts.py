@@ -7,7 +7,7 @@ from urllib.parse import urlencode
 
 import pandas as pd
 
-from petmjx.pages.report.charts import percent
+from petmjx.pages.report.charts import between, percent
 from petmjx.pages.report.markup import Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.sweeps.shares import wilson_interval
@@ -55,7 +55,7 @@ def _row(run: ReportRun, name: str, count: int, filters: dict[str, str], drawn: 
     cells: list[Content] = [named, f"{count:,}", percent(count / n) if n else "–"]
     if drawn:
         low, high = (float(bound) for bound in wilson_interval(count, n))
-        cells.append(f"{percent(low)} to {percent(high)}" if n else "–")
+        cells.append(between(low, high) if n else "–")
     return cells
 
 

@@ -5,7 +5,7 @@
 // `run` is an entry of info.runs, `first` the box that went first or −1, `world` what endedWorld of ended.js gives,
 // `replay` the number of what was recorded of it or −1.
 
-import { rgbOf } from "./colours.js";
+import { rgbOf, roundedUp, shareOf } from "./colours.js";
 import { make, makeSvg } from "./dom.js";
 import { bounds } from "./ended.js";
 import { Replay } from "./replay.js";
@@ -73,16 +73,23 @@ export class Card {
 
   colour(by) {
     const values = by === "article" ? null : this.world[by];
-    const most = values ? values.reduce((found, value) => (value > found ? value : found), 0) || 1 : 0;
+    const most = values ? this.most(by, values) : 0;
     const shades = values ? this.info.ramp : this.info.categories;
     const places = values ? null : ranked(this.world.article);
     const rgb = new Float32Array(3 * this.world.n);
     for (let box = 0; box < this.world.n; box++) {
-      const shade = values ? Math.round((values[box] / most) * (shades.length - 1)) : places[box] % shades.length;
+      const shade = values ? Math.round(Math.min(values[box] / most, 1) * (shades.length - 1)) : places[box] % shades.length;
       rgb.set(shades[shade] ? rgbOf(shades[shade]) : UNPLACED, 3 * box);
     }
     this.viewer?.setColours(rgb);
     this.legend.replaceChildren(...(values ? scale(shades, most, UNITS[by]) : []));
+  }
+
+  // The end of a scale: twice the limit, so that it means the same for every plan; forces have none.
+  most(by, values) {
+    const { shift_mm, tilt_deg } = this.run.limits;
+    if (by === "force") return roundedUp(shareOf(values, 0.99));
+    return 2 * (by === "moved" ? shift_mm : tilt_deg);
   }
 
   mark() {
@@ -159,5 +166,5 @@ function scale(shades, most, unit) {
   const box = { viewBox: `0 0 ${shades.length} 1`, preserveAspectRatio: "none", "aria-hidden": "true" };
   const bar = makeSvg("svg", { class: "ramp", ...box });
   shades.forEach((fill, x) => bar.append(makeSvg("rect", { x, y: 0, width: 1.05, height: 1, fill })));
-  return [`0 ${unit}`, bar, `${Number(most.toPrecision(3)).toLocaleString("en")} ${unit}`];
+  return [`0 ${unit}`, bar, `≥ ${Number(most.toPrecision(3)).toLocaleString("en")} ${unit}`];
 }

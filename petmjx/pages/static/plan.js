@@ -91,7 +91,12 @@ export class PlanView {
   howToSeeItMove(id, variant, row) {
     const one = this.rows.column("variant") ? ` --variant ${variant}` : "";
     const command = `petmjx show ${quoted(id)} ${this.runOf(row).folder}${one} --html story.html`;
-    return make("p", { class: "hint" }, "To see it move: ", make("code", {}, command));
+    const line = make("p", { class: "hint" }, "To see it move: ", make("code", {}, command));
+    if (this.rows.arrays.replay[row] < 0) {
+      const run = make("code", {}, `petmjx ${this.runOf(row).command} … --record failed`);
+      line.append("; to play it here: ", run, ", and a report of that run.");
+    }
+    return line;
   }
 }
 

@@ -11,8 +11,8 @@ import { make } from "./dom.js";
 
 const ROW_PIXELS = 30;
 const SPARE = 8; // rows above and below what is in sight
-const LETTER = 8.2; // pixels
-const PADDING = 22;
+const LETTER = 8.8; // pixels, rather too much
+const PADDING = 24;
 const NARROWEST = 6; // letters
 const WIDEST = 30;
 
