@@ -243,6 +243,8 @@ class _Run:
         schedule = self.asked.simulation.schedule.value
         index = world.variant.index
         outcome = self.recording.kept(world.outcome)
+        if self.recording.of(world.plan) and world.outcome.history is None and not world.outcome.message:
+            writer.warn(f"the engine {self.choice.name} records no histories")
         writer.add(world.plan, index, self.choice.name, schedule, outcome, world.attempts, values)
         if world.outcome.message:
             variant = f", variant {index}" if self.columns else ""

@@ -202,7 +202,7 @@ def _difference(story: Story, run: RunResults) -> str:
 
 
 def _said(world: Mapping[str, Any]) -> str:
-    """Verdict, reason, first box and its time of a world, in a few words."""
+    """Verdict, reason and first box of a world, in a few words."""
     culprit = world["culprit"]
     by = f" by {world['reason']}" if world["reason"] else ""
     known = culprit is not None and culprit >= 0

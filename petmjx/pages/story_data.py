@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
-from petmjx.history import Contacts, History
+from petmjx.history import FLOOR, Contacts, History
 from petmjx.metrics import motion_np
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.palette import article_colours, ramp
@@ -139,8 +139,10 @@ def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
     press on the lower body: their z is not positive.
     """
     strength = np.linalg.norm(contacts.force, axis=1)
-    first, other, frame = (keys - keys.min(initial=0) for keys in (*contacts.body.T.astype(np.int64), contacts.frame))
-    ranks = (first * (other.max(initial=0) + 1) + other) * (frame.max(initial=0) + 1) + frame
+    body = contacts.body.astype(np.int64) - FLOOR  # the lowest number of a body becomes 0
+    on_later = np.where(body[:, 0] > body[:, 1], -1.0, 1.0)[:, None] * contacts.force
+    pair = body.min(axis=1) * (body.max(initial=0) + 1) + body.max(axis=1)
+    ranks = pair * (contacts.frame.max(initial=0) + 1) + contacts.frame
     _, sample, row_of = np.unique(ranks, return_index=True, return_inverse=True)
 
     def summed(values: FloatArray) -> FloatArray:
@@ -148,12 +150,10 @@ def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
 
     weight = np.bincount(row_of, strength)
     felt = weight > 0
-    force, centre = summed(contacts.force)[felt], summed(contacts.point * strength[:, None])[felt] / weight[felt, None]
-    sample = sample[felt]
-    force *= np.where(force[:, 2] > 0, -1.0, 1.0)[:, None]
+    force, centre = summed(on_later)[felt], summed(contacts.point * strength[:, None])[felt] / weight[felt, None]
+    force = np.where(force[:, [2]] > 0, -force, force)
     return {
-        "pair": whole(contacts.body[sample], steps=True),
-        "frame": whole(contacts.frame[sample], steps=True),
+        "frame": whole(contacts.frame[sample[felt]], steps=True),
         "point": quantised(centre, steps=True),
         "force": quantised(force, steps=True),
     }

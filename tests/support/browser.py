@@ -1,4 +1,4 @@
-"""Pages in headless Chromium: one browser for all tests of a session. A plugin of pytest (tests/conftest.py)."""
+"""Pages in headless Chromium: one browser for all tests of a file. A plugin of pytest (tests/conftest.py)."""
 
 from __future__ import annotations
 
@@ -30,9 +30,12 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
 """
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Playwright's browser. PETMJX_TEST_BROWSER names another one than the Chromium in PATH."""
+    """Playwright's browser. PETMJX_TEST_BROWSER names another one than the Chromium in PATH.
+
+    It closes after each file: while it is open, an event loop runs in this thread, and nothing else can start one.
+    """
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra: dev)")
     path = os.environ.get("PETMJX_TEST_BROWSER") or next(filter(None, map(shutil.which, CHROMIUMS)), None)
     if path is None:

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+import time
 import zlib
 from dataclasses import replace
 from itertools import pairwise
@@ -13,8 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.stories import FALLING, falling_story, shaken_story, standing_story
+from support.stories import FALLING, falling_story, long_story, shaken_story, standing_story
 
+from petmjx.history import Contacts
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.modules import joined_modules, static_text
 from petmjx.pages.page import escaped, page
@@ -238,6 +240,33 @@ def test_the_still_picture_has_every_box_that_is_there() -> None:
     assert still_svg(replace(story, history=replace(story.history, pos=pos))).count("<g") == 3
 
 
+def test_contacts_of_a_pair_are_one_force_on_the_lower_body() -> None:
+    """Four contacts of boxes 0 and 1, one of them told the other way round, and one of the carrier."""
+    story = falling_story()
+    contacts = story.history.contacts
+    assert contacts is not None
+    between = np.flatnonzero((contacts.body == [0, 1]).all(axis=1))
+    body, force = contacts.body.copy(), contacts.force.copy()
+    body[between[::4]], force[between[::4]] = [1, 0], -force[between[::4]]
+    told = replace(story.history, contacts=replace(contacts, body=body, force=force))
+    columns = opened_block(story_blocks(replace(story, history=told))["contacts"])
+
+    def values(name: str) -> Any:
+        column = columns[name]
+        raw = np.cumsum(column["values"].reshape(column["shape"]), axis=0, dtype=column["type"])
+        return raw * column.get("scale", 1) + column.get("offset", 0)
+
+    last = values("frame") == len(story.history.time_s) - 1
+    assert values("force")[last] == pytest.approx(np.array([[0, 0, -117.8], [0, 0, -58.9]]), abs=0.01)
+    assert values("point")[last] == pytest.approx(np.array([[0.2, 0.2, 0.0], [0.2, 0.2, 0.2]]), abs=1e-4)
+
+
+def test_a_story_without_a_single_contact() -> None:
+    story = falling_story()
+    none = replace(story.history, contacts=Contacts.none())
+    assert opened_block(story_blocks(replace(story, history=none))["contacts"])["frame"]["shape"] == [0]
+
+
 def test_numbers_that_are_not_finite_spoil_nothing() -> None:
     """A simulation that blew up: a box is lost, and the carrier with it."""
     story = falling_story()
@@ -250,6 +279,14 @@ def test_numbers_that_are_not_finite_spoil_nothing() -> None:
     assert "nan" not in still_svg(blown_up)
     (info,) = re.findall(r'id="info">(.*?)</script>', story_page(blown_up))
     assert "Infinity" not in info
+
+
+def test_a_page_of_45_boxes_and_a_minute_is_small_and_made_quickly() -> None:
+    story = long_story()
+    began = time.process_time()
+    html = story_page(story)
+    assert time.process_time() - began < 10
+    assert len(html.encode()) < 2_000_000
 
 
 def test_the_table_has_the_numbers_of_all_boxes() -> None:

@@ -13,6 +13,7 @@ import pytest
 from support.browser import Opened, OpenPage
 from support.stories import END_S, FALLING, SIGN_S, falling_story, shaken_story, standing_story
 
+import petmjx
 from petmjx.pages.columns import block, quantised, whole
 from petmjx.pages.modules import joined_modules
 from petmjx.pages.palette import OKABE_ITO, rgb_of
@@ -98,6 +99,20 @@ def test_the_page_loads_without_errors_and_requests_and_shows_the_boxes(open_pag
     assert "Box 2 (milk) went first: at 0.80 s" in text(opened, "#first")
     assert "mujoco" in text(opened, "#facts")
     assert opened.page.locator("#still").is_hidden()
+    assert opened.errors == []
+    assert opened.requests == []
+
+
+def test_the_page_of_a_simulated_plan(open_page: OpenPage) -> None:
+    story = petmjx.tell("hand-falls-off", engine="mujoco")
+    opened = opened_story(open_page, story)
+    assert text(opened, ".badge") == story.outcome.verdict == "unstable"
+    assert f"Box {story.outcome.culprit} " in text(opened, "#first")
+    assert f"at {story.outcome.first_sign_s:.2f} s" in text(opened, "#first")
+    opened.page.select_option("#box", "0")
+    assert number_of(opened, "largest") == f"{story.outcome.boxes.max_top_force_n[0]:.1f} N"
+    opened.page.check("#forces")
+    opened.until("document.getElementById('force-scale').textContent !== ''")
     assert opened.errors == []
     assert opened.requests == []
 
@@ -199,7 +214,7 @@ def test_a_click_beside_all_boxes_chooses_none(open_page: OpenPage) -> None:
     frame = opened.page.locator("#canvas").bounding_box()
     opened.page.mouse.click(frame["x"] + 5, frame["y"] + 5)
     assert opened.page.locator("#box").input_value() == "-1"
-    assert "Click a box" in text(opened, "#numbers")
+    assert "click one" in text(opened, "#numbers")
 
 
 def test_numbers_of_a_box_follow_the_time(open_page: OpenPage) -> None:

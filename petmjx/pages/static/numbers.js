@@ -9,7 +9,7 @@ const fixed = (value, digits, unit) =>
 // Fills a definition list.
 export function showNumbers(list, box, info, frames, time) {
   if (box < 0) {
-    list.replaceChildren(make("dd", { class: "faint" }, "Click a box."));
+    list.replaceChildren(make("dt", {}, "none chosen"), make("dd", { class: "faint" }, "click one"));
     return;
   }
   const { boxes, limits } = info;

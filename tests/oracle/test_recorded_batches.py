@@ -1,0 +1,213 @@
+"""Histories of the MJX engines: of lanes and stages over a stepper without physics, and of mjx-warp on the CPU."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from support.fake_stepper import FakeEngine, FakeStepper, assert_same, fake_scene, run_all
+from support.histories import assert_equal, history_of
+from support.plans import make_scene, stack
+
+from petmjx.config import Check, Simulation
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.history import Record
+from petmjx.verdict import Flag, Outcome
+from petmjx.world.job import Drive, Excitation, Job
+
+RECORD = Record(0.05)
+EVERY = 25
+"""Steps between two frames."""
+SIM = Simulation(interval_s=0.3, settle_s=0.3, rest_window_s=0.1, duration_s=0.5)
+SHAKE = Drive(Excitation("shake", "force", np.tile([0.5, 0.0, 0.0], (60, 1))), scale=2.0, yaw_rad=0.5, rest_s=0.1)
+
+SCENES = [fake_scene(*masses) for masses in ([30.0, 70.0, 10.0], [10.0], [20.0, 1000.0, 5.0], [5.0] * 5)]
+"""Boxes tremble as many steps as they have kilograms; the one with 1000 falls. Most go through several capacities."""
+
+SAME_PLACE_M = 1e-3
+"""Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
+SAME_FORCE = 0.05
+SMALL_FORCE_N = 5.0
+"""Of impacts; a box weighs 49 N."""
+
+
+@pytest.fixture(autouse=True)
+def _ranks_may_differ() -> Iterator[None]:
+    """MJX broadcasts as NumPy does."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@functools.cache
+def lanes() -> FakeEngine:
+    """One engine for all, since programs take long to compile; of each run the largest world has five boxes."""
+    return FakeEngine(16, capacities=(2, 5))
+
+
+@functools.cache
+def found() -> list[Outcome]:
+    """All scenes, recorded."""
+    return run_all(lanes(), recorded([Job(scene) for scene in SCENES]), SIM)
+
+
+def recorded(jobs: list[Job]) -> list[Job]:
+    return [Job(job.scene, drive=job.drive, keep_state=job.keep_state, record=RECORD) for job in jobs]
+
+
+def frame_steps(outcome: Outcome) -> list[int]:
+    steps: list[int] = np.round(history_of(outcome).time_s / SIM.physics.timestep_s).astype(int).tolist()
+    return steps
+
+
+def assert_ends(outcome: Outcome) -> None:
+    """The last frame is the last state."""
+    history, placed = history_of(outcome), slice(outcome.n_placed)
+    np.testing.assert_array_equal(history.pos[-1, placed], outcome.boxes.pos[placed])
+    np.testing.assert_array_equal(history.quat[-1, placed], outcome.boxes.quat[placed])
+    assert (history.n_placed[-1], history.time_s[-1]) == (outcome.n_placed, outcome.sim_time_s)
+
+
+def test_a_recorded_batch_is_the_same_to_the_last_bit() -> None:
+    plain = run_all(lanes(), [Job(scene) for scene in SCENES], SIM)
+    jobs = [Job(scene, record=RECORD if k != 1 else None) for k, scene in enumerate(SCENES)]
+    for some in (found(), run_all(lanes(), jobs, SIM)):
+        for one, other in zip(some, plain, strict=True):
+            assert_same(one, other)
+            assert one.flags == other.flags
+            if one.history is not None:
+                assert_ends(one)
+    assert [outcome.history is None for outcome in some] == [False, True, False, False]
+
+
+def test_frames_come_in_time_also_when_worlds_are_handed_on() -> None:
+    for scene, outcome in zip(SCENES, found(), strict=True):
+        history, steps = history_of(outcome), frame_steps(outcome)
+        placements = [steps[int(np.argmax(history.n_placed > box))] for box in range(outcome.n_placed)]
+        regular = range(-(-steps[0] // EVERY) * EVERY, steps[-1] + 1, EVERY)
+        assert steps == sorted({*placements, *regular, steps[-1]})
+        for box, begin in enumerate(placements):
+            frames = slice(steps.index(begin), None)
+            # what presses on a box of this stepper is its age
+            np.testing.assert_array_equal(history.top_force_n[frames, box], np.array(steps[frames]) - begin)
+            np.testing.assert_allclose(history.pos[frames][0, box], scene.start_pos[box], rtol=1e-6)
+            assert np.isnan(history.top_force_n[: steps.index(begin), box]).all()
+
+
+def test_a_static_world_is_seen_from_its_beginning_on() -> None:
+    (outcome,) = run_all(lanes(), recorded([Job(SCENES[3])]), SIM.changed(check=Check.STATIC))
+    assert frame_steps(outcome)[:3] == [0, EVERY, 2 * EVERY]
+    assert_ends(outcome)
+
+
+def test_a_fork_goes_on_from_the_frames_of_its_placement() -> None:
+    """The drive moves boxes along by as much as it pushes."""
+    scene = SCENES[3]
+    (placed,) = run_all(lanes(), [Job(scene, keep_state=True, record=RECORD)], SIM)
+    fork, whole = (
+        run_all(lanes(), [Job(scene, start=start, drive=SHAKE, record=RECORD)], SIM)[0]
+        for start in (placed.state, None)
+    )
+    began = history_of(fork)
+    assert np.isnan(began.top_force_n[0]).all()
+    assert began.time_s[0] == history_of(placed).time_s[-1]
+    joined = history_of(placed).then(began)
+    assert_equal(joined, history_of(whole))
+    pushed = joined.drive.any(axis=1)
+    expected = 2.0 * 0.5 * SHAKE.unit(scene.total_mass) * np.array([np.cos(0.5), np.sin(0.5), 0.0])
+    np.testing.assert_allclose(joined.drive[pushed], np.tile(expected, (pushed.sum(), 1)))
+    assert 0 < pushed.sum() < len(pushed)
+    assert_ends(fork)
+
+
+class Overflowing(FakeEngine):
+    """Has no room for a third box that is older than 30 steps, until its buffers have grown."""
+
+    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
+        stepper = FakeStepper(capacity, lanes, held=held)
+
+        def overflow(data: Any) -> jax.Array:
+            return jnp.where(stepper.ages(data)[:, 2] > 30, int(Flag.CONTACT_OVERFLOW), 0)
+
+        if capacity > 2 and growth == 1:
+            stepper.overflow = overflow  # type: ignore[method-assign]
+        return stepper
+
+
+@pytest.mark.slow
+def test_steps_that_are_taken_again_leave_no_frames() -> None:
+    (outcome,) = run_all(Overflowing(16, capacities=(2, 3)), recorded([Job(SCENES[0])]), SIM)
+    assert outcome.flags & Flag.RERUN_AFTER_OVERFLOW
+    assert_equal(history_of(outcome), history_of(found()[0]))
+
+
+# ---------------------------------------------------------------------- mjx-warp
+
+
+def warp_engine(**options: Any) -> Any:
+    pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+    from petmjx.engines.warp.engine import MjxWarpEngine
+
+    return MjxWarpEngine(16, allow_cpu=True, **options)
+
+
+@functools.cache
+def piles() -> list[Job]:
+    """One stands, one falls, one is shaken."""
+    boxes = [stack(2), stack(3, 260.0), stack(1)]
+    scenes = [make_scene(some, SIM) for some in boxes]
+    return [Job(scenes[0]), Job(scenes[1]), Job(scenes[2], drive=SHAKE)]
+
+
+@functools.cache
+def plain_piles() -> list[Outcome]:
+    return run_all(warp_engine(slice_ns=10**15), piles(), SIM)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("room", [None, 2], ids=["room", "little room"])
+def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
+    room: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = warp_engine(slice_ns=20_000_000)
+    from petmjx.engines.warp import frames
+
+    if room is not None:
+        monkeypatch.setattr(frames, "FRAMES_PER_WORLD", 0)
+        monkeypatch.setattr(frames, "FRAMES_PER_LANE", room)
+    marched = run_all(engine, recorded(piles()), SIM)
+    exact = run_all(MujocoEngine(1), recorded(piles()), SIM)
+    for one, plain, twin in zip(marched, plain_piles(), exact, strict=True):
+        assert_same(one, plain)
+        assert one.flags == plain.flags
+        assert_ends(one)
+        compare(one, twin)
+    (alone,) = run_all(engine, recorded(piles())[1:2], SIM)
+    assert_equal(history_of(alone), history_of(marched[1]))
+
+
+def compare(outcome: Outcome, twin: Outcome) -> None:
+    """Frames as on C MuJoCo, until boxes slide or fall, which cannot be compared in detail."""
+    ours, theirs = history_of(outcome), history_of(twin)
+    begins_s = [each.time_s[each.drive.any(axis=1)].min(initial=np.inf) for each in (ours, theirs)]
+    until_s = np.nanmin([outcome.first_sign_s, *begins_s])
+    k = int((ours.time_s < until_s - 0.1).sum())
+    assert k > 1
+    np.testing.assert_allclose(ours.time_s[:k], theirs.time_s[:k], atol=1e-9)
+    np.testing.assert_array_equal(ours.n_placed[:k], theirs.n_placed[:k])
+    np.testing.assert_allclose(ours.pos[:k], theirs.pos[:k], atol=SAME_PLACE_M)
+    np.testing.assert_allclose(ours.top_force_n[:k], theirs.top_force_n[:k], rtol=SAME_FORCE, atol=SMALL_FORCE_N)
+    np.testing.assert_allclose(ours.drive.max(axis=0), theirs.drive.max(axis=0))
+
+
+@pytest.mark.slow
+def test_room_is_next_to_nothing_where_no_world_is_recorded() -> None:
+    engine = warp_engine()
+    run_all(engine, piles()[:1], SIM)
+    rollout = engine._kept[1]
+    assert len(rollout.frames["of"]) == 1
+    assert int(rollout.frames["used"][0]) == 0

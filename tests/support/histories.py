@@ -1,0 +1,45 @@
+"""Histories and stories compared: with one another, and with the tables of a run."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pandas as pd
+
+import petmjx
+from petmjx.history import Contacts, History
+from petmjx.verdict import Outcome
+
+
+def history_of(outcome: Outcome) -> History:
+    assert outcome.history is not None
+    return outcome.history
+
+
+def assert_equal(one: History | Contacts, other: History | Contacts) -> None:
+    """To the last bit."""
+    for field in fields(one):
+        values, others = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(values, Contacts):
+            assert_equal(values, others)
+        else:
+            np.testing.assert_array_equal(values, others, err_msg=field.name)
+
+
+def assert_tells(story: petmjx.Story, run: petmjx.RunResults) -> None:
+    """A story is what the run's tables say."""
+    worlds, boxes = (
+        table[(table["plan_id"] == story.plan.plan_id) & (table["variant"] == story.variant)]
+        for table in (run.worlds, run.boxes)
+    )
+    (row,) = worlds.to_dict("records")
+    outcome, k = story.outcome, story.outcome.n_placed
+    assert (outcome.verdict, outcome.reason) == (row["verdict"], row["reason"])
+    assert outcome.culprit == (-1 if pd.isna(row["culprit"]) else row["culprit"])
+    np.testing.assert_equal(outcome.first_sign_s, row["first_sign_s"])
+    assert (outcome.n_steps, outcome.n_placed, outcome.attempt) == (row["n_steps"], row["n_placed"], row["attempt"])
+    places = boxes[["pos_x_m", "pos_y_m", "pos_z_m"]].to_numpy()
+    np.testing.assert_array_equal(story.history.pos[-1, :k].astype(np.float32), places[:k])
+    np.testing.assert_array_equal(story.history.pos[-1, :k], outcome.boxes.pos[:k])
+    assert story.history.time_s[-1] == row["sim_time_s"]

@@ -1,0 +1,443 @@
+"""Histories: which worlds have them, that nothing else changes, how they are kept, and one world's story."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.histories import assert_equal, assert_tells, history_of
+from support.kills import assert_same, tables
+from support.plan_files import placement, tower
+from support.plans import make_plan, make_scene, make_world, stack
+
+import petmjx
+from petmjx.config import Check, Schedule, Simulation, Solver
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.retry import score_worlds
+from petmjx.errors import EngineUnavailable, InputError
+from petmjx.history import Record
+from petmjx.plans.plan import Plan
+from petmjx.results import histories as history_tables
+from petmjx.results import writer
+from petmjx.results.histories import read_history
+from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.world.job import Drive, Excitation, Job
+
+PLANS = (
+    make_plan("stands", stack(3)),
+    make_plan("falls", stack(3, 260.0)),
+    make_plan("a,b <i>", stack(2, 250.0)),
+    make_plan("stands too", stack(1)),
+)
+FALLING = {"falls", "a,b <i>"}
+
+SWEEP = """
+nominal = true
+[simulation]
+settle_s = 0.3
+rest_s = 0.3
+[axes]
+profile = ["eumos-40509"]
+level = [0.2, 1.5]
+"""
+
+
+def simulate(scene: Any, sim: Simulation, record: Record | None, **job: Any) -> Outcome:
+    (outcome,) = MujocoEngine(1).run([Job(scene, record=record, **job)], sim)
+    return outcome
+
+
+# ---------------------------------------------------------------------- frames
+
+
+SHAKE = Drive(Excitation("shake", "force", np.tile([0.6, 0.0, 0.0], (100, 1))), yaw_rad=1.0, rest_s=0.2)
+TILT = Drive(Excitation("brake", "acceleration", np.tile([6.0, 0.0, 0.0], (100, 1))), rest_s=0.2)
+SHORT: dict[str, Any] = {"interval_s": 0.3, "settle_s": 0.3, "duration_s": 0.6}
+CASES: dict[str, dict[str, Any]] = {
+    "one by one": {},
+    "fixed": {"schedule": Schedule.FIXED, "early_stop": False},
+    "static": {"check": Check.STATIC},
+    "static, fixed": {"check": Check.STATIC, "schedule": Schedule.FIXED},
+    "reference": {"physics": "reference"},
+    "pushed": {"drive": SHAKE},
+    "braked": {"drive": TILT},
+}
+
+
+@pytest.mark.parametrize("interval_s", [0.0001, 0.01, 0.3], ids="{} s".format)
+@pytest.mark.parametrize("case", CASES)
+def test_a_recorded_world_is_the_same_to_the_last_bit(case: str, interval_s: float) -> None:
+    options = dict(CASES[case])
+    drive = options.pop("drive", None)
+    sim = Simulation(**SHORT, **options)
+    for boxes in (stack(3), stack(3, 260.0)):
+        scene = make_scene(boxes, sim)
+        plain = simulate(scene, sim, None, drive=drive)
+        recorded = simulate(scene, sim, Record(interval_s, details=True), drive=drive)
+        for name, value in vars(plain).items():
+            if name == "boxes":
+                for metric, values in vars(value).items():
+                    np.testing.assert_array_equal(getattr(recorded.boxes, metric), values, err_msg=metric)
+            elif name != "history":
+                np.testing.assert_equal(getattr(recorded, name), value, err_msg=name)
+        assert plain.history is None
+        check_frames(recorded, sim, interval_s, drive)
+
+
+def check_frames(outcome: Outcome, sim: Simulation, interval_s: float, drive: Drive | None) -> None:
+    """Frames come when they should, and the last one is where the boxes ended."""
+    history, n = history_of(outcome), outcome.n_boxes
+    steps = np.round(history.time_s / sim.physics.timestep_s).astype(int)
+    every = max(int(interval_s / sim.physics.timestep_s), 1)
+    assert (np.diff(steps) > 0).all()
+    assert set(range(-(-int(steps[0]) // every) * every, int(steps[-1]) + 1, every)) <= set(steps.tolist())
+    first = n if sim.check is Check.STATIC else 1
+    assert (history.n_placed[0], history.n_placed[-1]) == (first, outcome.n_placed)
+    assert set(history.n_placed.tolist()) == set(range(first, outcome.n_placed + 1))
+    placed = slice(outcome.n_placed)
+    np.testing.assert_array_equal(history.pos[-1, placed], outcome.boxes.pos[placed])
+    np.testing.assert_array_equal(history.quat[-1, placed], outcome.boxes.quat[placed])
+    assert history.time_s[-1] == outcome.sim_time_s
+    absent = np.arange(n) >= history.n_placed[:, None]
+    for values in (history.pos[..., 0], history.top_force_n, history.penetration_m):
+        assert values is not None
+        np.testing.assert_array_equal(np.isnan(values), absent)
+    assert history.drive_kind == (drive.excitation.kind if drive is not None else "")
+    assert history.drive.any() == (drive is not None)
+    if drive is not None and drive.excitation.kind == "acceleration":
+        np.testing.assert_allclose(np.abs(history.drive).max(axis=0), [6.0, 0.0, 0.0])
+        held = history.drive.any(axis=1)
+        assert (history.carrier_pos[held] == history.carrier_pos[held][0]).all()
+
+
+def test_a_box_begins_where_it_is_released_and_nothing_acts_on_it_yet() -> None:
+    scene = make_scene(3)
+    history = history_of(simulate(scene, Simulation(), Record(1.0, details=True)))
+    assert history.lin_acc is not None
+    for box in range(3):
+        frame = int(np.argmax(history.n_placed > box))
+        np.testing.assert_array_equal(history.pos[frame, box], scene.start_pos[box])
+        assert history.top_force_n[frame, box] == 0.0
+        assert not history.lin_acc[frame, box].any()
+    # at rest the weight of what is above; the last box bears nothing
+    np.testing.assert_allclose(history.top_force_n[-1], [2 * 5 * 9.81, 5 * 9.81, 0.0], rtol=0.01)
+
+
+def test_what_a_fork_records_goes_on_from_its_placement() -> None:
+    sim = Simulation(**SHORT)
+    scene, record = make_scene(2), Record(0.02, details=True)
+    placed = simulate(scene, sim, record, keep_state=True)
+    fork = simulate(scene, sim, record, start=placed.state, drive=SHAKE)
+    whole = simulate(scene, sim, record, drive=SHAKE)
+    assert np.isnan(history_of(fork).top_force_n[0]).all()
+    joined = history_of(placed).then(history_of(fork))
+    assert len(joined.time_s) > len(history_of(fork).time_s)
+    assert_equal(joined, history_of(whole))
+
+
+class Doubtful(MujocoEngine):
+    """Calls the first attempts at every world invalid."""
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        for outcome in super().run(jobs, sim, progress):
+            if sim.physics.timestep_s == Simulation().physics.timestep_s:
+                yield replace(outcome, verdict=Verdict.INVALID, reason=Reason.NONFINITE)
+            else:
+                yield outcome
+
+
+def test_a_history_is_of_the_attempt_that_counts() -> None:
+    plan = make_plan("p", 1)
+    world = make_world(plan)
+    world = replace(world, job=replace(world.job, record=Record(0.02)))
+    (result,) = score_worlds([world], Simulation(), Doubtful(1))
+    assert result.outcome.attempt == 5
+    history = history_of(result.outcome)
+    np.testing.assert_array_equal(history.pos[-1], result.outcome.boxes.pos)
+    half = Simulation(solver=Solver.NEWTON).changed(
+        physics={"timestep_s": 0.001}, quiet={"steps": 50, "min_steps": 100, "poll_steps": 10}
+    )
+    assert_equal(history, history_of(simulate(world.job.scene, half, world.job.record)))
+
+
+# ---------------------------------------------------------------------- which worlds
+
+
+@pytest.mark.parametrize(
+    ("record", "kept"),
+    [
+        ("all", {plan.plan_id for plan in PLANS}),
+        ("failed", FALLING),
+        ("stands,falls", {"stands", "falls"}),
+        ("a,b <i>", {"a,b <i>"}),
+        (["a,b <i>", "stands too"], {"a,b <i>", "stands too"}),
+        (None, set()),
+    ],
+    ids=str,
+)
+def test_the_worlds_that_are_asked_for_have_histories(record: Any, kept: set[str]) -> None:
+    run = petmjx.score(PLANS, engine="mujoco", threads=1, record=record)
+    assert set(run.histories["plan_id"]) == set(run.frames["plan_id"]) == kept
+    assert run.contacts.empty
+    assert run.histories["lin_acc_x"].isna().all()
+
+
+class Forgetful(MujocoEngine):
+    """An engine that knows nothing of histories."""
+
+    name = "forgetful"
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        return super().run([replace(job, record=None) for job in jobs], sim, progress)
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"record": "stands,none,nor"}, "record: none, nor: not among the 4 plans of the run"),
+        ({"record": ["all"]}, "record: all: not among"),
+        ({"record_details": True}, "record_details needs record"),
+        ({"record": "all", "record_interval_s": 0}, "record_interval_s must be from 0.0001 to 3600, got 0"),
+        ({"record": "all", "record_details": True, "engine": Forgetful(1)}, "record_details needs the engine mujoco"),
+    ],
+)
+def test_what_cannot_be_recorded_is_said_in_a_line(options: dict[str, Any], line: str) -> None:
+    with pytest.raises(InputError, match=line) as error:
+        petmjx.score(PLANS, **{"engine": "mujoco", **options})
+    assert "\n" not in str(error.value)
+
+
+def test_an_engine_without_histories_is_named() -> None:
+    run = petmjx.score(PLANS, engine=Forgetful(1), record="all")
+    assert run.info["warnings"] == ["the engine forgetful records no histories"]
+    assert run.histories.empty
+
+
+# ---------------------------------------------------------------------- tables
+
+
+def recorded(folder: Path, **options: Any) -> petmjx.RunResults:
+    kept = {"record": "all", "record_details": True, "record_interval_s": 0.1}
+    return petmjx.score(PLANS, **{"engine": "mujoco", "threads": 1, "out": folder, **kept, **options})
+
+
+def test_tables_have_every_number_with_a_unit(tmp_path: Path) -> None:
+    run = recorded(tmp_path / "run")
+    plain = petmjx.score(PLANS, engine="mujoco", threads=1)
+    assert_same(run, tables(plain))
+    for table in ("histories", "frames", "contacts"):
+        frame, units = getattr(run, table), run.units(table)
+        assert not frame.empty
+        assert list(units) == list(frame.columns)
+        assert all(units[name] for name in frame.columns if pd.api.types.is_numeric_dtype(frame[name]))
+    key = ["plan_id", "frame"]
+    placed = run.histories.groupby(key).size().rename("boxes").reset_index()
+    merged = run.frames.merge(placed, on=key)
+    assert (merged["boxes"] == merged["n_placed"]).all()
+    ends = run.histories.groupby(["plan_id", "box"]).last().reset_index().merge(run.boxes, on=["plan_id", "box"])
+    for name in ("pos_x_m", "pos_y_m", "pos_z_m", "quat_w"):
+        assert (ends[f"{name}_x"].astype(np.float32) == ends[f"{name}_y"]).all()
+
+
+def test_a_history_comes_back_as_it_was(tmp_path: Path) -> None:
+    run = recorded(tmp_path / "run")
+    for plan in PLANS:
+        scene = make_world(plan).job.scene
+        expected = history_of(simulate(scene, Simulation(), Record(0.1, details=True)))
+        found = read_history(run.path, plan.plan_id, 0, plan.n_boxes)
+        assert found is not None
+        assert_equal(found, expected)
+    assert read_history(run.path, "stands", 1, 3) is None
+
+
+def test_drives_come_back_as_they_were() -> None:
+    sim = Simulation(**SHORT)
+    for drive, column in ((SHAKE, "drive_force_x_n"), (TILT, "drive_acc_x")):
+        history = history_of(simulate(make_scene(1), sim, Record(0.1), drive=drive))
+        columns = history_tables.frame_columns([history_tables.Recorded("p", 0, history)])
+        np.testing.assert_array_equal(columns[column], history.drive[:, 0])
+        others = {"drive_force_x_n", "drive_acc_x"} - {column}
+        assert np.isnan(columns[others.pop()]).all()
+
+
+def test_histories_end_a_part_before_they_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "HISTORY_BYTES_PER_PART", 10_000)
+    run = recorded(tmp_path / "run")
+    assert len(list((run.path / "worlds").iterdir())) > 2
+    assert_same(run, tables(recorded(tmp_path / "other")))
+
+
+def by_world(run: petmjx.RunResults) -> dict[str, pd.DataFrame]:
+    names = ("histories", "frames", "contacts")
+    key = ["plan_id", "variant", "frame"]
+    return {name: getattr(run, name).sort_values(key, kind="stable", ignore_index=True) for name in names}
+
+
+def test_a_run_that_goes_on_has_the_same_histories(tmp_path: Path) -> None:
+    whole = by_world(recorded(tmp_path / "whole"))
+
+    class Stopping(MujocoEngine):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            for number, outcome in enumerate(super().run(jobs, sim, progress)):
+                if number == 2:
+                    raise KeyboardInterrupt
+                yield outcome
+
+    with pytest.raises(KeyboardInterrupt):
+        recorded(tmp_path / "run", engine=Stopping(1), threads=None)
+    # as after a kill: a history whose world was not written any more
+    left = tmp_path / "run" / "histories" / "part-00001.parquet"
+    left.write_bytes((tmp_path / "run" / "histories" / "part-00000.parquet").read_bytes())
+    again = by_world(recorded(tmp_path / "run", resume=True))
+    for name, table in whole.items():
+        pd.testing.assert_frame_equal(again[name], table)
+
+
+def test_shards_are_merged_with_their_histories(tmp_path: Path) -> None:
+    shards = [tmp_path / f"shard{number}" for number in (1, 2)]
+    for number, folder in enumerate(shards, 1):
+        recorded(folder, shard=f"{number}/2")
+    merged = by_world(petmjx.merge_runs(shards, tmp_path / "whole"))
+    for name, table in by_world(recorded(tmp_path / "one")).items():
+        pd.testing.assert_frame_equal(merged[name], table)
+
+
+def test_a_new_run_takes_the_old_histories_away(tmp_path: Path) -> None:
+    recorded(tmp_path / "run")
+    assert recorded(tmp_path / "run", record=None, record_details=False, overwrite=True).histories.empty
+
+
+# ---------------------------------------------------------------------- stories
+
+
+@pytest.fixture
+def plan_file(tmp_path: Path) -> Path:
+    file = tmp_path / "plans.json"
+    overhang = [placement(), placement(corner=(450, 0, 220), sequence=2)]
+    file.write_text(json.dumps({"tower": tower(2), "overhang": overhang}))
+    return file
+
+
+def test_a_story_is_the_runs(plan_file: Path, tmp_path: Path) -> None:
+    run = petmjx.score(plan_file, engine="mujoco", out=tmp_path / "run", check="static", duration_s=1.0)
+    for plan_id in ("tower", "overhang"):
+        story = petmjx.tell(plan_id, run.path)
+        assert_tells(story, run)
+        assert (story.engine, story.note, story.variant, story.values) == ("mujoco", "", 0, {})
+        assert story.options["check"] == "static"
+        assert story.history.contacts is not None
+
+
+def test_a_recorded_story_is_played(plan_file: Path, tmp_path: Path) -> None:
+    run = petmjx.score(plan_file, engine="mujoco", out=tmp_path / "run", record="failed", record_interval_s=0.1)
+    story = petmjx.tell("overhang", run)
+    assert_tells(story, run)
+    assert np.diff(story.history.time_s).max() == pytest.approx(0.1)
+    assert story.history.contacts is None
+    fresh = petmjx.tell("overhang", run, interval_s=0.1, details=False)
+    assert_equal(story.history, fresh.history)
+    np.testing.assert_allclose(story.outcome.boxes.max_tilt_deg, fresh.outcome.boxes.max_tilt_deg, rtol=1e-6)
+    np.testing.assert_array_equal(story.scene.half_size, fresh.scene.half_size)
+    assert petmjx.tell("overhang", run, details=True).history.contacts is not None
+
+
+@pytest.mark.parametrize("searched", [False, True], ids=["grid", "search"])
+def test_stories_of_a_sweep_have_placement_and_drive(searched: bool, plan_file: Path, tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    search = "[search]\nlower = 0.1\nupper = 1.5\ntolerance = 0.2\nsections = 2\n"
+    file.write_text(SWEEP.replace("level = [0.2, 1.5]\n", search) if searched else SWEEP)
+    run = petmjx.sweep(file, plan_file, engine="mujoco", out=tmp_path / "run", record="tower", record_interval_s=0.1)
+    assert set(run.histories["plan_id"]) == {"tower"}
+    variants = run.worlds.loc[run.worlds["plan_id"] == "tower", "variant"].tolist()
+    assert sorted(run.histories["variant"].unique()) == sorted(variants)
+    for variant in variants:
+        played = petmjx.tell("tower", run, variant=variant)
+        story = petmjx.tell("tower", run, variant=variant, interval_s=0.1, details=False)
+        assert_tells(story, run)
+        assert_equal(played.history, story.history)
+        assert (story.drive is None) == (variant == 0)
+        if variant:
+            assert played.values["level_g"] == story.values["level_g"]
+            assert story.drive is not None
+            assert played.drive is not None
+            assert played.drive.scale == story.drive.scale == story.values["level_g"]
+            driven = story.history.drive.any(axis=1)
+            assert not driven[0]
+            assert driven.any()
+    fallen = run.worlds[(run.worlds["plan_id"] == "overhang") & (run.worlds["variant"] > 0)].iloc[0]
+    undriven = petmjx.tell("overhang", run, variant=int(fallen["variant"]))
+    assert undriven.drive is None
+    assert (undriven.outcome.verdict, undriven.outcome.reason) == (fallen["verdict"], fallen["reason"])
+
+
+def test_a_story_without_a_run(plan_file: Path) -> None:
+    story = petmjx.tell("tower", plan_file, engine="mujoco", check="static", duration_s=0.5)
+    assert story.outcome.verdict is Verdict.STABLE
+    assert story.history.time_s[0] == 0.0
+    assert petmjx.tell("hand-one-box").plan.plan_id == "hand-one-box"
+
+
+def test_another_engine_takes_the_place_of_one_that_cannot_run(
+    plan_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = petmjx.score(plan_file, engine="mujoco", out=tmp_path / "run")
+    file = tmp_path / "run" / "run.json"
+    info = json.loads(file.read_text())
+    info["config"]["engine"] = "mjx-warp"
+    file.write_text(json.dumps(info))
+
+    from petmjx import story as module
+
+    def make_engine(name: str, **options: Any) -> MujocoEngine:
+        if name == "mjx-warp":
+            raise EngineUnavailable("engine mjx-warp cannot run here: no CUDA device")
+        return MujocoEngine(1)
+
+    monkeypatch.setattr(module, "make_engine", make_engine)
+    note = petmjx.tell("overhang", run.path).note
+    assert note.startswith("simulated on mujoco: engine mjx-warp cannot run here: no CUDA device; as in the run: unst")
+    changed = run.worlds.assign(verdict="stable", reason="", culprit=pd.NA)
+    changed.to_parquet(run.path / "worlds" / "part-00000.parquet")
+    note = petmjx.tell("overhang", run.path).note
+    assert "; in the run: stable; here: unstable by tilt, first box 1" in note
+
+
+def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, tmp_path: Path) -> None:
+    run = petmjx.score(plan_file, engine="mujoco", out=tmp_path / "run").path
+    file = tmp_path / "x.toml"
+    file.write_text(SWEEP)
+    swept = petmjx.sweep(file, plan_file, engine="mujoco", out=tmp_path / "swept", limit=1).path
+    moved = plan_file.rename(tmp_path / "moved.json")
+
+    def refused(line: str, *arguments: Any, **options: Any) -> None:
+        with pytest.raises(InputError, match=line) as error:
+            petmjx.tell(*arguments, **options)
+        assert "\n" not in str(error.value)
+
+    refused("run: plan nothing is not among its 2 plans", "nothing", run)
+    refused("run: plan tower came from .*plans.json, which is not there", "tower", run)
+    assert petmjx.tell("tower", run, plans=moved).outcome.verdict is Verdict.STABLE
+    refused("x.toml: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)
+    refused("schedule: the options of a run's story are those of the run", "tower", run, schedule="fixed")
+    refused("variant and plans belong to the story of a run", "tower", moved, variant=1)
+    refused("plan none is not among the 2 plans read", "none", moved)
+    refused("no such file", "tower", tmp_path / "nowhere")
+    file.write_text(SWEEP.replace("1.5", "1.4"))
+    refused("x.toml: is not the sweep that .*swept was made of: it changed", "tower", swept, plans=moved)
+    file.unlink()
+    refused("swept: the sweep file it was made of is not there", "tower", swept, plans=moved)
+    plan_file.write_text(json.dumps({"tower": tower(3)}))
+    refused("plans.json: plan tower is not the one that .*run was made of: it changed", "tower", run)
+
+
+def test_plans_in_memory_are_found_where_they_are_given(tmp_path: Path) -> None:
+    run = petmjx.score(PLANS, engine="mujoco", out=tmp_path / "run")
+    plans: list[Plan] = list(PLANS)
+    assert_tells(petmjx.tell("falls", run, plans=plans), run)
