@@ -10,7 +10,7 @@ from typing import Any
 
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine
-from petmjx.engines.choose import ENGINES, make_engine, resolve_engine
+from petmjx.engines.choose import ENGINES, engine_for, make_engine
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.history import History, Record
 from petmjx.plans.gather import PlanSource, find_plan, usable_plans
@@ -89,7 +89,10 @@ def tell(
     Raises:
         InputError: no such plan or variant, plans or a sweep file that are gone or have changed, or unusable options.
         EngineUnavailable: the engine asked for cannot run here.
+        PetmjxError: the simulation failed, or the engine records no histories.
     """
+    if interval_s is not None and not interval_s > 0:
+        raise InputError(f"interval_s must be > 0, got {interval_s}")
     record = Record(FRAME_INTERVAL_S if interval_s is None else interval_s, details is not False)
     run = _run_in(source)
     if run is None:
@@ -121,8 +124,8 @@ def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: 
     sweep, run = nominal_sweep(Simulation(**of_simulation)), RunOptions(**of_run)
     plan = find_plan(usable_plans(source, sweep.simulation, run), plan_id)
     worlds = SweepPlan(sweep, [plan])
-    engine, _ = resolve_engine(run, worlds.work())
-    return _story(worlds, 0, engine, record)
+    with engine_for(run, worlds.work()) as (engine, _):
+        return _story(worlds, 0, engine, record)
 
 
 def _worlds(plan_id: str, run: RunResults, plans: PlanSource | None, variant: int | None) -> tuple[SweepPlan, int]:
@@ -148,7 +151,7 @@ def _recorded(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:
         scene=worlds.scene(group),
         outcome=replace(outcome, boxes=boxes),
         history=history,
-        engine=run.info["config"]["engine"],
+        engine=str(run.info["config"].get("engine")),
         variant=index,
         values={param["name"]: row[param["name"]] for param in run.info["params"]},
         drive=worlds.drive(plan, variant) if history.drive_kind else None,

@@ -172,10 +172,10 @@ def _stacked(worlds: Sequence[Recorded], parts: Sequence[Columns]) -> Columns:
 
 def _read(folder: Path, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
     """Columns of a world's rows, null as NaN; None where it has none."""
-    parts = list(rows_of(folder, table, plan_id, variant))
-    if not parts:
+    rows = rows_of(folder, table, plan_id, variant)
+    if rows is None:
         return None
-    numbers = pa.concat_tables(parts).drop_columns(["plan_id", "variant"])
+    numbers = rows.drop_columns(["plan_id", "variant"])
     return {name: numbers[name].to_numpy() for name in numbers.column_names}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from petmjx.metrics.spec import box_metrics, world_metrics
-from petmjx.results.files import part_files
+from petmjx.results.files import OF_SOME_WORLDS, part_files
 from petmjx.results.reader import RunResults, read_part
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
     """A world's row of ``worlds``, column → value, null as None; None where there is no such world."""
-    for table in rows_of(run.path, "worlds", plan_id, variant):
-        row: dict[str, Any] = table.to_pylist()[0]
-        return row
-    return None
+    rows = rows_of(run.path, "worlds", plan_id, variant)
+    return None if rows is None else dict(rows.to_pylist()[0])
 
 
 def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
@@ -31,10 +28,10 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
     Values of boxes that were never placed are NaN, and measured ones have the precision of the table ``boxes``.
     """
     row = world_row(run, plan_id, variant)
-    parts = list(rows_of(run.path, "boxes", plan_id, variant))
-    if row is None or not parts:
+    boxes = rows_of(run.path, "boxes", plan_id, variant)
+    if row is None or boxes is None:
         return None
-    table = pa.concat_tables(parts).sort_by("box")
+    table = boxes.sort_by("box")
     values: dict[str, Any] = {}
     for metric in box_metrics():
         there = [name for name in metric.columns if name in table.column_names]
@@ -54,11 +51,22 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
     )
 
 
-def rows_of(folder: Path, table: str, plan_id: str, variant: int) -> Iterator[pa.Table]:
-    """A world's rows of a table, from each part that has some."""
-    for file in part_files(folder, table):
-        part = read_part(file)
-        wanted = pc.and_(pc.equal(part["plan_id"], plan_id), pc.equal(part["variant"], variant))
-        rows = part.filter(wanted)
-        if len(rows):
-            yield rows
+def rows_of(folder: Path, table: str, plan_id: str, variant: int) -> pa.Table | None:
+    """A world's rows of a table of a run; None where it has none.
+
+    Raises:
+        InputError: a damaged or missing part.
+    """
+    for file in part_files(folder, "worlds"):
+        if len(_only(read_part(file, ("plan_id", "variant")), plan_id, variant)):
+            there = folder / table / file.name  # parts with the same number belong together
+            if table in OF_SOME_WORLDS and not there.exists():
+                return None
+            rows = _only(read_part(there), plan_id, variant)
+            return rows if len(rows) else None
+    return None
+
+
+def _only(part: pa.Table, plan_id: str, variant: int) -> pa.Table:
+    """The rows of one world."""
+    return part.filter(pc.and_(pc.equal(part["plan_id"], plan_id), pc.equal(part["variant"], variant)))

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,12 +25,13 @@ from petmjx.config import Check, Schedule, Simulation, Solver
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import score_worlds
-from petmjx.errors import EngineUnavailable, InputError
+from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.history import Record
 from petmjx.plans.plan import Plan
 from petmjx.results import histories as history_tables
 from petmjx.results import writer
 from petmjx.results.histories import read_history
+from petmjx.results.schema import schemas
 from petmjx.verdict import Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 
@@ -429,6 +434,9 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     refused("variant and plans belong to the story of a run", "tower", moved, variant=1)
     refused("plan none is not among the 2 plans read", "none", moved)
     refused("no such file", "tower", tmp_path / "nowhere")
+    refused("interval_s must be > 0, got -1", "tower", moved, interval_s=-1)
+    with pytest.raises(PetmjxError, match="plan tower: there are no frames: engine forgetful records no histories"):
+        petmjx.tell("tower", moved, engine=Forgetful(1))
     file.write_text(SWEEP.replace("1.5", "1.4"))
     refused("x.toml: is not the sweep that .*swept was made of: it changed", "tower", swept, plans=moved)
     file.unlink()
@@ -441,3 +449,29 @@ def test_plans_in_memory_are_found_where_they_are_given(tmp_path: Path) -> None:
     run = petmjx.score(PLANS, engine="mujoco", out=tmp_path / "run")
     plans: list[Plan] = list(PLANS)
     assert_tells(petmjx.tell("falls", run, plans=plans), run)
+
+
+# ---------------------------------------------------------------------- docs
+
+
+def test_examples_of_the_docs_run(repository: Path, tmp_path: Path) -> None:
+    """All blocks as one program."""
+    text = (repository / "docs" / "histories.md").read_text(encoding="utf-8")
+    program = "\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE))
+    environment = {**os.environ, "PYTHONPATH": str(repository)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "hand-overhang-55" in done.stdout
+    assert "as in the run" in done.stdout
+
+
+def test_the_docs_name_the_columns(repository: Path) -> None:
+    """Of vectors at least the first component, which the others follow."""
+    text = (repository / "docs" / "histories.md").read_text(encoding="utf-8")
+    tables = schemas()
+    followed = re.compile(r"_[yz](_m|_n)?$")
+    for table in ("histories", "frames", "contacts"):
+        names = [name for name in tables[table].names if not followed.search(name)]
+        names = [name for name in names if not re.fullmatch(r"carrier_quat_x", name) and name != "variant"]
+        assert [name for name in names if f"`{name}`" not in text] == []
