@@ -58,7 +58,7 @@ def _command(run: ReportRun) -> str:
     if run.kind in (Kind.GRID, Kind.SEARCH):
         sweep = config.get("sweep") or {}
         name = sweep.get("name") or "sweep"
-        return f"{run.kind} “{name}”" + (f": {sweep['description']}" if sweep.get("description") else "")
+        return f"sweep “{name}”" + (f": {sweep['description']}" if sweep.get("description") else "")
     return str(config.get("command", "unknown"))
 
 

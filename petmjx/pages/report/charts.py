@@ -144,7 +144,7 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
     longest = max((row.length for row in rows), default=0.0) or 1.0
     letters = min(names // LETTER, max((len(row.name) for row in rows), default=0))
     names = letters * LETTER + 10
-    room = width - names - LETTER * max((len(row.text) for row in rows), default=0) - 5
+    room = width - names - LETTER * max((len(row.text) for row in rows), default=0) - 14
     marks: list[Content] = []
     for at, row in enumerate(rows):
         y = at * ROW_HEIGHT

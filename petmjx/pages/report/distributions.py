@@ -67,14 +67,14 @@ class Quantity:
         return found.get(self.column)
 
 
-SHIFT: Final = Quantity("max_shift_m", "Shift", "largest shift of a box, mm", MM_PER_M, 0.5, "< 1")
+SHIFT: Final = Quantity("max_shift_m", "Shift", "largest shift, mm", MM_PER_M, 0.5, "< 1")
 """Components below ``shift_floor_m``, 1 mm by default, count as 0."""
 
 METRICS: Final = (
     SHIFT,
-    Quantity("max_tilt_deg", "Tilt", "largest tilt of a box, °", 1.0, 0.01, "≤ 0.01"),
-    Quantity("max_top_force_n", "Force on top", "largest force on top of a box, N", 1.0, 1.0, "≤ 1"),
-    Quantity("first_sign_s", "First sign", "first sign of failure, s"),
+    Quantity("max_tilt_deg", "Tilt", "largest tilt, °", 1.0, 0.01, "≤ 0.01"),
+    Quantity("max_top_force_n", "Force on top", "largest force on top, N", 1.0, 1.0, "≤ 1"),
+    Quantity("first_sign_s", "First sign", "first sign, s"),
 )
 
 SIZES: Final = (
@@ -91,24 +91,26 @@ def distributions(run: ReportRun) -> Markup:
         return NOTHING
     limits = thresholds_of(run.info)
     sizes = [size for size in SIZES if size.of(worlds).nunique() > 1]
-    alone = [_histogram(metric, worlds, limits) for metric in METRICS if metric.of(worlds).notna().any()]
+    alone = [
+        _histogram(metric, worlds, limits, f"{run.what}s") for metric in METRICS if metric.of(worlds).notna().any()
+    ]
     parts = [element("div", *alone, class_="charts")]
     if sizes:
         shares = [_share(size, worlds, one_each=run.kind is not Kind.GRID) for size in sizes]
         known = [metric for metric in METRICS if metric.of(worlds).notna().sum() > 1]
         against = [_against(size, metric, worlds, limits) for metric in known for size in sizes]
         parts.append(element("h3", "Against number of boxes, height and weight"))
-        parts.append(element("div", *shares, class_="charts"))
+        parts.append(element("div", *shares, class_="charts three"))
         more = element("summary", f"Shift, tilt, force and first sign against size: {len(against)} charts")
-        parts.append(element("details", more, element("div", *against, class_="charts")))
+        parts.append(element("details", more, element("div", *against, class_="charts three")))
     if run.found.note and len(sizes) < len(SIZES):
         parts.append(element("p", f"Without height and weight: {run.found.note}.", class_="hint"))
     return joined(*parts)
 
 
-def _histogram(metric: Quantity, worlds: pd.DataFrame, limits: Thresholds) -> Markup:
+def _histogram(metric: Quantity, worlds: pd.DataFrame, limits: Thresholds, what: str) -> Markup:
     values = metric.of(worlds)
-    frame = Frame(f"{metric.title}: histogram", metric.scale(values), Scale(0, 1), metric.label, "worlds")
+    frame = Frame(f"{metric.title}: histogram", metric.scale(values), Scale(0, 1), metric.label, what)
     histogram(frame, values, worlds["verdict"], ORDER)
     _limit(frame, metric, limits)
     missing = int(values.isna().sum())

@@ -24,11 +24,13 @@ def first_boxes(run: ReportRun) -> Markup:
     if falls.empty:
         return NOTHING if run.worlds.empty else element("p", "No box crossed a threshold.", class_="hint")
     place = 100 * falls["culprit"].astype("float64") / (falls["n_boxes"] - 1).clip(lower=1)
-    along = Frame("Place in the packing order of the box that goes first", Scale(0, 100), Scale(0, 1), "", "worlds")
+    along = Frame(
+        "Place in the packing order of the box that goes first", Scale(0, 100), Scale(0, 1), "", f"{run.what}s"
+    )
     along.x_label = "place in the order: 0 first, 100 last box"
     histogram(along, place, falls["verdict"], ORDER)
     number = Frame(
-        "Number of the box that goes first", Scale(0, 1), Scale(0, 1), "number in the order, from 0", "worlds"
+        "Number of the box that goes first", Scale(0, 1), Scale(0, 1), "number in the order, from 0", f"{run.what}s"
     )
     number.x = Scale.over(falls["culprit"].astype("float64"), zero=True)
     histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)

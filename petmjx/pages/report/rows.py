@@ -54,7 +54,7 @@ NUMBERS: Final = (
     Shown("n_placed", "placed", "placed", meaning="boxes placed before the world ended"),
     Shown("n_dropped", "dropped", "dropped", meaning="boxes that fell"),
     Shown("culprit", "first", "first box", meaning="box that first crossed a threshold, in packing order from 0"),
-    Shown("first_sign_s", "sign", "at", "s", 2, meaning="when it did"),
+    Shown("first_sign_s", "sign", "first sign", "s", 2, meaning="when it crossed the threshold"),
     Shown("max_shift_m", "shift", "shift", "mm", 1, MM_PER_M, meaning="largest component of any box’s final shift"),
     Shown("max_tilt_deg", "tilt", "tilt", "°", 1, meaning="largest tilt of any box"),
     Shown("max_top_force_n", "force", "force", "N", 0, meaning="largest force on top of any box"),
@@ -105,7 +105,7 @@ def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, 
     for shown in NUMBERS:
         _add_number(rows, shown, frame)
         if shown.column == "culprit":
-            _add_choice(rows, "article", "article of it", frame["first_article"], True)
+            _add_choice(rows, "article", "its article", frame["first_article"], True)
     _add_parameters(rows, runs, frame, lambda name: name not in of_variants)
     return rows, frame
 

@@ -20,7 +20,7 @@ WIDTH: Final = 300
 HEIGHT: Final = 190
 """Of a chart, CSS pixels: four beside each other on a wide screen, one on a phone."""
 
-LEFT: Final = 46
+LEFT: Final = 54
 RIGHT: Final = 12
 TOP: Final = 12
 BOTTOM: Final = 40
@@ -102,7 +102,9 @@ def round_step(step: float) -> float:
 
 def _label(value: float, step: float) -> str:
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{value:,.{decimals}f}" if abs(value) < 1e6 else f"{value:.3g}"
+    if abs(value) >= 1e5:
+        return f"{value / 1e3:,.0f}k" if abs(value) < 1e8 else f"{value:.2g}"
+    return f"{value:,.{decimals}f}"
 
 
 @dataclass
@@ -191,7 +193,7 @@ class Frame:
             self.y_label,
             x=0,
             y=0,
-            transform=f"translate(10 {middle:g}) rotate(-90)",
+            transform=f"translate(9 {middle:g}) rotate(-90)",
             text_anchor="middle",
             class_="label",
         )

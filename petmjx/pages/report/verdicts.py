@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 from urllib.parse import urlencode
 
@@ -15,6 +16,14 @@ from petmjx.text import counted, printable
 from petmjx.verdict import Verdict
 
 ORDER: Final = [verdict.value for verdict in Verdict]
+
+_DRAWN: Final = "95 %: Wilson’s interval of the share, if these plans are a random sample of such plans."
+_NOTES: Final = {
+    Kind.SCORE: _DRAWN,
+    Kind.CONFIDENCE: _DRAWN + " Verdicts are those without errors.",
+    Kind.GRID: "Worlds of one plan depend on each other, so their shares have no interval.",
+    Kind.SEARCH: "These are the levels that were tested: they say where it looked, and not how often pallets stand.",
+}
 
 
 def link(run: ReportRun, **filters: str) -> str:
@@ -38,14 +47,9 @@ def verdict_table(run: ReportRun) -> Markup:
         for reason, count in chosen.loc[chosen["reason"] != "", "reason"].value_counts().items():
             rows.append(_row(run, str(reason), int(count), {"verdict": verdict, "reason": str(reason)}, drawn, "inner"))
     head = ["", run.what + "s", "share", *(["95 %"] if drawn else [])]
-    note = (
-        "95 %: Wilson’s interval of the share, if these plans are a random sample of such plans."
-        if drawn
-        else "Worlds of one plan depend on each other, so their shares have no interval."
-    )
     return joined(
         table(head, rows, caption=f"Verdicts of {counted(len(worlds), run.what)}", class_="verdicts"),
-        element("p", note, class_="hint"),
+        element("p", _NOTES[run.kind], class_="hint"),
     )
 
 
@@ -61,7 +65,9 @@ def _row(run: ReportRun, name: str, count: int, filters: dict[str, str], drawn: 
 
 def headline(run: ReportRun) -> Markup:
     """The most important numbers, large."""
-    worlds = run.worlds
+    worlds, summary = run.worlds, run.results.summary
+    if run.kind is Kind.SEARCH and summary is not None and len(summary):
+        return element("div", *_of_search(summary), class_="cards")
     counts = worlds["verdict"].value_counts()
     cards = [_card(f"{len(worlds):,}", run.what + "s" if len(worlds) != 1 else run.what)]
     for verdict in ORDER:
@@ -72,6 +78,19 @@ def headline(run: ReportRun) -> Markup:
     if not pd.isna(middle):
         cards.append(_card(f"{middle:g}", "boxes in the median plan"))
     return element("div", *cards, class_="cards")
+
+
+def _of_search(summary: pd.DataFrame) -> Iterator[Markup]:
+    """Placements, how many of them stand, answers, and the middle of these."""
+    placements = summary.drop_duplicates(["plan_id", "placement"])
+    stand = placements["stands_at_rest"].astype(bool)
+    answers = summary[summary["stands_at_rest"].astype(bool)]
+    yield _card(f"{len(placements):,}", "placements")
+    yield _card(percent(float(stand.mean())), f"stand at rest ({int(stand.sum()):,})", Verdict.STABLE.value)
+    yield _card(f"{len(answers):,}", "searches of those")
+    for column, name in (("largest_level_g", "g: median largest level"), ("largest_scale", "median largest scale")):
+        if column in summary and len(answers):
+            yield _card(f"{answers[column].fillna(0.0).median():.3g}", name)
 
 
 def _card(number: str, what: str, class_: str = "") -> Markup:
