@@ -20,7 +20,7 @@ from petmjx.engines.batch.stage import Stepper
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
 from petmjx.engines.cost import MEASURED
-from petmjx.engines.warp.frames import hand_over
+from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.march import SLICE_NS, Shape
 from petmjx.engines.warp.newton import MAX_DOFS
 from petmjx.engines.warp.rollout import Rollout
@@ -181,7 +181,7 @@ class MjxWarpEngine(MjxEngine):
                 rollout.start(group, order)
             while not emitted.all():
                 status = group.status() if rollout is None else rollout.wait(group)
-                frames = None if rollout is None or group.recorder.idle else rollout.frames
+                frames = None if rollout is None or group.recorder.idle else pick_frames(rollout.frames)
                 full = np.flatnonzero(status == Status.OVERFLOWED)
                 if len(full):
                     rollout = self._make_room(group, full)

@@ -26,8 +26,8 @@ FRAMES_PER_WORLD: Final = 512
 FRAMES_PER_LANE: Final = 4
 """Least room: each lane may be about to write a frame when it is looked whether there is room."""
 
-FEWEST: Final = 256
-"""Frames that come to the host together, at least; then four times as many, and so on. Each number is compiled once."""
+FEWEST: Final = 1024
+"""Frames that come to the host together, at least; else eight times as many, …: each number is compiled once."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in records.array_types(Frames).items()}
 
@@ -45,16 +45,22 @@ def room_for(group: Group, lanes: int) -> dict[str, jax.Array]:
     return placed
 
 
-def hand_over(frames: dict[str, jax.Array], recorder: Recorder) -> None:
+def pick_frames(frames: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], int]:
+    """The frames of a slice that has ended, and how many they are, still on the device. It must be done before the next
+    slice begins, which the device would finish first."""
+    used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
+    some = FEWEST
+    while some < used:
+        some *= 8
+    return _first({name: frames[name] for name in ("of", *FramesOfWorld._fields)}, min(some, room)), used
+
+
+def hand_over(picked: tuple[dict[str, jax.Array], int], recorder: Recorder) -> None:
     """Give the frames of a slice to a recorder, world by world, in the order of their steps."""
-    used = int(np.asarray(frames["used"])[0])
+    firsts, used = picked
     if used == 0:
         return
-    some, room = FEWEST, len(frames["of"])
-    while some < used:
-        some *= 4
-    firsts = jax.device_get(_first({name: frames[name] for name in ("of", *FramesOfWorld._fields)}, min(some, room)))
-    host = {name: values[:used] for name, values in firsts.items()}
+    host = {name: values[:used] for name, values in jax.device_get(firsts).items()}
     order = np.lexsort((host["step"], host["of"]))
     begins = np.flatnonzero(np.diff(host["of"][order], prepend=-1))
     for rows in np.split(order, begins[1:]):
