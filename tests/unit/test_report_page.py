@@ -156,14 +156,17 @@ def test_keys_move_and_open(open_page: OpenPage, html: str) -> None:
 
 
 def test_markup_is_text(open_page: OpenPage, tmp_path: Path) -> None:
-    plans = write_plans(tmp_path / "plans.json", [MARKUP, "🧀" * 40, "x" * 300])
-    named = [replace(plan, articles=(MARKUP,) * plan.n_boxes) for plan in plans]
-    run = write_run(tmp_path / "run", named, [fallen(plan) for plan in named])
+    plans = write_plans(tmp_path / "plans.json", [MARKUP, "🧀" * 40, "x" * 200, "two\nlines, \u202eand more"])
+    named = [replace(plan, articles=(MARKUP + "y" * 150,) * plan.n_boxes) for plan in plans]
+    run = write_run(tmp_path / ("z" * 120), named, [fallen(plan) for plan in named])
     opened = opened_report(open_page, report_page(open_runs([run], [tmp_path])), fragment=urlencode({"plan": MARKUP}))
     assert MARKUP in shown(opened)
     assert opened.page.locator("#plan h3").inner_text() == MARKUP
     assert opened.page.locator("img").count() == 0
     assert f"petmjx show '{MARKUP}'" in opened.page.locator("#plan").inner_text()
+    assert "two\\nlines, \\u202eand more" in shown(opened)
+    phone = opened_report(open_page, report_page(open_runs([run], [tmp_path])), width=400)
+    assert phone.page.evaluate("document.documentElement.scrollWidth") <= 400
     assert (opened.errors, opened.requests) == ([], [])
 
 

@@ -16,6 +16,7 @@ from petmjx.pages.report.plans_again import FoundPlans, find_plans_again
 from petmjx.results.compare import KEY
 from petmjx.results.reader import RunResults, load_run
 from petmjx.sweeps.shares import ALL_PLANS, share_standing
+from petmjx.text import printable
 from petmjx.units import MM_PER_M
 
 
@@ -132,7 +133,9 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
         if run.worlds.duplicated(KEY).any():
             raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be reported")
     names = names_apart(paths)
-    return [ReportRun(name, run, find_plans_again(run, plans)) for name, run in zip(names, results, strict=True)]
+    return [
+        ReportRun(printable(name), run, find_plans_again(run, plans)) for name, run in zip(names, results, strict=True)
+    ]
 
 
 def names_apart(paths: Sequence[Path]) -> list[str]:

@@ -28,7 +28,7 @@ _NOTES: Final = {
 
 def link(run: ReportRun, **filters: str) -> str:
     """The fragment that shows some rows of the table: the part of the address behind #."""
-    return urlencode({"run": run.name, **filters})
+    return urlencode({"run": run.name, **{name: printable(value) for name, value in filters.items()}})
 
 
 def plan_link(run: ReportRun, plan_id: str, variant: int = 0) -> str:
