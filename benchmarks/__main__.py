@@ -1,4 +1,5 @@
-"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity``."""
+"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity |
+criteria``."""
 
 from __future__ import annotations
 
@@ -91,6 +92,32 @@ def sensitivity(
         if out is not None:
             for side, table in (("before", before), ("after", after)):
                 table.to_parquet(out / f"{number:02}-{side}.parquet")
+
+
+@app.command()
+def criteria(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    of: Annotated[Path, typer.Option("--run", metavar="DIR", help="Results of petmjx score of these plans.")],
+    into: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Markdown file whose tables are replaced; else printed.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps the tables of all boxes and plans.")] = None,
+    processes: Annotated[int | None, typer.Option(metavar="N", help="Processes; by default all CPU threads.")] = None,
+) -> None:
+    """Which closed-form criterion of stability tells what physics tells (docs/criteria.md)."""
+    from benchmarks.criteria_study import BEGIN, END, study
+    from benchmarks.table import write_between_markers
+    from petmjx.machine import cpu_threads
+    from petmjx.results.reader import load_run
+    from petmjx.statics.run import criteria as ask
+
+    physics = load_run(of)
+    results = ask(list(plans), run=physics, out=out, overwrite=True, processes=processes or cpu_threads())
+    text = study(results, physics)
+    if into is None:
+        print(text)
+    else:
+        write_between_markers(into, text, BEGIN, END)
 
 
 @app.command()

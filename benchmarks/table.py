@@ -148,17 +148,17 @@ def _device(result: Result) -> str:
     return str(result.get("device", "")).removeprefix("NVIDIA ").split(",")[0]
 
 
-def write_between_markers(readme: Path, text: str) -> None:
+def write_between_markers(readme: Path, text: str, begin: str = BEGIN, end: str = END) -> None:
     """Replace what stands between the two markers of a file.
 
     Raises:
         InputError: the file lacks a marker, or cannot be read or written.
     """
     try:
-        before, begin, rest = readme.read_text(encoding="utf-8").partition(BEGIN)
-        _, end, after = rest.partition(END)
-        if not (begin and end):
-            raise InputError(f"{readme}: lacks the markers {BEGIN} and {END}")
-        readme.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
+        before, begun, rest = readme.read_text(encoding="utf-8").partition(begin)
+        _, ended, after = rest.partition(end)
+        if not (begun and ended):
+            raise InputError(f"{readme}: lacks the markers {begin} and {end}")
+        readme.write_text(f"{before}{begin}\n\n{text}\n{end}{after}", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{readme}: {error.strerror or error}") from error

@@ -24,12 +24,15 @@ if TYPE_CHECKING:
     )
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
     from petmjx.history import History
+    from petmjx.packers.compare import compare_packers
     from petmjx.pages.report.make import report
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.results.compare import compare_runs
     from petmjx.results.reader import RunResults, load_run
     from petmjx.run_options import RunOptions
+    from petmjx.statics.record import CriteriaResults
+    from petmjx.statics.run import criteria
     from petmjx.story import Story, tell
     from petmjx.sweeps.merge import merge_runs
 
@@ -38,6 +41,8 @@ __version__ = "0.2.0.dev0"
 _HOME = {
     "score": "petmjx.api",
     "sweep": "petmjx.api",
+    "criteria": "petmjx.statics.run",
+    "CriteriaResults": "petmjx.statics.record",
     "Carrier": "petmjx.config",
     "Check": "petmjx.config",
     "Cone": "petmjx.config",
@@ -57,6 +62,7 @@ _HOME = {
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
+    "compare_packers": "petmjx.packers.compare",
     "compare_runs": "petmjx.results.compare",
     "Story": "petmjx.story",
     "tell": "petmjx.story",
@@ -71,6 +77,7 @@ __all__ = [
     "Carrier",
     "Check",
     "Cone",
+    "CriteriaResults",
     "EngineUnavailable",
     "History",
     "InputError",
@@ -87,7 +94,9 @@ __all__ = [
     "Story",
     "Thresholds",
     "__version__",
+    "compare_packers",
     "compare_runs",
+    "criteria",
     "load_plans",
     "load_run",
     "merge_runs",

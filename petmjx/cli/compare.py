@@ -4,32 +4,73 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
+from petmjx.cli.names import named_paths
+from petmjx.errors import InputError
 
 
 def compare(
-    a: Annotated[Path, typer.Argument(metavar="DIR_A", help="Folder of the reference run.")],
-    b: Annotated[Path, typer.Argument(metavar="DIR_B", help="Folder of the other run.")],
+    runs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="DIR", help="Folders of two runs, a and b; with --packers two or more, also as NAME=DIR."
+        ),
+    ],
+    packers: Annotated[
+        bool, typer.Option("--packers", help="The runs are of different plans for the same orders: who packs better?")
+    ] = False,
     rows: Annotated[
-        int, typer.Option("--rows", metavar="N", min=1, help="Show at most so many worlds with differing verdicts.")
+        int, typer.Option("--rows", metavar="N", min=1, help="Name at most so many plans with differing verdicts.")
     ] = 40,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="With --packers: also write all tables there (Parquet, CSV)."),
+    ] = None,
     as_json: opt.JsonOption = False,
 ) -> None:
     """Compare two runs of the same plans: verdicts that agree, and differences of each metric.
 
-    Differences are |b - a| with median, 95th percentile and largest; the largest one with its plan and box.
+    Differences are |b - a| with median, 95th percentile and largest; the largest one with its plan and box. Where a
+    sign means something the mean of b - a stands beside them. Plans that are not the same are left out of them.
+
+    With --packers it compares packers on the same orders (plan ids): the share that stands of each with its interval,
+    the paired difference with interval and McNemar's exact test, orders won and lost, and utilisation.
     """
-    from petmjx.results.compare import compare_runs
-    from petmjx.show.compare_tables import comparison_tables
     from petmjx.show.layout import print_each
 
-    comparison = compare_runs(a, b)
+    if packers:
+        _compare_packers(runs, rows, out, as_json)
+        return
+    if len(runs) != 2:
+        raise InputError(f"compare takes two runs, got {len(runs)}; --packers takes more")
+    if out is not None:
+        raise InputError("--out is for --packers; --json prints a comparison of two runs")
+    from petmjx.results.compare import compare_runs
+    from petmjx.show.compare_tables import comparison_tables
+
+    comparison = compare_runs(*runs)
     if as_json:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
         return
     print_each(comparison_tables(comparison, max_rows=rows), results_console())
+
+
+def _compare_packers(runs: list[str], rows: int, out: Path | None, as_json: bool) -> None:
+    from petmjx.packers.compare import compare_packers
+    from petmjx.packers.write import write_comparison
+    from petmjx.show.layout import line, print_each
+    from petmjx.show.packer_tables import packer_tables
+
+    found = compare_packers(named_paths(runs, "compare --packers") or runs)
+    if out is not None:
+        write_comparison(found, out)
+    if as_json:
+        print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
+        return
+    tables: list[Any] = [*packer_tables(found, max_rows=rows)]
+    print_each([*tables, *([line(f"tables in {out}")] if out is not None else [])], results_console())

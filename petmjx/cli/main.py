@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from petmjx import __version__
-from petmjx.cli import compare, doctor, export, merge, report, samples, score, sweep
+from petmjx.cli import compare, criteria, doctor, export, merge, report, samples, score, sweep
 from petmjx.cli.console import prepare_streams
 from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
@@ -64,6 +64,7 @@ for _command, _short_help in (
     (merge.merge, "Join the shards of a run."),
     (compare.compare, "Compare two runs of the same plans."),
     (report.report, "Write a page about runs: charts, tables, plans in 3D."),
+    (criteria.criteria, "Ask closed-form criteria of stability, and physics about them."),
     (samples.samples, "Write packing plans with BED-BPP's statistics."),
     (export.export, "Write the MuJoCo model of one plan."),
     (doctor.doctor, "Show versions, devices and which engines work here."),

@@ -87,6 +87,18 @@ def run_and_show(
     Raises:
         Interrupted: Ctrl-C, SIGTERM or SIGHUP.
     """
+    results = run_watched(run, options)
+    if as_json:
+        print(json.dumps(brief(results), indent=2))
+        return
+    from petmjx.show.layout import print_each
+    from petmjx.show.tables import run_tables
+
+    print_each(run_tables(results), results_console())
+
+
+def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any]) -> RunResults:
+    """Run something with a progress bar; as :func:`run_and_show`, without the tables."""
     from petmjx.show.progress import BarWatcher
 
     watcher = BarWatcher()
@@ -96,19 +108,12 @@ def run_and_show(
             options["out"] = made
         try:
             with watcher:
-                results = run(watcher, options)
+                return run(watcher, options)
         except KeyboardInterrupt as stop:
             raise Interrupted(_how_far(Path(options["out"]), watcher), getattr(stop, "number", signal.SIGINT)) from None
         finally:
             if made is not None:
-                _remove_empty(made)
-    if as_json:
-        print(json.dumps(brief(results), indent=2))
-        return
-    from petmjx.show.layout import print_each
-    from petmjx.show.tables import run_tables
-
-    print_each(run_tables(results), results_console())
+                remove_empty(made)
 
 
 def default_folder() -> Path:
@@ -131,7 +136,7 @@ def default_folder() -> Path:
     return folder
 
 
-def _remove_empty(folder: Path) -> None:
+def remove_empty(folder: Path) -> None:
     """Take away a folder that was made for a run that did not begin, and the one around it."""
     with suppress(OSError):
         folder.rmdir()

@@ -3,37 +3,63 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Final
 
 import typer
 
 from petmjx.errors import InputError
 from petmjx.plans.samples import DEFAULT_LOOSE_SHARE, LeftOut
+from petmjx.plans.samples.packers import BASELINE
 from petmjx.text import counted, printable
+
+MOST_SHOWN: Final = 10
+"""Drawn orders with boxes left out that get a line of their own."""
 
 
 def samples(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; *.gz is gzipped.")],
     n: Annotated[int, typer.Option("-n", metavar="N", help="Number of plans.")] = 100,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="SEED", help="Plan i depends on the seed, i and --loose-share alone.")
+        int,
+        typer.Option("--seed", metavar="SEED", help="Plan i depends on the seed, i, --packer and --loose-share alone."),
     ] = 0,
     loose_share: Annotated[
         float,
         typer.Option(
-            "--loose-share", metavar="0…1", help="Share of plans packed with a support rule too loose to be safe."
+            "--loose-share",
+            metavar="0…1",
+            help="Share of plans that the packer baseline packs with a support rule too loose to be safe.",
         ),
     ] = DEFAULT_LOOSE_SHARE,
     orders: Annotated[
         Path | None,
         typer.Option("--orders", metavar="FILE", help="Pack the orders of this BED-BPP file instead of drawn ones."),
     ] = None,
+    packer: Annotated[
+        str,
+        typer.Option(
+            "--packer",
+            metavar="NAME",
+            help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance.",
+        ),
+    ] = BASELINE,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            min=1,
+            help="Processes that pack. The plans do not depend on it.  [default: one for each CPU]",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
-    """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a baseline packer.
+    """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a simple packer.
 
     With --orders it packs the orders of a file instead; -n and --loose-share then do not apply. Boxes that find no
-    place below 2 m are left out: a line for each such order says which.
+    place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
+    from petmjx.machine import cpu_threads
     from petmjx.plans.samples import pack_orders, write_plans, write_samples
     from petmjx.show.progress import progress
 
@@ -46,16 +72,24 @@ def samples(
         written = done
         bar.update(done)
 
+    how: dict[str, Any] = {
+        "seed": seed,
+        "packer": packer,
+        "workers": workers or cpu_threads(),
+        "on_left_out": left_out.append,
+    }
     with progress(n if orders is None else None) as bar:
         if orders is None:
-            write_samples(out, n, seed, loose_share=loose_share, progress=count)
+            write_samples(out, n, loose_share=loose_share, progress=count, **how)
         else:
-            packed = pack_orders(orders, seed=seed, on_bad_order=bad.append, on_left_out=left_out.append)
-            write_plans(out, packed, progress=count)
+            write_plans(out, pack_orders(orders, on_bad_order=bad.append, **how), progress=count)
     for error in bad:
         typer.echo(f"skipped: {printable(str(error))}", err=True)
-    for order in left_out:
+    shown = left_out if orders is not None else left_out[:MOST_SHOWN]
+    for order in shown:
         print(order)
+    if len(left_out) > len(shown):
+        print(f"{counted(len(left_out) - len(shown), 'more order')} with boxes left out")
     print(f"{counted(written, 'plan')} in {printable(str(out))}{_totals(left_out)}")
 
 

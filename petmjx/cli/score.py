@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from petmjx.cli import options as opt
+from petmjx.cli.names import named_paths
+from petmjx.cli.packers import score_named
 from petmjx.cli.runs import run_and_show
+from petmjx.errors import InputError
 from petmjx.run_options import Confidence
+
+Names = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--name",
+        metavar="NAME=PLANS",
+        help="Plans of several packers for the same orders: --name A=a.json B=b.json. Each has its results in a folder "
+        "of its name in --out; then the packers are compared.",
+        show_default=False,
+    ),
+]
 
 
 @opt.takes(more=((Confidence, opt.HOW_SURE),))
-def score(plans: opt.PlanPaths = None, as_json: opt.JsonOption = False, **options: Any) -> None:
+def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOption = False, **options: Any) -> None:
     """Simulate packing plans and say which of them stand.
 
     Reads the plans, places their boxes in a simulated world, and writes a verdict and metrics per plan and per
@@ -21,4 +37,11 @@ def score(plans: opt.PlanPaths = None, as_json: opt.JsonOption = False, **option
     """
     from petmjx import api
 
+    if names:
+        texts = [*names, *map(str, plans or ())]
+        packers = named_paths(texts, "--name")
+        if len(packers) < len(texts):
+            raise InputError("--name: must be NAME=PLANS, such as --name A=a.json B=b.json")
+        score_named(packers, options, as_json)
+        return
     run_and_show(lambda watcher, given: api.score(plans or None, watcher=watcher, **given), options, as_json)

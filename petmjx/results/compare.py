@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
 from petmjx.errors import InputError
-from petmjx.metrics.spec import DIMENSIONLESS, Column, box_columns, world_columns
+from petmjx.metrics.spec import DIMENSIONLESS, Column, box_columns, box_metrics, world_columns
 from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted
@@ -35,6 +35,11 @@ POSE: Final = (
 )
 """Comparisons of whole poses. Their components are not compared one by one."""
 
+SIGNLESS: Final = frozenset(
+    {column.name for column in POSE} | {name for m in box_metrics() if len(m.columns) > 1 for name in m.columns}
+)
+"""Metrics of which b - a has no meaning of its own: distances between two poses, and components of vectors."""
+
 GROUPS: Final = ("same verdict", "both stable")
 """The groups of worlds in which metrics are compared. After a collapse metrics are chaotic."""
 
@@ -51,8 +56,10 @@ class Comparison:
             thresholds of shift, tilt and acceleration (positive: over the threshold); ``margin``, the column of
             ``worlds``, has the other sign. Null in runs of before it.
         worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
-            ``median``, ``p95``, ``largest``; and where the largest one is: ``plan_id``, ``variant`` (``box``), with
-            the two values ``a`` and ``b``. Null if a group has no value of the metric.
+            ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of
+            |b - a|; and where the largest one is: ``plan_id``, ``variant`` (``box``), with the two values ``a`` and
+            ``b``. Null if a group has no value of the metric. Only of plans that are the same in both runs.
+        other_plans: ids of common plans that are not the same in both runs.
         only_a, only_b: plan_id and variant of worlds that are only in one run.
         same_reason, same_culprit: of the ``n_not_stable`` worlds that are stable in neither run, how many have the same
             reason, and the same first box.
@@ -68,6 +75,7 @@ class Comparison:
     boxes: pd.DataFrame
     only_a: pd.DataFrame
     only_b: pd.DataFrame
+    other_plans: tuple[str, ...]
     same_reason: int
     same_culprit: int
     n_not_stable: int
@@ -115,6 +123,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comp
     both[GROUPS[0]] = same
     both[GROUPS[1]] = same & (both["verdict_a"] == Verdict.STABLE.value)
     boxes = run_a.boxes.merge(run_b.boxes, on=BOX_KEY, suffixes=("_a", "_b")).merge(both[[*KEY, *GROUPS]], on=KEY)
+    other = _other_plans(run_a, run_b, both, boxes)
+    same_worlds, same_boxes = (table[~table["plan_id"].isin(other)] for table in (both, boxes))
     verdicts = [verdict.value for verdict in Verdict]
     confusion = pd.crosstab(both["verdict_a"], both["verdict_b"]).reindex(index=verdicts, columns=verdicts)
     not_stable = both[(both["verdict_a"] != Verdict.STABLE.value) & (both["verdict_b"] != Verdict.STABLE.value)]
@@ -125,14 +135,15 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comp
         n_common=len(both),
         confusion=confusion.fillna(0).astype(int),
         flips=_flips(both[~same], thresholds_of(run_a.info), thresholds_of(run_b.info)),
-        worlds=_differences(both, world_columns(), KEY),
-        boxes=_differences(_with_pose_differences(boxes), [*POSE, *box_columns()], BOX_KEY),
+        worlds=_differences(same_worlds, world_columns(), KEY),
+        boxes=_differences(_with_pose_differences(same_boxes), [*POSE, *box_columns()], BOX_KEY),
         only_a=keys.loc[keys["side"] == "left_only", KEY].reset_index(drop=True),
         only_b=keys.loc[keys["side"] == "right_only", KEY].reset_index(drop=True),
+        other_plans=tuple(other),
         same_reason=int((not_stable["reason_a"] == not_stable["reason_b"]).sum()),
         same_culprit=int(same_culprit.sum()),
         n_not_stable=len(not_stable),
-        notes=tuple(_notes(run_a, run_b, both, boxes)),
+        notes=tuple(_notes(run_a, run_b, both, other)),
     )
 
 
@@ -191,27 +202,44 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
             continue
         values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
         with np.errstate(invalid="ignore"):  # infinite in both runs
-            difference = np.abs(values_b - values_a)
+            signed = values_b - values_a
         if metric != name:
-            difference = difference / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
+            signed = signed / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
+        difference = np.abs(signed)
         for group in GROUPS:
             chosen = np.flatnonzero(joined[group].to_numpy(dtype=bool) & np.isfinite(difference))
             row: dict[str, Any] = {"metric": metric, "unit": unit, "group": group, "n": len(chosen)}
-            row.update(dict.fromkeys(("median", "p95", "largest", *key, "a", "b")))
+            row.update(dict.fromkeys(("mean", "median", "p95", "largest", *key, "a", "b")))
             if len(chosen):
                 found = difference[chosen]
                 worst = int(chosen[int(found.argmax())])
+                row["mean"] = None if name in SIGNLESS else float(signed[chosen].mean())
                 row["median"], row["p95"] = (float(value) for value in np.percentile(found, [50, 95]))
                 row["largest"] = float(difference[worst])
                 row.update({column: joined[column].iloc[worst] for column in key})
                 row["a"], row["b"] = float(values_a[worst]), float(values_b[worst])
             rows.append(row)
     whole = {column: "Int64" for column in ("variant", "box") if column in key}
-    numbers = dict.fromkeys(("median", "p95", "largest", "a", "b"), "float64")
+    numbers = dict.fromkeys(("mean", "median", "p95", "largest", "a", "b"), "float64")
     return pd.DataFrame(rows).astype({**whole, **numbers})
 
 
-def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
+def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
+    """Ids of common plans that are not the same in both runs, sorted.
+
+    Their digests tell. Runs of before 0.2 have none: of them the number of boxes and the items tell.
+    """
+    digests = [run.plans.set_index("plan_id")["digest"] for run in (run_a, run_b)]
+    plans = pd.DataFrame(index=pd.Index(both["plan_id"].unique(), dtype=object))
+    first, second = (digest.reindex(plans.index) for digest in digests)
+    known = first.notna() & second.notna()
+    unlike = {*both.loc[both["n_boxes_a"] != both["n_boxes_b"], "plan_id"]}
+    unlike |= {*boxes.loc[boxes["item_id_a"] != boxes["item_id_b"], "plan_id"]}
+    other = {*plans.index[known & (first != second)], *(unlike & {*plans.index[~known]})}
+    return sorted(other)
+
+
+def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequence[str]) -> list[str]:
     """Reasons to doubt the comparison."""
     notes = [
         f"{name} is not finished ({run.info.get('status', 'unknown')})"
@@ -222,11 +250,12 @@ def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.D
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):
         notes.append("the runs have different thresholds; margins are to each run's own")
-    other_size = int((both["n_boxes_a"] != both["n_boxes_b"]).sum())
-    if other_size:
-        notes.append(f"{other_size} worlds have another number of boxes in b: not the same plans")
-    elif (boxes["item_id_a"] != boxes["item_id_b"]).any():
-        notes.append("some boxes are other items in b: not the same plans")
+    if other:
+        of, verb = counted(both["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
+        notes.append(
+            f"{len(other):,} of {of} {verb} not the same in b; only verdicts are compared of them "
+            "(to compare packers: petmjx compare --packers)"
+        )
     names = {run: {str(param.get("name")) for param in run.info.get("params", [])} for run in (run_a, run_b)}
     if names[run_a] != names[run_b]:
         notes.append("the runs' variants have different parameters")

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
 
@@ -19,12 +19,16 @@ from petmjx.results.reader import read_part
 from petmjx.results.run_file import check_whole
 from petmjx.results.schema import plans_schema
 from petmjx.text import counted, printable, shortened, shown
+from petmjx.units import mm_to_m
 
 DIGEST_BYTES: Final = 8
 """Of one plan's digest; 2^64 values make two of a million plans equal by chance once in 30 million such runs."""
 
 MOST_NAMED: Final = 4
 """Differences that a message names; of more it says how many there are."""
+
+_ALWAYS: Final = ("plan_id", "digest", "source")
+"""Columns of ``plans`` that every run has."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -36,27 +40,55 @@ def plan_digest(plan: Plan) -> str:
     return digest.hexdigest()
 
 
+class PlanRecord(NamedTuple):
+    """What a run says of a plan; None: it was begun before these columns were there.
+
+    Attributes:
+        digest: of everything in it that reaches the results.
+        source: the file it came from.
+        volume_m3: of its boxes.
+        extent_x_m, extent_y_m: of its bounding box.
+        height_m: its highest top above the carrier.
+    """
+
+    digest: str
+    source: str
+    volume_m3: float | None = None
+    extent_x_m: float | None = None
+    extent_y_m: float | None = None
+    height_m: float | None = None
+
+    @classmethod
+    def of(cls, plan: Plan) -> PlanRecord:
+        """The record of a plan."""
+        size, low = mm_to_m(plan.size_mm), mm_to_m(plan.corner_mm)
+        high = low + size
+        extent_x, extent_y, _ = (high.max(axis=0) - low.min(axis=0)).tolist()
+        volume, height = float(size.prod(axis=1).sum()), float(high[:, 2].max())
+        return cls(plan_digest(plan), plan.source, volume, extent_x, extent_y, height)
+
+
 @dataclass(frozen=True, eq=False)
 class Manifest:
     """The identity of a run. Two runs of one identity have the same results.
 
     Attributes:
         settings: JSON-like: command, simulation, sweep, engine, shard.
-        plans: plan id → (digest, source); all plans, also those of other shards.
+        plans: all plans by id, also those of other shards.
     """
 
     settings: Mapping[str, Any]
-    plans: Mapping[str, tuple[str, str]]
+    plans: Mapping[str, PlanRecord]
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], plans: Sequence[Plan]) -> Manifest:
         """The manifest of a run of these plans."""
-        return cls(plain(settings), {plan.plan_id: (plan_digest(plan), plan.source) for plan in plans})
+        return cls(plain(settings), {plan.plan_id: PlanRecord.of(plan) for plan in plans})
 
     @property
     def identity(self) -> dict[str, Any]:
         """As it stands in ``run.json``. The digest does not depend on the order of plans."""
-        lines = "\n".join(f"{digest} {plan_id!r}" for plan_id, (digest, _) in sorted(self.plans.items()))
+        lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
 
@@ -68,8 +100,7 @@ class Manifest:
         """
         columns: dict[str, Sequence[Any]] = {
             "plan_id": list(self.plans),
-            "digest": [digest for digest, _ in self.plans.values()],
-            "source": [source for _, source in self.plans.values()],
+            **{name: [getattr(record, name) for record in self.plans.values()] for name in PlanRecord._fields},
         }
         if ordered is not None:
             rows = [ordered.get(plan_id) for plan_id in self.plans]
@@ -89,12 +120,13 @@ class Manifest:
         if "identity" not in info or not files:
             raise InputError(f"{folder}: the run does not say what it is of (written by petmjx before 0.2)")
         check_whole(info, folder / RUN_FILE)
-        tables = [read_part(file, plans_schema().names).to_pydict() for file in files]
-        plans = {
-            plan_id: (digest, source)
-            for table in tables
-            for plan_id, digest, source in zip(table["plan_id"], table["digest"], table["source"], strict=True)
-        }
+        plans: dict[str, PlanRecord] = {}
+        for file in files:
+            read_part(file, _ALWAYS)  # refused without them
+            table = read_part(file).to_pydict()
+            there = [name for name in PlanRecord._fields if name in table]
+            for row, plan_id in enumerate(table["plan_id"]):
+                plans[plan_id] = PlanRecord(**{name: table[name][row] for name in there})
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
@@ -110,8 +142,8 @@ class Manifest:
         return "; ".join([*found[:MOST_NAMED], *more])
 
     def _plan_differences(self, earlier: Manifest) -> Iterator[str]:
-        for plan_id, (digest, _) in self.plans.items():
-            if plan_id in earlier.plans and earlier.plans[plan_id][0] != digest:
+        for plan_id, record in self.plans.items():
+            if plan_id in earlier.plans and earlier.plans[plan_id].digest != record.digest:
                 yield f"plan {shown(plan_id)} differs"
         new = len(self.plans.keys() - earlier.plans.keys())
         gone = len(earlier.plans.keys() - self.plans.keys())

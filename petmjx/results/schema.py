@@ -145,6 +145,14 @@ _CONTACT_COLUMNS = (
 )
 
 
+_EXTENT_COLUMNS = (
+    _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
+    _column("extent_x_m", pa.float64(), "m", "extent of its bounding box along x"),
+    _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
+    _column("height_m", pa.float64(), "m", "its highest top above the carrier"),
+)
+"""Columns of ``plans``; null in runs that were begun before there were these columns."""
+
 _ORDER_COLUMNS = _counts(
     ordered_boxes="boxes of the plan's order; null where it has none",
     left_out="boxes that were ordered, but are not in the plan",
@@ -188,7 +196,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
     texts = _texts(
         plan_id="id of the packing plan", digest="of all that reaches the results", source="the file it came from"
     )
-    return _schema("plans", [*texts, *(_ORDER_COLUMNS if ordered else ())])
+    return _schema("plans", [*texts, *_EXTENT_COLUMNS, *(_ORDER_COLUMNS if ordered else ())])
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:

@@ -96,9 +96,10 @@ def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[Fitted
         table = FittedTable(
             Column("metric", "left"),
             Column("n"),
+            Column("mean\nb - a", spare=1),
             *(Column(header) for header in ("median", "95 %", "largest")),
             Column("at " + "/".join(column.removesuffix("_id") for column in key), "left", least=8, middle=True),
-            *(Column(header, spare=1) for header in "ab"),
+            *(Column(header, spare=2) for header in "ab"),
             title=f"differences |b - a| of {what}, {group}",
         )
         for row in rows.to_dict("records"):
@@ -107,6 +108,7 @@ def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[Fitted
             table.add(
                 name,
                 f"{row['n']:,}",
+                number(row["mean"], factor=factor, sign=bool(row["mean"])),
                 *(number(row[column], factor=factor) for column in ("median", "p95", "largest")),
                 "/".join(str(row[column]) for column in key) if differs else "",
                 *(number(row[side]) if differs else "" for side in "ab"),

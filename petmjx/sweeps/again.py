@@ -34,9 +34,9 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     manifest = Manifest.read(run.path, run.info)
     if plan_id not in manifest.plans:
         raise InputError(f"{run.path}: plan {shown(plan_id)} is not among its {counted(len(manifest.plans), 'plan')}")
-    digest, source = manifest.plans[plan_id]
-    plan = find_plan(gather_plans(plans or _file(run, plan_id, source), Simulation(), RunOptions()), plan_id)
-    if plan_digest(plan) != digest:
+    known = manifest.plans[plan_id]
+    plan = find_plan(gather_plans(plans or _file(run, plan_id, known.source), Simulation(), RunOptions()), plan_id)
+    if plan_digest(plan) != known.digest:
         raise InputError(f"{plan.source}: plan {shown(plan_id)} is not the one that {run.path} was made of: it changed")
     return plan
 

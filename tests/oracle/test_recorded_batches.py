@@ -169,9 +169,10 @@ def plain_piles() -> list[Outcome]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=pytest.mark.gpu)])
 @pytest.mark.parametrize("room", [None, 2], ids=["room", "little room"])
 def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
-    room: int | None, monkeypatch: pytest.MonkeyPatch
+    room: int | None, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = warp_engine(slice_ns=20_000_000)
     from petmjx.engines.warp import frames

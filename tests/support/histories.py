@@ -1,15 +1,20 @@
-"""Histories and stories compared: with one another, and with the tables of a run."""
+"""Histories and stories compared, with one another and with the tables of a run; and an engine without histories."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
 
 import petmjx
+from petmjx.config import Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.history import Contacts, History
 from petmjx.verdict import Outcome
+from petmjx.world.job import Job
 
 
 def history_of(outcome: Outcome) -> History:
@@ -43,3 +48,12 @@ def assert_tells(story: petmjx.Story, run: petmjx.RunResults) -> None:
     np.testing.assert_array_equal(story.history.pos[-1, :k].astype(np.float32), places[:k])
     np.testing.assert_array_equal(story.history.pos[-1, :k], outcome.boxes.pos[:k])
     assert story.history.time_s[-1] == row["sim_time_s"]
+
+
+class Forgetful(MujocoEngine):
+    """An engine that knows nothing of histories."""
+
+    name = "forgetful"
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        return super().run([replace(job, record=None) for job in jobs], sim, progress)

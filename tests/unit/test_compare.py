@@ -167,7 +167,7 @@ def test_notes_on_what_does_not_fit(tmp_path: Path) -> None:
     b = write(tmp_path / "b", {"w": make_outcome(n=2)}, {"sim": {"thresholds": {"shift_m": 0.1}}})
     notes = compare_runs(a, b).notes
     assert any("different thresholds" in note for note in notes)
-    assert any("another number of boxes" in note for note in notes)
+    assert any("1 of 1 plan is not the same in b" in note for note in notes)
 
 
 def test_notes_on_variants_that_mean_something_else(tmp_path: Path) -> None:

@@ -229,6 +229,12 @@ def test_examples_of_seeing_run(tmp_path: Path) -> None:
     assert "hand-falls-off" in (tmp_path / "plan.html").read_text(encoding="utf-8")
 
 
+def test_examples_of_criteria_run(tmp_path: Path) -> None:
+    pytest.importorskip("shapely")
+    pytest.importorskip("scipy")
+    assert "centre_slack" in run_in(tmp_path, "\n".join(blocks("criteria.md", "python")))
+
+
 def edited(field: str, value: Any) -> list[dict[str, Any]]:
     """Eight placements, the last with another value of one field; None takes the field away."""
     plan = [placement() for _ in range(8)]

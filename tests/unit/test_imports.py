@@ -20,7 +20,8 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"verdict"}),
     frozenset({"engines"}),
     frozenset({"results"}),
-    frozenset({"sweeps"}),
+    frozenset({"sweeps", "statics"}),
+    frozenset({"packers"}),
     frozenset({"simulate"}),
     frozenset({"api", "doctor", "story"}),
     frozenset({"show", "pages", "pictures"}),
@@ -32,10 +33,12 @@ no layer fails the test. ``petmjx/__init__`` imports nothing: it looks names up 
 READERS = (
     "petmjx.results.reader",
     "petmjx.results.compare",
+    "petmjx.packers.compare",
     "petmjx.show.tables",
     "petmjx.pages.story_page",
     "petmjx.pages.report.make",
     "petmjx.plans",
+    "petmjx.statics.run",
 )
 SIMULATORS = ("jax", "mujoco", "warp")
 

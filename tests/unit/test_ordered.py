@@ -17,7 +17,7 @@ import petmjx
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans import ordered
 from petmjx.plans.ordered import OrderCounts, Ordered, check_orders
-from petmjx.results.manifest import Manifest
+from petmjx.results.manifest import Manifest, PlanRecord
 from petmjx.results.writer import RunWriter
 
 A, B, C, D = (make_plan(name, boxes) for name, boxes in zip("abcd", (2, 3, 2, 1), strict=True))
@@ -160,7 +160,7 @@ def test_a_run_has_them_beside_its_verdicts(orders: Path) -> None:
     assert {plan_id: Ordered(*table.loc[plan_id, [*Ordered._fields]]) for plan_id in OF_PLANS} == OF_PLANS
     assert table.loc["d", [*Ordered._fields]].isna().all()
     assert {results.units("plans")[name] for name in Ordered._fields} == {"1"}
-    assert list(plain.plans) == ["plan_id", "digest", "source"]
+    assert list(plain.plans) == ["plan_id", *PlanRecord._fields]
     for name, expected in tables(plain).items():
         assert tables(results)[name].equals(expected)
 

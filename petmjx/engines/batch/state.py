@@ -93,6 +93,11 @@ class State(NamedTuple):
     carrier_vel: Float[Array, "world 6"]
     carrier_warm: Float[Array, "world 6"]
 
+    # Where bodies stand in the system of equations, for a solver that orders them (mjx-warp): a permutation of those
+    # that are placed, in which a box that is placed comes last.
+    position: Int[Array, "world box"]
+    carrier_position: Int[Array, " world"]
+
     # Placing: the last step taken, how many boxes are placed, and the step after which the last one was.
     step: Int[Array, " world"]
     placed: Int[Array, " world"]
@@ -260,6 +265,8 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         carrier_pose=jnp.concatenate([worlds.carrier_pos, upright], axis=-1),
         carrier_vel=jnp.zeros((n, 6)),
         carrier_warm=jnp.zeros((n, 6)),
+        position=jnp.broadcast_to(jnp.arange(1, width + 1, dtype=jnp.int32), (n, width)),
+        carrier_position=ints,
         step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),
         placed=worlds.n_boxes if all_placed else ints,
         last_placed_at=ints,

@@ -1,6 +1,8 @@
 // Differences between GPU and CPU. On a GPU the threads of a block share one world. On a CPU one thread has a world, so
 // barriers and sums over threads do nothing.
 //
+// PETMJX_ONCE: a function that is called at several places, and stands in a GPU's program once.
+//
 // Warp's headers come first: they define CUDA_CALLABLE. NVRTC and Warp's own Clang compile the same source.
 
 #ifndef PETMJX_BLOCK_CUH
@@ -8,8 +10,10 @@
 
 #if defined(__CUDA_ARCH__)
 #define PETMJX_SHARED __shared__
+#define PETMJX_ONCE static __noinline__
 #else
 #define PETMJX_SHARED
+#define PETMJX_ONCE inline
 #endif
 
 namespace petmjx {
@@ -24,6 +28,13 @@ const int SHARE = 1;
 inline CUDA_CALLABLE void wait_for_all() {
 #if defined(__CUDA_ARCH__)
     __syncthreads();
+#endif
+}
+
+// Threads of a warp wait for one another, and see what they have written.
+inline CUDA_CALLABLE void wait_for_warp() {
+#if defined(__CUDA_ARCH__)
+    __syncwarp();
 #endif
 }
 
@@ -50,18 +61,30 @@ inline CUDA_CALLABLE long long clock() {
 
 // Replaces each value by the sum of those before it; values[count] becomes the sum of all. On a GPU the first warp
 // does it; the caller lets all threads wait before and after.
-inline CUDA_CALLABLE void prefix_sums(int* values, int count, int thread) {
+PETMJX_ONCE CUDA_CALLABLE void prefix_sums(int* values, int count, int thread) {
 #if defined(__CUDA_ARCH__)
     if (thread >= 32) return;
+    const int EACH = 4;  // values of a thread at a time
     int before = 0;
-    for (int first = 0; first < count; first += 32) {
-        const int mine = first + thread < count ? values[first + thread] : 0;
-        int sum = mine;
+    #pragma unroll 1
+    for (int first = 0; first < count; first += 32 * EACH) {
+        int begins[EACH + 1] = {0};
+        #pragma unroll
+        for (int i = 0; i < EACH; ++i) {
+            const int at = first + EACH * thread + i;
+            begins[i + 1] = begins[i] + (at < count ? values[at] : 0);
+        }
+        int sum = begins[EACH];
+        #pragma unroll
         for (int offset = 1; offset < 32; offset <<= 1) {
             const int other = __shfl_up_sync(0xffffffffu, sum, offset);
             if (thread >= offset) sum += other;
         }
-        if (first + thread < count) values[first + thread] = before + sum - mine;
+        #pragma unroll
+        for (int i = 0; i < EACH; ++i) {
+            const int at = first + EACH * thread + i;
+            if (at < count) values[at] = before + sum - begins[EACH] + begins[i];
+        }
         before += __shfl_sync(0xffffffffu, sum, 31);
     }
     if (thread == 0) values[count] = before;
@@ -103,60 +126,29 @@ inline CUDA_CALLABLE int take_number(int& counter) {
 #endif
 }
 
-// A sum's items belong to this many virtual threads, however many threads a block has. If there are half as many, each
-// stands for two of them. So a sum has the same order with either number of threads.
-const int VIRTUAL = 256;
+const int MOST_WARPS = 8;  // of a block
 
-// What a thread has added up so far, for each virtual thread that it stands for.
-struct Part {
-    double one = 0.0, two = 0.0;
-
-    // A thread adds the items whose numbers are its own modulo `threads`, in order.
-    inline CUDA_CALLABLE void add(double value, int item, int threads) {
+// Sums of some numbers over all threads, the same to the last bit in every thread and in every run. `partial` is shared
+// memory for COUNT numbers of each warp.
+template <int COUNT>
+inline CUDA_CALLABLE void sum_over_block(int thread, int threads, double* partial, double (&x)[COUNT]) {
 #if defined(__CUDA_ARCH__)
-        if (item & (VIRTUAL - 1) & threads) two += value; else one += value;
-#else
-        one += value;
-#endif
-    }
-};
-
-struct Sums {
-    double x, y;
-};
-
-// Sums of x and of y over all threads, the same to the last bit in every thread, in every run, and with VIRTUAL or
-// VIRTUAL / 2 threads. `partial` is shared memory for two numbers of each virtual warp.
-inline CUDA_CALLABLE Sums sum_over_block(int thread, int threads, double* partial, Part x, Part y) {
-#if defined(__CUDA_ARCH__)
-    const bool halved = threads < VIRTUAL;
+    #pragma unroll
     for (int offset = 16; offset > 0; offset >>= 1) {
-        x.one += __shfl_xor_sync(0xffffffffu, x.one, offset);
-        y.one += __shfl_xor_sync(0xffffffffu, y.one, offset);
-        if (halved) {
-            x.two += __shfl_xor_sync(0xffffffffu, x.two, offset);
-            y.two += __shfl_xor_sync(0xffffffffu, y.two, offset);
-        }
+        #pragma unroll
+        for (int i = 0; i < COUNT; ++i) x[i] += __shfl_xor_sync(0xffffffffu, x[i], offset);
     }
     wait_for_all();
     if ((thread & 31) == 0) {
-        const int warp = thread >> 5, other = (thread + threads) >> 5;
-        partial[2 * warp] = x.one;
-        partial[2 * warp + 1] = y.one;
-        if (halved) {
-            partial[2 * other] = x.two;
-            partial[2 * other + 1] = y.two;
-        }
+        #pragma unroll
+        for (int i = 0; i < COUNT; ++i) partial[COUNT * (thread >> 5) + i] = x[i];
     }
     wait_for_all();
-    Sums sums = {0.0, 0.0};
-    for (int w = 0; w < VIRTUAL >> 5; ++w) {
-        sums.x += partial[2 * w];
-        sums.y += partial[2 * w + 1];
+    #pragma unroll
+    for (int i = 0; i < COUNT; ++i) {
+        x[i] = 0.0;
+        for (int w = 0; w < threads >> 5; ++w) x[i] += partial[COUNT * w + i];
     }
-    return sums;
-#else
-    return {x.one, y.one};
 #endif
 }
 

@@ -13,6 +13,18 @@ namespace petmjx {
 
 const int B = 16;  // rows of a panel
 
+// The columns of a body: six neighbours, which lie in one panel or in two.
+struct Columns {
+    float* one;
+    float* two;
+    int first;  // of the panel's columns
+
+    inline CUDA_CALLABLE float& entry(int row, int i) const {
+        const int column = first + i;
+        return (column < B ? one : two)[row * B + column % B];
+    }
+};
+
 struct System {
     float* A;         // H, then its factor in its place
     float* strip;     // shared memory for the row of a panel, if A is not there; else null
@@ -28,6 +40,12 @@ struct System {
     inline CUDA_CALLABLE float& entry(int row, int column) const {
         return panel(column / B)[row * B + column % B];
     }
+
+    inline CUDA_CALLABLE Columns columns(int body) const {
+        const int J = 6 * body / B, first = 6 * body % B;
+        float* one = panel(J);
+        return {one, first + 6 > B ? panel(J + 1) : one, first};
+    }
 };
 
 // What the threads of a block share. MOST: panels of the largest system.
@@ -35,6 +53,7 @@ template <int MOST>
 struct Factoring {
     alignas(16) float W[B * B];         // inverse of the diagonal tile's factor, transposed
     alignas(16) float solved[B];        // the panel's part of the solution
+    alignas(16) float solutions[MOST_WARPS][B];  // the same on the way back, for each warp
     int active[2][MOST];                // panels whose columns reach up to a panel: this one's, and the next one's
     int active_count[2];
 };
@@ -136,34 +155,50 @@ inline CUDA_CALLABLE void factor_diagonal(const System& system, Factoring<MOST>&
 #endif
 }
 
-// Panel K's row of the factor, one column per thread; a copy of it in the strip, if it fits.
+// Panel K's row of the factor, two threads per column and a warp per tile; a copy of it in the strip, if it fits.
 template <int MOST>
 inline CUDA_CALLABLE void factor_row(
-    const System& system, const Factoring<MOST>& shared, int K, int columns, bool copy, int thread, int threads
+    const System& system, const Factoring<MOST>& shared, int K, int across, bool copy, int thread, int threads
 ) {
     const int* reached = shared.active[K & 1];
-    for (int column = thread; column < columns; column += threads) {
-        const int J = reached[column / B], c = column % B;
+#if defined(__CUDA_ARCH__)
+    const int c = thread % B, odd = thread / B % 2;
+    for (int tile = thread / 32; tile < across; tile += threads / 32) {
+        const int J = reached[tile];
         float* own = system.panel(J) + K * B * B + c;
         float v[16];
         #pragma unroll
         for (int p = 0; p < 16; ++p) v[p] = own[p * B];
+        __syncwarp();
         float update = 0.0f;
         #pragma unroll
-        for (int p = 15; p >= 0; --p) {
+        for (int i = 0; i < 8; ++i) {
+            const int p = 2 * i + odd;  // W is zero behind its diagonal
             float value = 0.0f;
             #pragma unroll
-            for (int q = 0; q <= p; ++q) value += shared.W[p * B + q] * v[q];
-            v[p] = value;
+            for (int q = 0; q < 2 * i + 2; ++q) value += shared.W[p * B + q] * v[q];
             update += value * shared.solved[p];
+            own[p * B] = value;
+            if (copy) system.strip[p * system.strip_columns + tile * B + c] = value;
         }
-        #pragma unroll
-        for (int p = 0; p < 16; ++p) {
-            own[p * B] = v[p];
-            if (copy) system.strip[p * system.strip_columns + column] = v[p];
+        update += __shfl_xor_sync(0xffffffffu, update, 16);
+        if (!odd) system.rhs[J * B + c] -= update;
+    }
+#else
+    for (int column = thread; column < across * B; column += threads) {
+        const int J = reached[column / B], c = column % B;
+        float* own = system.panel(J) + K * B * B + c;
+        float update = 0.0f;
+        for (int p = B - 1; p >= 0; --p) {
+            float value = 0.0f;
+            for (int q = 0; q <= p; ++q) value += shared.W[p * B + q] * own[q * B];
+            own[p * B] = value;
+            update += value * shared.solved[p];
+            if (copy) system.strip[p * system.strip_columns + column] = value;
         }
         system.rhs[J * B + c] -= update;
     }
+#endif
 }
 
 // Subtracts the product of panel K's row from rows below: 4 × 4 entries per thread, for each pair of panels. `first`,
@@ -185,7 +220,7 @@ inline CUDA_CALLABLE void update_below(
         float sum[4][4];
         #pragma unroll
         for (int i = 0; i < 4; ++i) load_four(sum[i], target + i * B);
-        #pragma unroll
+        #pragma unroll 4
         for (int p = 0; p < 16; ++p) {
             float a[4], b[4];
             load_four(a, one + p * pitch);
@@ -202,76 +237,79 @@ inline CUDA_CALLABLE void update_below(
 }
 
 // Updates the rows below panel K, and factors the next diagonal tile: on a GPU the first warp updates that tile before
-// all others and factors it while the other warps go on.
+// all others and factors it while the other warps go on. K is -1 before the first panel. The longest parts of the code
+// stand here once, since a GPU has little room for instructions.
 template <int MOST>
 inline CUDA_CALLABLE void update_and_go_on(
-    const System& system, Factoring<MOST>& shared, int K, int columns, bool copied, int thread, int threads
+    const System& system, Factoring<MOST>& shared, int K, int across, bool copied, int thread, int threads
 ) {
-    const int across = columns / B, items = across * (across + 1) / 2 * B;
+    list_reaching(system, shared, K + 1, thread);
+    int first = thread, items = across * (across + 1) / 2 * B, stride = threads;
 #if defined(__CUDA_ARCH__)
-    const bool touches = across > 0 && shared.active[K & 1][0] == K + 1;
-    list_reaching(system, shared, K + 1, thread);
-    if (thread >= 32) {
-        update_below(system, shared, K, copied, (touches ? B : 0) + thread - 32, items, threads - 32);
-        return;
-    }
-    if (touches) update_below(system, shared, K, copied, thread, B, 32);
+    const int next = across > 0 && shared.active[K & 1][0] == K + 1 ? B : 0;
+    const bool ahead = thread < 32;
+    first = ahead ? thread : next + thread - 32;
+    items = ahead ? next : items;
+    stride = ahead ? 32 : threads - 32;
+#endif
+    update_below(system, shared, K, copied, first, items, stride);
+#if defined(__CUDA_ARCH__)
+    if (!ahead) return;
     __syncwarp();
-#else
-    list_reaching(system, shared, K + 1, thread);
-    update_below(system, shared, K, copied, thread, items, threads);
 #endif
     if (K + 1 < system.panels) factor_diagonal(system, shared, K + 1, thread);
 }
 
-// Backward: U·x = y. The solution of each panel is subtracted from the rows above at once.
-inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, int thread, int threads) {
+// Backward: U·x = y. The solution of each panel is subtracted from the rows above at once. On a GPU each warp finds it
+// for itself, so that none waits for another one.
+template <int MOST>
+inline CUDA_CALLABLE void solve_backward(const System& system, Factoring<MOST>& shared, int thread, int threads) {
     float* rhs = system.rhs;
+#if defined(__CUDA_ARCH__)
+    float* solved = shared.solutions[thread / 32];
+    const int first = thread % 32, stride = 32;
+#else
+    float* solved = shared.solutions[0];
+    const int first = 0, stride = 1;
+#endif
     for (int K = system.panels - 1; K >= 0; --K) {
-        const int k = K * B, from = system.top[K] * B;
+        const int k = K * B;
         const float* panel = system.panel(K);
-        for (int p = thread; p < B; p += threads) {
+        for (int p = first; p < B; p += stride) {
             float value = 0.0f;
             #pragma unroll
             for (int q = 0; q < 16; ++q) value += panel[(k + q) * B + p] * rhs[k + q];
             solved[p] = value;
         }
-        for (int base = from; base < k || base == from; base += threads) {
-            const int j = base + thread;
-            float v[16];
+        wait_for_warp();
+        for (int j = system.top[K] * B + thread; j < k; j += threads) {
+            float v[16], value = rhs[j];
             #pragma unroll
-            for (int p = 0; p < 16; ++p) v[p] = 0.0f;
-            if (j < k) {
-                #pragma unroll
-                for (int p = 0; p < 16; p += 4) load_four(v + p, panel + j * B + p);
-            }
-            if (base == from) wait_for_all();
-            if (j >= k) continue;
-            float value = rhs[j];
+            for (int p = 0; p < 16; p += 4) load_four(v + p, panel + j * B + p);
             #pragma unroll
             for (int p = 0; p < 16; ++p) value -= v[p] * solved[p];
             rhs[j] = value;
         }
-        for (int p = thread; p < B; p += threads) rhs[k + p] = solved[p];
         wait_for_all();
+        for (int p = thread; p < B; p += threads) rhs[k + p] = solved[p];
     }
+    wait_for_all();
 }
 
 // Forward, right-looking by panels: H = UᵀU in place and y = U⁻ᵀ·g at the same time. Then backward.
 template <int MOST>
 inline CUDA_CALLABLE void factor_and_solve(const System& system, Factoring<MOST>& shared, int thread, int threads) {
-    list_reaching(system, shared, 0, thread);
-    factor_diagonal(system, shared, 0, thread);
-    wait_for_all();
-    for (int K = 0; K < system.panels; ++K) {
-        const int columns = shared.active_count[K & 1] * B;
-        const bool copy = system.strip && columns <= system.strip_columns;
-        factor_row(system, shared, K, columns, copy, thread, threads);
-        wait_for_all();
-        update_and_go_on(system, shared, K, columns, copy, thread, threads);
+    for (int K = -1; K < system.panels; ++K) {
+        const int across = K < 0 ? 0 : shared.active_count[K & 1];
+        const bool copy = system.strip && across * B <= system.strip_columns;
+        if (K >= 0) {
+            factor_row(system, shared, K, across, copy, thread, threads);
+            wait_for_all();
+        }
+        update_and_go_on(system, shared, K, across, copy, thread, threads);
         wait_for_all();
     }
-    solve_backward(system, shared.solved, thread, threads);
+    solve_backward(system, shared, thread, threads);
 }
 
 }  // namespace petmjx

@@ -35,11 +35,11 @@ from petmjx.engines.warp.records import (
 )
 
 THREADS, TOGETHER = 128, 2
-"""Threads of a lane, and lanes that a multiprocessor of a GPU runs at the same time. Sums have the same order with 128
-and with 256 threads, not with other numbers (``VIRTUAL`` in block.cuh)."""
+"""Threads of a lane (a multiple of 32, from 64 to 256), and lanes that a multiprocessor of a GPU runs at the same time.
+The number of threads decides the order of sums, so results depend on it."""
 
-NEAR_BYTES = 62 << 10
-"""Shared memory for a lane's Hessian: with this, an H100's multiprocessor has 92 kB of cache for its two lanes."""
+NEAR_BYTES = 80 << 10
+"""Shared memory for a lane's Hessian: with this, an H100's multiprocessor has 56 kB of cache for its two lanes."""
 
 OWN_SHARED = 20 << 10
 """Shared memory that a lane takes beside the Hessian, bytes, and what the driver keeps for itself."""

@@ -15,6 +15,7 @@ struct World {
     const int* block;      // (contact, 2)
     const int* begin_of;   // (body + 1,) where each body's links begin
     const int* link;       // 2·contact + side, body after body
+    const int* position;   // (body,) of its rows in the system, in bodies
     const float* mass;     // (n,) diagonal of M
     const float* idle;     // (n,) accelerations without contacts
     double* a;             // (n,)
@@ -30,21 +31,24 @@ struct World {
 const int ROW = 32;  // numbers of a contact
 
 // Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
-inline CUDA_CALLABLE Part gradient(const World& world, float* rhs, int thread, int threads) {
-    Part bound;
+inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
+    double bound = 0.0;
     for (int base = 0; base < world.bodies * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
         double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
         if (b < world.bodies) {
             for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
                 const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
-                const float* c = world.row + ROW * k;
+                float axes[9], arms[9];
+                load_axes(world.row + ROW * k, axes);
+                load_arms(world.row + ROW * k, side, arms);
+                #pragma unroll
                 for (int r = 0; r < 3; ++r) {
                     const double push = side ? -world.f[3 * k + r] : world.f[3 * k + r];
                     #pragma unroll
                     for (int i = 0; i < 3; ++i) {
-                        value[i] += c[3 * r + i] * push;
-                        value[3 + i] += c[9 + 9 * side + 3 * r + i] * push;
+                        value[i] += axes[3 * r + i] * push;
+                        value[3 + i] += arms[3 * r + i] * push;
                     }
                 }
             }
@@ -56,8 +60,8 @@ inline CUDA_CALLABLE Part gradient(const World& world, float* rhs, int thread, i
             const int at = 6 * b + i;
             const double whole = value[i] + world.mass[at] * (world.a[at] - world.idle[at]);
             world.g[at] = whole;
-            rhs[at] = (float)whole;
-            bound.add(whole * whole / world.mass[at], base + thread, threads);
+            rhs[6 * world.position[b] + i] = (float)whole;
+            bound += whole * whole / world.mass[at];
         }
     }
     return bound;
@@ -73,15 +77,15 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
         if (b < world.bodies) {
             for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
                 const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
-                const float* c = world.row + ROW * k;
                 const float* s = world.curve + 6 * k;
                 const float s0 = s[0], s1 = s[1], s2 = s[2], s3 = s[3], s4 = s[4], s5 = s[5];
-                float x[6], y[6], z[6];
+                float axes[9], arms[9], x[6], y[6], z[6];
+                load_axes(world.row + ROW * k, axes);
+                load_arms(world.row + ROW * k, side, arms);
                 #pragma unroll
                 for (int i = 0; i < 3; ++i) {
-                    x[i] = c[i], y[i] = c[3 + i], z[i] = c[6 + i];
-                    const float* arm = c + 9 + 9 * side + i;
-                    x[3 + i] = arm[0], y[3 + i] = arm[3], z[3 + i] = arm[6];
+                    x[i] = axes[i], y[i] = axes[3 + i], z[i] = axes[6 + i];
+                    x[3 + i] = arms[i], y[3 + i] = arms[3 + i], z[3 + i] = arms[6 + i];
                 }
                 int e = 0;
                 #pragma unroll
@@ -95,13 +99,16 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
             }
         }
         sum_over_share(own);
+        if (b >= world.bodies) continue;
+        const int place = world.position[b];
+        const Columns columns = system.columns(place);
         int e = 0;
         #pragma unroll
         for (int q = 0; q < 6; ++q) {
             #pragma unroll
             for (int p = 0; p <= q; ++p) {
-                if (b < world.bodies && e % SHARE == share_of)
-                    system.entry(6 * b + p, 6 * b + q) = own[e] + (p == q ? world.mass[6 * b + p] : 0.0f);
+                if (e % SHARE == share_of)
+                    columns.entry(6 * place + p, q) = own[e] + (p == q ? world.mass[6 * b + p] : 0.0f);
                 ++e;
             }
         }
@@ -119,6 +126,9 @@ inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, 
         do {
             const float* c = world.row + ROW * k;
             const float* s = world.curve + 6 * k;
+            float axes[9], arms[9];
+            load_axes(c, axes);
+            load_arms(c, 1, arms);
             const float* mine = c + (p < 3 ? p : 6 + p);
             const float x = mine[0], y = mine[3], z = mine[6];
             const float bx = s[0] * x + s[1] * y + s[2] * z;
@@ -126,13 +136,19 @@ inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, 
             const float bz = s[2] * x + s[4] * y + s[5] * z;
             #pragma unroll
             for (int i = 0; i < 3; ++i) {
-                shared[i] -= c[i] * bx + c[3 + i] * by + c[6 + i] * bz;
-                shared[3 + i] -= c[18 + i] * bx + c[21 + i] * by + c[24 + i] * bz;
+                shared[i] -= axes[i] * bx + axes[3 + i] * by + axes[6 + i] * bz;
+                shared[3 + i] -= arms[i] * bx + arms[3 + i] * by + arms[6 + i] * bz;
             }
             ++k;
         } while (k < world.contacts && block[2 * k] == one && block[2 * k + 1] == two);
+        const int upper = world.position[one], lower = world.position[two];
+        const bool ahead = upper < lower;
+        const Columns columns = system.columns(ahead ? lower : upper);
         #pragma unroll
-        for (int i = 0; i < 6; ++i) system.entry(6 * one + p, 6 * two + i) = shared[i];
+        for (int i = 0; i < 6; ++i) {
+            if (ahead) columns.entry(6 * upper + p, i) = shared[i];
+            else columns.entry(6 * lower + i, p) = shared[i];
+        }
     }
 }
 
@@ -163,7 +179,7 @@ inline CUDA_CALLABLE void newton(
     PETMJX_SHARED int top[PANELS];
     PETMJX_SHARED int base[PANELS + 1];
     PETMJX_SHARED int pairs;
-    PETMJX_SHARED double partial[2 * VIRTUAL / 32];
+    PETMJX_SHARED double partial[3 * MOST_WARPS];
 
     const int pyramidal = model.pyramidal;
     const size_t at = lane, room = model.room;
@@ -175,6 +191,7 @@ inline CUDA_CALLABLE void newton(
     world.block = work.blocks.data + at * room * 2;
     world.begin_of = work.link_begin.data + at * work.link_begin.shape[1];
     world.link = work.links.data + at * work.links.shape[1];
+    world.position = work.position.data + at * work.position.shape[1];
     world.mass = work.inertia.data + at * work.inertia.shape[1];
     world.idle = work.smooth.data + at * work.smooth.shape[1];
     world.a = work.acceleration.data + at * work.acceleration.shape[1];
@@ -201,9 +218,11 @@ inline CUDA_CALLABLE void newton(
 
     if (thread == 0) work.iterations.data[at] = 0;
     if (bodies == 0) return;
-    const Part nothing{};
-    Part trace;
-    for (int i = thread; i < n; i += threads) trace.add(world.mass[i], i, threads);
+    double trace[1] = {0.0};
+    for (int i = thread; i < n; i += threads) {
+        trace[0] += world.mass[i];
+        if (world.begin_of[i / 6] == world.begin_of[i / 6 + 1]) a[i] = world.idle[i];
+    }
     for (int K = thread; K < system.panels; K += threads) {
         int first = low[K * B / 6];
         const int last = (K * B + B - 1) / 6 < bodies - 1 ? (K * B + B - 1) / 6 : bodies - 1;
@@ -214,8 +233,8 @@ inline CUDA_CALLABLE void newton(
     if (thread == 0) pairs = 0;
     wait_for_all();
     prefix_sums(base, system.panels, thread);
-    // MuJoCo measures costs in units of the inertia's trace.
-    const double enough = model.tolerance * sum_over_block(thread, threads, partial, trace, nothing).x;
+    sum_over_block(thread, threads, partial, trace);
+    const double enough = model.tolerance * trace[0];  // MuJoCo measures costs in units of the inertia's trace
     const bool fits = base[system.panels] <= near_words;
     system.A = fits ? near : work.hessian.data + at * work.hessian.shape[1];
     system.strip = fits ? nullptr : near;
@@ -239,43 +258,35 @@ inline CUDA_CALLABLE void newton(
         }
         wait_for_all();
         if (last || iteration >= model.limit) break;
-        const double bound
-            = sum_over_block(thread, threads, partial, gradient(world, rhs, thread, threads), nothing).x;
+        double bound[1] = {gradient(world, rhs, thread, threads)};
+        sum_over_block(thread, threads, partial, bound);
         // Since H ≥ M, the cost can decrease by at most this.
-        if (!(0.5 * bound > enough)) break;
+        if (!(0.5 * bound[0] > enough)) break;
         if (thread == 0) work.iterations.data[at] = iteration + 1;
         hessian(world, system, pairs, thread, threads);
         factor_and_solve(system, factoring, thread, threads);
 
         // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
-        Part downhill, linear, quadratic;
+        double along[3] = {0.0, 0.0, 0.0};
         for (int i = thread; i < n; i += threads) {
-            const double s = -(double)rhs[i];
+            const double s = -(double)rhs[6 * world.position[i / 6] + i % 6];
             step[i] = s;
-            downhill.add(world.g[i] * s, i, threads);
-            linear.add(s * world.mass[i] * (a[i] - world.idle[i]), i, threads);
-            quadratic.add(s * world.mass[i] * s, i, threads);
+            along[0] += world.g[i] * s;
+            along[1] += s * world.mass[i] * (a[i] - world.idle[i]);
+            along[2] += s * world.mass[i] * s;
         }
-        const double start = sum_over_block(thread, threads, partial, downhill, nothing).x;
-        const Sums inertia = sum_over_block(thread, threads, partial, linear, quadratic);
+        sum_over_block(thread, threads, partial, along);
+        const double start = along[0];
         if (!(start < 0.0)) break;
         for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
         double length = 1.0, shortest = 0.0, longest = -1.0, first = start;
         for (int trial = 0; trial < model.trials; ++trial) {
-            Part slopes, bends;
-            for (int k = thread; k < contacts; k += threads) {
-                const double* v = jv + 3 * k;
-                double j[3], push[3], bend[6];
-                for (int r = 0; r < 3; ++r) j[r] = jar[3 * k + r] + length * v[r];
-                respond(pyramidal, model.slack, j, row + ROW * k, push, bend);
-                slopes.add(-(push[0] * v[0] + push[1] * v[1] + push[2] * v[2]), k, threads);
-                const double straight = bend[0] * v[0] * v[0] + bend[3] * v[1] * v[1] + bend[5] * v[2] * v[2];
-                const double mixed = bend[1] * v[0] * v[1] + bend[2] * v[0] * v[2] + bend[4] * v[1] * v[2];
-                bends.add(straight + 2.0 * mixed, k, threads);
-            }
-            const Sums cost = sum_over_block(thread, threads, partial, slopes, bends);
-            first = cost.x + inertia.x + length * inertia.y;
-            const double second = cost.y + inertia.y;
+            double cost[2] = {0.0, 0.0};
+            for (int k = thread; k < contacts; k += threads)
+                respond_along(pyramidal, model.slack, jar + 3 * k, jv + 3 * k, length, row + ROW * k, cost);
+            sum_over_block(thread, threads, partial, cost);
+            first = cost[0] + along[1] + length * along[2];
+            const double second = cost[1] + along[2];
             if (fabs(first) <= 0.01 * -start || trial + 1 == model.trials) break;
             if (first < 0.0) shortest = length; else longest = length;
             double next = length - first / second;

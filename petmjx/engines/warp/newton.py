@@ -15,8 +15,8 @@ Three things make it fast:
   factorisation whether it can help. At rest it seldom can.
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
-the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, with
-either number of threads, so a world's result depends neither on other lanes nor on their number nor on the run.
+the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
+world's result depends neither on other lanes nor on their number nor on the run.
 
 The method itself is CUDA C++: petmjx/engines/warp/newton.cu and the files that it includes.
 """

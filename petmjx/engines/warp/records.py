@@ -119,6 +119,8 @@ class State:
     carrier_pose: Annotated[wp.array2d[float], "world 7"]
     carrier_vel: Annotated[wp.array2d[float], "world 6"]
     carrier_warm: Annotated[wp.array2d[float], "world 6"]
+    position: Annotated[wp.array2d[int], "world box"]
+    carrier_position: Annotated[wp.array[int], "world"]
     step: Annotated[wp.array[int], "world"]
     placed: Annotated[wp.array[int], "world"]
     last_placed_at: Annotated[wp.array[int], "world"]
@@ -179,10 +181,12 @@ class Workspace:
     blocks: Annotated[wp.array3d[int], "lane slot 2"]  # of a contact, lower first; negative: does not move
     links: Annotated[wp.array2d[int], "lane link"]  # 2 × slot + side, block after block
     link_begin: Annotated[wp.array2d[int], "lane block_end"]
-    lowest: Annotated[wp.array2d[int], "lane block"]  # the lowest block that a block touches, or itself
+    level: Annotated[wp.array2d[int], "lane block"]  # of the carrier and the boxes, when blocks are put in order
+    position: Annotated[wp.array2d[int], "lane block"]  # of a block in the solver's system
+    lowest: Annotated[wp.array2d[int], "lane block"]  # by position: the lowest that its block touches, or its own
     pair_begin: Annotated[wp.array2d[int], "lane slot"]  # first contact of each pair of blocks, in no order
     contacts: Annotated[wp.array[int], "lane"]
-    n_blocks: Annotated[wp.array[int], "lane"]  # up to the highest block with a contact
+    n_blocks: Annotated[wp.array[int], "lane"]
     iterations: Annotated[wp.array[int], "lane"]  # of the solver
     world: Annotated[wp.array[int], "lane"]  # which a lane has; negative: none
     frame: Annotated[wp.array[int], "lane"]  # which a lane writes

@@ -104,8 +104,9 @@ class Rollout:
 
     def start(self, group: Group, order: Int[Array, " world"]) -> None:
         """Begin a slice of time for all worlds of a group that run. ``wait`` waits for its end."""
-        if group.frames is None:
-            group.frames = room_for(group, self.march.sizes["lane"])
+        lanes = self.march.sizes["lane"]
+        if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
+            group.frames = room_for(group, lanes)
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
         shapes = (len(order), *group.profiles.shape, len(group.frames["of"]))
         if shapes not in self._programs:

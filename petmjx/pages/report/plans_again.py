@@ -39,14 +39,16 @@ def find_plans_again(run: RunResults, given: Sequence[Path] = ()) -> FoundPlans:
         manifest = Manifest.read(run.path, run.info)
     except InputError as error:
         return FoundPlans({}, str(error))
-    sources = list(given) or [Path(source) for source in dict.fromkeys(source for _, source in manifest.plans.values())]
+    named = dict.fromkeys(record.source for record in manifest.plans.values())
+    sources = list(given) or [Path(source) for source in named]
     if not given:
         # bundled plans may have been elsewhere, on another machine
         bundled = bundled_path()
         sources = [bundled if source.name == bundled.name and not source.is_file() else source for source in sources]
     there = [source for source in sources if given or source.is_file()]
     read = load_plans(there).plans if there else []
-    same = {plan.plan_id: plan for plan in read if manifest.plans.get(plan.plan_id, ("",))[0] == plan_digest(plan)}
+    known = {plan_id: record.digest for plan_id, record in manifest.plans.items()}
+    same = {plan.plan_id: plan for plan in read if known.get(plan.plan_id) == plan_digest(plan)}
     wanted = set(run.worlds["plan_id"])
     missing = len(wanted - same.keys())
     if not missing:

@@ -1,8 +1,9 @@
 """Sample plans in BED-BPP's format: generated ones, hand-made ones with a known answer, and packed orders.
 
-``generate`` and ``write_samples`` draw orders with BED-BPP's statistics and pack them. A share of the plans
-(``loose_share``) is packed with a support rule that is not safe, so that a set has plans that stand and plans that
-collapse. Plan i depends only on seed, i and loose_share: the plans of ``n = 10`` are the first of ``n = 1000``.
+``generate`` and ``write_samples`` draw orders with BED-BPP's statistics and pack them. With the packer ``baseline`` a
+share of the plans (``loose_share``) is packed with a support rule that is not safe, so that a set has plans that stand
+and plans that collapse. Plan i depends only on seed, i, packer and loose_share: the plans of ``n = 10`` are the first
+of ``n = 1000``.
 """
 
 from __future__ import annotations
@@ -10,18 +11,24 @@ from __future__ import annotations
 import gzip
 import io
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+
 from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.samples.order_files import read_orders
-from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, draw_order, stream
-from petmjx.plans.samples.packer import PackRules, Placed, pack_best
+from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, Order, draw_order, stream
+from petmjx.plans.samples.packer import PackRules, Placed
+from petmjx.plans.samples.packers import BASELINE, packer_named
+from petmjx.plans.samples.parallel import in_order
 from petmjx.text import counted, printable, shown
 
 Placement = dict[str, Any]
@@ -42,7 +49,7 @@ class LeftOut:
     Attributes:
         order_id: the order's, and the plan's.
         n_items: how many the order has.
-        numbers: the keys of those left out in the order's ``item_sequence``, rising.
+        numbers: the keys of those left out in the order's ``item_sequence``, rising; of drawn orders their place in it.
     """
 
     order_id: str
@@ -57,11 +64,29 @@ class LeftOut:
         return f"order {shown(self.order_id)}: {few} of {many} {verb} left out: {items} {numbers}"
 
 
-def generate(n: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> Iterator[tuple[str, list[Placement]]]:
+_Packed = tuple[str, list[Placement], LeftOut | None]
+"""Plan id, placements, and what was left out, if anything was."""
+
+
+def generate(
+    n: int,
+    seed: int,
+    *,
+    loose_share: float = DEFAULT_LOOSE_SHARE,
+    packer: str = BASELINE,
+    workers: int = 1,
+    on_left_out: Callable[[LeftOut], None] | None = None,
+) -> Iterator[tuple[str, list[Placement]]]:
     """The first ``n`` plans of ``seed``: (plan id, placements in packing order), each made when it is asked for.
 
+    Args:
+        loose_share: of the packer ``baseline``; the others have no loose plans.
+        packer: a name of ``petmjx.plans.samples.packers.PACKERS``. The orders are the same for all.
+        workers: processes; they change nothing in the plans.
+        on_left_out: called with what a plan leaves out of its order, just before the plan is yielded.
+
     Raises:
-        InputError: ``n`` below 1, a negative seed, or a share outside 0…1.
+        InputError: ``n`` below 1, a negative seed, a share outside 0…1, or no such packer.
     """
     if n < 1:
         raise InputError(f"number of samples must be at least 1, got {n}")
@@ -69,21 +94,17 @@ def generate(n: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> 
         raise InputError(f"seed must not be negative, got {seed}")
     if not 0 <= loose_share <= 1:
         raise InputError(f"loose share must be between 0 and 1, got {loose_share}")
-    return (generate_one(index, seed, loose_share=loose_share) for index in range(n))
+    packer_named(packer)
+    pack_one = partial(_pack_drawn, seed=seed, loose_share=loose_share, packer=packer)
+    return _plans(in_order(pack_one, range(n), workers), on_left_out)
 
 
-def generate_one(index: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE) -> tuple[str, list[Placement]]:
+def generate_one(
+    index: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE, packer: str = BASELINE
+) -> tuple[str, list[Placement]]:
     """Plan ``index`` of ``seed``: its id, such as "s0-000123", and its placements in packing order."""
-    rng = stream(seed, PACKER_STREAM, index)
-    loose, support, y_first = rng.random(3)
-    rules = PackRules(y_first=bool(y_first < 0.5))
-    if loose < loose_share:
-        low, high = LOOSE_SUPPORT
-        support = low + (high - low) * float(support)
-        rules = PackRules(min_support=support, centre_supported=False, y_first=rules.y_first)
-    order = draw_order(seed, index)
-    placed = pack_best(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
-    return f"s{seed}-{index:06d}", as_placements(placed)
+    plan_id, placements, _ = _pack_drawn(index, seed, loose_share, packer)
+    return plan_id, placements
 
 
 def write_samples(
@@ -92,17 +113,22 @@ def write_samples(
     seed: int,
     *,
     loose_share: float = DEFAULT_LOOSE_SHARE,
+    packer: str = BASELINE,
+    workers: int = 1,
+    on_left_out: Callable[[LeftOut], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> None:
     """Write the first ``n`` plans of ``seed`` to a JSON file, gzipped if it is named ``*.gz``.
 
     Each plan is written as soon as it is made, so memory does not grow with ``n``. ``progress`` is called with the
-    number of plans written so far.
+    number of plans written so far; the other arguments are those of :func:`generate`.
 
     Raises:
-        InputError: ``n`` below 1, a negative seed, a share outside 0…1, or a path that cannot be written.
+        InputError: ``n`` below 1, a negative seed, a share outside 0…1, no such packer, or a path that cannot be
+            written.
     """
-    write_plans(path, generate(n, seed, loose_share=loose_share), progress=progress)
+    made = generate(n, seed, loose_share=loose_share, packer=packer, workers=workers, on_left_out=on_left_out)
+    write_plans(path, made, progress=progress)
 
 
 def write_plans(
@@ -135,29 +161,65 @@ def pack_orders(
     path: Path | str,
     *,
     seed: int = 0,
+    packer: str = BASELINE,
     rules: PackRules | None = None,
+    workers: int = 1,
     on_bad_order: Callable[[InputError], None] | None = None,
     on_left_out: Callable[[LeftOut], None] | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
-    Without ``rules`` the strict ones are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is
-    called with them just before the plan is yielded. An order of which no box finds a place makes no plan.
-    The packer sorts, so ``sequence`` is numbered anew in packing order.
+    Without ``rules``, which are those of the packer ``baseline``, the strict ones are used. Boxes that find no place
+    below 2 m are left out; ``on_left_out`` is called with them just before the plan is yielded. An order of which no
+    box finds a place makes no plan. The packer sorts, so ``sequence`` is numbered anew in packing order.
 
     Raises:
-        InputError: the file is no orders file; or an order is bad and ``on_bad_order`` is not given
+        InputError: the file is no orders file; no such packer; or an order is bad and ``on_bad_order`` is not given
             (else that is called with the error and the order skipped).
     """
-    for index, (plan_id, order) in enumerate(read_orders(Path(path), on_bad_order)):
-        rng = stream(seed, PACKER_STREAM, index)
-        placed = pack_best(order.items, TARGET_EXTENT_MM[order.target], rules or PackRules(), rng)
-        if len(placed) < len(order.items) and on_left_out is not None:
-            there = {id(box.item) for box in placed}
-            missing = [number for number, item in zip(order.numbers, order.items, strict=True) if id(item) not in there]
-            on_left_out(LeftOut(plan_id, len(order.items), tuple(missing)))
-        if placed:
-            yield plan_id, as_placements(placed)
+    packer_named(packer)
+    orders = enumerate(read_orders(Path(path), on_bad_order))
+    return _plans(in_order(partial(_pack_read, seed=seed, packer=packer, rules=rules), orders, workers), on_left_out)
+
+
+def _pack_drawn(index: int, seed: int, loose_share: float, packer: str) -> _Packed:
+    rng = stream(seed, PACKER_STREAM, index)
+    loose, support, y_first = rng.random(3)
+    rules = PackRules(y_first=bool(y_first < 0.5))
+    if loose < loose_share:
+        low, high = LOOSE_SUPPORT
+        support = low + (high - low) * float(support)
+        rules = PackRules(min_support=support, centre_supported=False, y_first=rules.y_first)
+    return _pack(f"s{seed}-{index:06d}", draw_order(seed, index), packer, rules, rng)
+
+
+def _pack_read(numbered: tuple[int, tuple[str, Order]], seed: int, packer: str, rules: PackRules | None) -> _Packed:
+    index, (order_id, order) = numbered
+    return _pack(order_id, order, packer, rules, stream(seed, PACKER_STREAM, index))
+
+
+def _pack(order_id: str, order: Order, packer: str, rules: PackRules | None, rng: np.random.Generator) -> _Packed:
+    placed = packer_named(packer)(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
+    there = Counter(box.item for box in placed)
+    missing = []
+    # drawn orders have no numbers of their own: their items count from 1
+    for number, item in zip(order.numbers or range(1, len(order.items) + 1), order.items, strict=True):
+        there[item] -= 1
+        if there[item] < 0:
+            missing.append(number)
+    left_out = LeftOut(order_id, len(order.items), tuple(missing)) if missing else None
+    return order_id, as_placements(placed), left_out
+
+
+def _plans(
+    packed: Iterable[_Packed], on_left_out: Callable[[LeftOut], None] | None
+) -> Iterator[tuple[str, list[Placement]]]:
+    """The plans that have a box, with what they leave out told to whom it concerns."""
+    for plan_id, placements, left_out in packed:
+        if left_out is not None and on_left_out is not None:
+            on_left_out(left_out)
+        if placements:
+            yield plan_id, placements
 
 
 def as_placements(placed: Iterable[Placed]) -> list[Placement]:

@@ -16,6 +16,7 @@ from mujoco.mjx.third_party.mujoco_warp._src.math import make_frame
 
 from petmjx.engines.warp.kernel.block import prefix_sums, wait_for_all
 from petmjx.engines.warp.kernel.motion import ROOM, angular_velocity, half_size, linear_velocity, mass_of
+from petmjx.engines.warp.kernel.ordering import block_position
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP, mjMINMU), and its power and midpoint of impedances (solimp).
@@ -138,8 +139,6 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         end = wp.min(work.contact_of[lane, pair + 1], model.room)
         for slot in range(begin, end):
             work.pair_at[lane, slot] = pair
-        if end > begin:
-            wp.atomic_max(work.n_blocks, lane, work.second[lane, pair] - at.held)
     wait_for_all()
     return work.contact_of[lane, n_pairs]
 
@@ -231,11 +230,12 @@ def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: L
 
 
 @wp.func
-def link_blocks(work: Workspace, at: Lane) -> None:
+def link_blocks(state: State, work: Workspace, at: Lane) -> None:
     """The contacts of each block, as links: 2 × contact + side.
 
     ``links[lane, link_begin[lane, b]:link_begin[lane, b + 1]]`` belong to block b, in the order of the contacts:
-    first those in which b is the second body. ``lowest`` is the lowest block that it touches, or the block itself.
+    first those in which b is the second body. ``lowest`` says, by a block's position in the system, what is the lowest
+    position of the blocks that it touches and of itself.
     """
     lane = at.lane
     n_blocks = work.n_blocks[lane]
@@ -251,7 +251,8 @@ def link_blocks(work: Workspace, at: Lane) -> None:
     wait_for_all()
     for block in range(at.thread, n_blocks, at.threads):
         geom = block + 1 + at.held
-        low = int(block)
+        position = block_position(state, at, block)
+        low = int(position)
         link = work.link_begin[lane, block]
         for entry in range(work.lower_of[lane, geom], work.lower_of[lane, geom + 1]):
             pair = work.lower[lane, entry]
@@ -262,10 +263,12 @@ def link_blocks(work: Workspace, at: Lane) -> None:
                 link += 1
             other = work.first[lane, pair] - 1 - at.held
             if end > begin and other >= 0:
-                low = wp.min(low, other)
+                low = wp.min(low, block_position(state, at, other))
         begin = work.contact_of[lane, work.pair_of[lane, geom]]
         for slot in range(begin, work.contact_of[lane, work.pair_of[lane, geom + 1]]):
             work.links[lane, link] = 2 * slot
             link += 1
-        work.lowest[lane, block] = low
+            low = wp.min(low, block_position(state, at, work.blocks[lane, slot, 1]))
+        work.position[lane, block] = position
+        work.lowest[lane, position] = low
     wait_for_all()

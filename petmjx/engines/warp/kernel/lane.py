@@ -11,6 +11,7 @@ from petmjx.engines.warp.kernel.block import any_of_all, clock, wait_for_all
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_blocks, list_pairs, make_rows
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.motion import begin_step, end_step
+from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import newton
 from petmjx.engines.warp.records import Counts, Frames, Lane, Model, State, Tables, Workspace
@@ -100,7 +101,9 @@ def advance(
         overflow(state, at)
         return -1
     make_rows(model, tables, state, work, at, n_contacts)
-    link_blocks(work, at)
+    if step % RENEWED_EVERY == 0:
+        renew_order(state, work, at, n_pairs)
+    link_blocks(state, work, at)
     newton(at.lane, at.thread, at.threads, model, work, near, near_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))

@@ -128,7 +128,7 @@ def begin_step(
         work.place[lane, 0] = wp.vec3(0.0, 0.0, model.floor_z)
         work.turn[lane, 0] = wp.identity(n=3, dtype=float)
         work.reach[lane, 0] = wp.vec3(0.0, 0.0, 0.0)
-        work.n_blocks[lane] = 0
+        work.n_blocks[lane] = at.placed + 1 - at.held
         work.worst[lane] = wp.int64(0)
     for geom in range(1 + at.thread, at.placed + 2, at.threads):
         place = center(state, world, geom)
@@ -193,12 +193,9 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
     for geom in range(1 + at.held + at.thread, at.placed + 2, at.threads):
         block = geom - 1 - at.held
         dof = 6 * block
-        touched = block < work.n_blocks[lane]
         a = vec6()
         for i in range(6):
-            a[i] = work.smooth[lane, dof + i]
-            if touched:
-                a[i] = float(work.acceleration[lane, dof + i])
+            a[i] = float(work.acceleration[lane, dof + i])
         linear = linear_velocity(state, world, geom)
         spin = angular_velocity(state, world, geom)
         for i in range(3):
@@ -245,25 +242,24 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
             for i in range(6):
                 state.warm[world, box, i] = a[i]
             if measured:
-                work.top_force[lane, box] = _top_force(work, lane, geom, block, at.held, touched)
+                work.top_force[lane, box] = _top_force(work, lane, geom, block, at.held)
     return astray
 
 
 @wp.func
-def _top_force(work: Workspace, lane: int, geom: int, block: int, held: int, touched: bool) -> float:
+def _top_force(work: Workspace, lane: int, geom: int, block: int, held: int) -> float:
     """Force that presses on a box from above, N: of contacts within 45° of level with geoms whose centre is higher."""
     total = wp.float64(0.0)
-    if touched:
-        z = work.place[lane, geom][2]
-        for entry in range(work.link_begin[lane, block], work.link_begin[lane, block + 1]):
-            link = work.links[lane, entry]
-            k = link // 2
-            side = link % 2
-            its_z = work.place[lane, work.blocks[lane, k, 1 - side] + 1 + held][2]
-            lower = z < its_z or (side == 1 and z == its_z)
-            if lower and wp.abs(work.rows[lane, k, 2]) >= VERTICAL_COSINE:
-                up = wp.float64(0.0)
-                for r in range(3):
-                    up += wp.float64(work.rows[lane, k, 3 * r + 2]) * work.force[lane, k, r]
-                total += wp.where(side == 1, -up, up)
+    z = work.place[lane, geom][2]
+    for entry in range(work.link_begin[lane, block], work.link_begin[lane, block + 1]):
+        link = work.links[lane, entry]
+        k = link // 2
+        side = link % 2
+        its_z = work.place[lane, work.blocks[lane, k, 1 - side] + 1 + held][2]
+        lower = z < its_z or (side == 1 and z == its_z)
+        if lower and wp.abs(work.rows[lane, k, 2]) >= VERTICAL_COSINE:
+            up = wp.float64(0.0)
+            for r in range(3):
+                up += wp.float64(work.rows[lane, k, 3 * r + 2]) * work.force[lane, k, r]
+            total += wp.where(side == 1, -up, up)
     return float(total)

@@ -1,0 +1,55 @@
+"""``petmjx score --name``: the plans of several packers in one go."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from petmjx.cli.console import results_console
+from petmjx.cli.runs import brief, default_folder, remove_empty, run_watched
+from petmjx.errors import InputError
+from petmjx.text import printable
+
+
+def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool) -> None:
+    """Score the plans of each packer into a folder of its own, then compare the packers.
+
+    Args:
+        plans: name of each packer → its plans.
+        options: as for ``petmjx.score``; ``out`` holds the folders.
+    """
+    from petmjx import api
+    from petmjx.packers.compare import compare_packers
+    from petmjx.packers.load import check_names
+    from petmjx.show.layout import line, print_each
+    from petmjx.show.packer_tables import packer_tables
+    from petmjx.show.tables import run_tables
+
+    check_names(plans)
+    for path in plans.values():
+        if not Path(path).exists():  # before the first packer's plans are simulated, not after
+            raise InputError(f"{printable(path)}: no such file or folder")
+    made = None if "out" in options or options.get("resume") else default_folder()
+    parent = options.get("out", made)
+    console = results_console()
+    results = {}
+    try:
+        for name, path in plans.items():
+            given = options if parent is None else options | {"out": Path(parent) / name}
+            results[name] = run_watched(
+                lambda watcher, asked, path=path: api.score(path, watcher=watcher, **asked),  # type: ignore[misc]
+                given,
+            )
+            if not as_json:
+                print_each([line(f"packer {name}"), *run_tables(results[name]), ""], console)
+    finally:
+        if made is not None:
+            remove_empty(made)
+    if as_json:
+        runs = {name: brief(run) for name, run in results.items()}
+        compared = compare_packers(results).to_dict() if len(results) > 1 else None
+        print(json.dumps({"runs": runs, "compared": compared}, indent=2, allow_nan=False))
+    elif len(results) > 1:
+        print_each(packer_tables(compare_packers(results)), console)

@@ -1,0 +1,89 @@
+"""In which order the bodies of a world stand in the solver's system: by their distance, in contacts, from the body that
+is farthest from the carrier.
+
+Bodies that touch should stand near one another there, so that the Hessian's envelope is narrow (Cuthill and McKee,
+"Reducing the bandwidth of sparse symmetric matrices", 1969). In packing order the factor takes twice the operations
+(docs/performance.md). An order is part of a world's state, and is renewed at certain steps. So it does not depend on
+which lane had the world when.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
+from petmjx.engines.warp.records import Lane, State, Workspace
+
+RENEWED_EVERY = wp.constant(25)
+"""Steps: contacts change when a box is placed, about every 60 steps, and while boxes fall."""
+
+UNREACHED = wp.constant(1 << 30)
+
+
+@wp.func
+def body_position(state: State, world: int, body: int) -> int:
+    """Where a body stands among all that are placed. Body 0 is the carrier, then come the boxes."""
+    if body == 0:
+        return state.carrier_position[world]
+    return state.position[world, body - 1]
+
+
+@wp.func
+def block_position(state: State, at: Lane, block: int) -> int:
+    """Where a block stands among all blocks: a carrier that is held is none."""
+    position = body_position(state, at.world, block + at.held)
+    if at.held != 0 and position > state.carrier_position[at.world]:
+        position -= 1
+    return position
+
+
+@wp.func
+def _find_levels(work: Workspace, at: Lane, n_pairs: int, root: int) -> None:
+    """How many contacts lie between each body and the root."""
+    lane = at.lane
+    for body in range(at.thread, at.placed + 1, at.threads):
+        work.level[lane, body] = wp.where(body == root, 0, UNREACHED)
+    wait_for_all()
+    for level in range(at.placed + 1):
+        found = bool(False)
+        for pair in range(at.thread, n_pairs, at.threads):
+            one = work.first[lane, pair] - 1
+            if one >= 0 and work.contact_of[lane, pair + 1] > work.contact_of[lane, pair]:
+                two = work.second[lane, pair] - 1
+                of_one = work.level[lane, one]
+                of_two = work.level[lane, two]
+                if of_one == level and of_two == UNREACHED:
+                    work.level[lane, two] = level + 1
+                    found = True
+                if of_two == level and of_one == UNREACHED:
+                    work.level[lane, one] = level + 1
+                    found = True
+        if not any_of_all(found):
+            break
+
+
+@wp.func
+def renew_order(state: State, work: Workspace, at: Lane, n_pairs: int) -> None:
+    """Put the bodies in order by the contacts of this step; bodies of one level stay in packing order."""
+    lane = at.lane
+    n = at.placed + 1
+    _find_levels(work, at, n_pairs, 0)
+    root = int(0)
+    for body in range(n):
+        level = work.level[lane, body]
+        if level != UNREACHED and level > work.level[lane, root]:
+            root = body
+    wait_for_all()
+    _find_levels(work, at, n_pairs, root)
+    for body in range(at.thread, n, at.threads):
+        level = work.level[lane, body]
+        position = int(0)
+        for other in range(n):
+            its = work.level[lane, other]
+            if its < level or (its == level and other < body):
+                position += 1
+        if body == 0:
+            state.carrier_position[at.world] = position
+        else:
+            state.position[at.world, body - 1] = position
+    wait_for_all()

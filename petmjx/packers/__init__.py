@@ -1,0 +1,1 @@
+"""Packers compared by the runs of their plans for the same orders."""

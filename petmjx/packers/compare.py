@@ -1,0 +1,179 @@
+"""Which packer's plans stand more often, by how much, and is the difference more than luck?
+
+Orders are paired: each is packed by every packer. Compared are the orders that have a valid verdict from every packer.
+Orders without a plan and invalid worlds are counted beside them; ``share_at_worst`` is the share if they counted as
+plans that do not stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.errors import InputError
+from petmjx.packers.load import MEASURES, MISSING, Run, doubts, opened, plans_of
+from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
+from petmjx.results.plain import plain
+from petmjx.sweeps.shares import DEFAULT_CONFIDENCE, wilson_interval
+from petmjx.text import counted
+from petmjx.verdict import Verdict
+
+SIZE_BINS: Final = (0, 20, 40, 60, 80)
+"""Orders by number of boxes: 1 to 20, 21 to 40, …, more than 80."""
+
+ALL_SIZES: Final = "all"
+
+
+@dataclass(frozen=True, eq=False)
+class PackerComparison:
+    """What :func:`compare_packers` found.
+
+    Attributes:
+        runs: name of each packer → folder of its run.
+        confidence: of all intervals.
+        packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, ``n`` compared orders,
+            ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; the means of ``MEASURES`` over the
+            compared orders; ``n_orders`` of this size, of which ``n_invalid`` and ``n_missing``; ``share_at_worst``.
+        pairs: a row for each two packers and size: ``a``, ``b``, ``n``, ``both``, ``only_a``, ``only_b``, ``neither``
+            stand, ``difference`` (share of b − share of a) with Newcombe's interval ``low``, ``high``; ``p`` of
+            McNemar's exact test, and ``p_holm``, corrected for the number of pairs (size ``all``; null in the others,
+            which are there to look at, not to test).
+        reasons: for each two packers, by whom an order is ``lost`` and why the loser's plan does not stand: ``a``,
+            ``b``, ``lost_by``, ``reason``, ``n``.
+        decided: orders that stand with only one of two packers: ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``,
+            ``reason``, ``order_boxes``.
+        plans: a row for each order and packer (:func:`petmjx.packers.load.plans_of`).
+        notes: reasons to doubt the comparison, one line each.
+    """
+
+    runs: Mapping[str, str]
+    confidence: float
+    packers: pd.DataFrame
+    pairs: pd.DataFrame
+    reasons: pd.DataFrame
+    decided: pd.DataFrame
+    plans: pd.DataFrame
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        whole = self.packers[self.packers["size"] == ALL_SIZES]
+        shares = ", ".join(f"{row.packer} {100 * row.share:.1f} %" for row in whole.itertuples())
+        return f"PackerComparison({shares} of {counted(int(whole['n'].iloc[0]), 'order')})"
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """All tables by name."""
+        return {name: getattr(self, name) for name in ("packers", "pairs", "reasons", "decided", "plans")}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All but ``plans`` as plain JSON values; missing numbers are None."""
+        return dict(plain({name: value for name, value in vars(self).items() if name != "plans"}))
+
+
+def compare_packers(
+    runs: Sequence[Run] | Mapping[str, Run], confidence: float = DEFAULT_CONFIDENCE
+) -> PackerComparison:
+    """Compare packers by runs of their plans, which are paired by plan id.
+
+    Args:
+        runs: two or more runs or their folders, or packer → run. Without names they have those of their folders.
+        confidence: of the intervals.
+
+    Raises:
+        InputError: fewer than two runs, no run in a folder, a sweep, two of one name; or SciPy is missing.
+    """
+    if not 0 < confidence < 1:
+        raise InputError(f"confidence must be between 0 and 1, got {confidence}")
+    found = opened(runs)
+    plans = plans_of(found)
+    sized = plans.assign(size=size_names(plans["order_boxes"]))
+    sizes = [ALL_SIZES, *(size for size in _bin_names() if (sized["size"] == size).any())]
+    parts = {size: sized if size == ALL_SIZES else sized[sized["size"] == size] for size in sizes}
+    packers = [_packer_row(size, name, rows, confidence) for size, rows in parts.items() for name in found]
+    pairs = [_pair_row(size, a, b, rows, confidence) for size, rows in parts.items() for a, b in combinations(found, 2)]
+    pair_table = pd.DataFrame(pairs)
+    whole = pair_table["size"] == ALL_SIZES
+    pair_table.loc[whole, "p_holm"] = holm(pair_table.loc[whole, "p"].tolist())
+    decided = _decided(plans, list(found))
+    by = ["a", "b", "lost_by", "reason"]
+    reasons = decided.groupby(by, sort=False).size().rename("n").reset_index()
+    return PackerComparison(
+        runs={name: str(run.path) for name, run in found.items()},
+        confidence=confidence,
+        packers=pd.DataFrame(packers),
+        pairs=pair_table,
+        reasons=reasons.sort_values([*by[:3], "n"], ascending=[True, True, True, False]).reset_index(drop=True),
+        decided=decided,
+        plans=plans,
+        notes=tuple(doubts(found, plans)),
+    )
+
+
+def _bin_names() -> list[str]:
+    upper = [*SIZE_BINS[1:], None]
+    return [f"{low + 1} to {high}" if high else f"over {low}" for low, high in zip(SIZE_BINS, upper, strict=True)]
+
+
+def size_names(boxes: pd.Series) -> pd.Series:
+    """The bin of each number of boxes, as text."""
+    names = np.array(_bin_names())
+    return pd.Series(names[np.searchsorted(SIZE_BINS, boxes.to_numpy(), side="left") - 1], index=boxes.index)
+
+
+def _packer_row(size: str, name: str, rows: pd.DataFrame, confidence: float) -> dict[str, Any]:
+    mine = rows[rows["packer"] == name]
+    compared = mine[mine["compared"]]
+    stable = int((compared["verdict"] == Verdict.STABLE.value).sum())
+    low, high = wilson_interval(stable, len(compared), confidence)
+    means = {column: float(compared[column].mean()) for column in MEASURES}
+    standing = int((mine["verdict"] == Verdict.STABLE.value).sum())
+    return {
+        "size": size,
+        "packer": name,
+        "n": len(compared),
+        "n_stable": stable,
+        "share": stable / len(compared) if len(compared) else float("nan"),
+        "low": float(low),
+        "high": float(high),
+        **means,
+        "n_orders": len(mine),
+        "n_invalid": int((mine["verdict"] == Verdict.INVALID.value).sum()),
+        "n_missing": int((mine["verdict"] == MISSING).sum()),
+        "share_at_worst": standing / len(mine) if len(mine) else float("nan"),
+    }
+
+
+def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) -> dict[str, Any]:
+    wide = _standing(rows)
+    in_a, in_b = wide[a].to_numpy(bool), wide[b].to_numpy(bool)
+    counts = PairedCounts(*(int(np.sum(each)) for each in (in_a & in_b, in_a & ~in_b, in_b & ~in_a, ~in_a & ~in_b)))
+    low, high = newcombe_interval(counts, confidence)
+    test = mcnemar_p(counts) if size == ALL_SIZES else float("nan")
+    shares = {"difference": counts.difference, "low": low, "high": high, "p": test, "p_holm": float("nan")}
+    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}
+
+
+def _standing(rows: pd.DataFrame) -> pd.DataFrame:
+    """Compared orders × packers: whether the plan stands."""
+    compared = rows[rows["compared"]]
+    stands = compared.assign(stands=compared["verdict"] == Verdict.STABLE.value)
+    return stands.pivot(index="plan_id", columns="packer", values="stands").reindex(columns=rows["packer"].unique())
+
+
+def _decided(plans: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
+    compared = plans[plans["compared"]]
+    of = {name: compared[compared["packer"] == name].reset_index(drop=True) for name in names}
+    parts = []
+    for a, b in combinations(names, 2):
+        stands = {name: (of[name]["verdict"] == Verdict.STABLE.value).to_numpy() for name in (a, b)}
+        for winner, loser in ((b, a), (a, b)):
+            won = stands[winner] & ~stands[loser]
+            part = of[loser].loc[won, ["plan_id", "reason", "order_boxes"]]
+            parts.append(part.assign(a=a, b=b, won_by=winner, lost_by=loser))
+    columns = ["a", "b", "won_by", "lost_by", "plan_id", "reason", "order_boxes"]
+    return pd.concat(parts, ignore_index=True)[columns]

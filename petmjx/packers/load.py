@@ -1,0 +1,177 @@
+"""The runs of several packers as one table: a row for each order and packer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.config import CARRIER_EXTENT_M, Carrier
+from petmjx.errors import InputError
+from petmjx.results.reader import RunResults, load_run
+from petmjx.text import counted, shown
+from petmjx.units import FloatArray
+
+MISSING: Final = "missing"
+"""``verdict`` of an order of which a packer has no plan."""
+
+MEASURES: Final[Mapping[str, str]] = {
+    "boxes": "boxes placed",
+    "left_out": "boxes left out",
+    "volume_m3": "volume, m³",
+    "height_m": "height, m",
+    "kpi_2": "kpi_2, volume over area × height",
+}
+"""Column of a plan → what people read. Their means stand beside the shares. One more column is one more line here, and
+a column of :func:`plans_of`."""
+
+Run = RunResults | str | Path
+
+
+def opened(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
+    """Name of each packer → its run. Without names they have those of their folders.
+
+    Raises:
+        InputError: fewer than two runs, two of one name, or a folder without a run.
+    """
+    named = runs if isinstance(runs, Mapping) else None
+    found = [run if isinstance(run, RunResults) else load_run(run) for run in (named.values() if named else runs)]
+    if len(found) < 2:
+        raise InputError("give at least two runs to compare")
+    names = list(named) if named else _names([run.path for run in found])
+    for run in found:
+        if run.info.get("config", {}).get("command") == "sweep":
+            raise InputError(f"{run.path}: is a sweep; packers are compared by scores")
+        if run.worlds.duplicated(["plan_id", "variant"]).any():
+            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
+    return dict(zip(names, found, strict=True))
+
+
+def _names(folders: Sequence[Path]) -> list[str]:
+    short = [folder.resolve().name for folder in folders]
+    names = short if len(set(short)) == len(short) else [str(folder) for folder in folders]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError(f"{shown(name)}: given twice; a packer is compared with others")
+    return names
+
+
+def check_names(names: Iterable[str]) -> None:
+    """Names that can be those of folders.
+
+    Raises:
+        InputError: one cannot.
+    """
+    for name in names:
+        if not name or name in (".", "..") or "/" in name or "\\" in name or not name.isprintable():
+            raise InputError(f"packer {shown(name)!r}: the name must be usable as that of a folder")
+
+
+def plans_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
+    """A row for each order and packer, sorted; orders are those of which any packer has a plan.
+
+    Returns:
+        ``plan_id``, ``packer``, ``order_boxes`` (of the order where a run was compared with orders, else of the largest
+        plan), ``verdict`` (also ``missing``), ``reason``, ``margin``, ``digest``, the columns of ``MEASURES``, and
+        ``compared``: the order has a valid verdict from every packer.
+    """
+    parts = [_of_run(run).assign(packer=name) for name, run in runs.items()]
+    table = pd.concat(parts, ignore_index=True)
+    every = pd.MultiIndex.from_product([sorted(table["plan_id"].unique()), list(runs)], names=["plan_id", "packer"])
+    table = table.set_index(["plan_id", "packer"]).reindex(every).reset_index()
+    table["verdict"] = table["verdict"].fillna(MISSING)
+    table["reason"] = table["reason"].fillna("")
+    by_order = table.groupby("plan_id", sort=False)
+    table["order_boxes"] = table["ordered_boxes"].fillna(table["boxes"])
+    table["order_boxes"] = by_order["order_boxes"].transform("max").astype(np.int64)
+    area = _target_area_m2(by_order, _carrier(runs))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        table["kpi_2"] = table["volume_m3"] / (area * table["height_m"])
+    table["compared"] = table["verdict"].isin(["stable", "unstable"])
+    table["compared"] = table.groupby("plan_id", sort=False)["compared"].transform("all")
+    first = ["plan_id", "packer", "order_boxes", "compared", "verdict", "reason", "margin"]
+    return table[[*first, *MEASURES, "digest"]]
+
+
+def _of_run(run: RunResults) -> pd.DataFrame:
+    """The nominal worlds of a run with what it says of their plans."""
+    worlds = run.worlds[run.worlds["variant"] == 0]
+    table = worlds[["plan_id", "verdict", "reason", "n_boxes"]].rename(columns={"n_boxes": "boxes"})
+    table["margin"] = worlds.get("margin", np.nan)
+    plans = run.plans
+    of_plan = ["digest", "volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out"]
+    table = table.merge(plans[["plan_id", *(n for n in of_plan if n in plans)]], on="plan_id", how="left")
+    table = table.assign(**{name: None for name in of_plan if name not in table})
+    return table.astype(dict.fromkeys(("boxes", *of_plan[1:]), np.float64))
+
+
+def _carrier(runs: Mapping[str, RunResults]) -> Carrier:
+    """The carrier of all runs; ``footprint`` where they have different ones."""
+    carriers = {_option(run, "carrier") for run in runs.values()}
+    return Carrier(carriers.pop()) if len(carriers) == 1 and carriers <= set(Carrier) else Carrier.FOOTPRINT
+
+
+def _target_area_m2(by_order: Any, carrier: Carrier) -> FloatArray:
+    """The area of each row's target, the same for all packers of an order.
+
+    It is the carrier's. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of all packers
+    have room; if there is none, the common extent of the plans.
+    """
+    x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
+    area: FloatArray = x * y
+    known = [extent for extent in CARRIER_EXTENT_M.values() if extent is not None]
+    if CARRIER_EXTENT_M[carrier] is not None:
+        return np.full(len(area), np.prod(CARRIER_EXTENT_M[carrier] or ()))
+    for length, width in sorted(known, key=lambda extent: -extent[0] * extent[1]):
+        room = (x <= length + 1e-9) & (y <= width + 1e-9)
+        area = np.where(room, length * width, area)
+    return area
+
+
+def _option(run: RunResults, name: str) -> Any:
+    simulation = run.info.get("config", {}).get("simulation", {})
+    return simulation.get(name) if isinstance(simulation, Mapping) else None
+
+
+def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
+    """Reasons to doubt the comparison, a line each."""
+    found = [
+        f"{shown(name)} is not finished ({run.info.get('status', 'unknown')})"
+        for name, run in runs.items()
+        if run.info.get("status") != "finished"
+    ]
+    settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
+    first, *others = settings
+    for name in others:
+        differing = _differing(settings[first], settings[name])
+        if differing:
+            found.append(f"{shown(name)} was simulated with other options than {shown(first)}: {', '.join(differing)}")
+    engines = {str(run.info.get("config", {}).get("engine")) for run in runs.values()}
+    if len(engines) > 1:
+        found.append(f"simulated by different engines: {', '.join(sorted(engines))}")
+    unknown = [shown(name) for name in runs if table.loc[table["packer"] == name, "volume_m3"].isna().all()]
+    if unknown:
+        found.append(
+            f"no utilisation of {', '.join(unknown)}: the run was written by an earlier petmjx; score it again"
+        )
+    if not table["compared"].any():
+        found.append("no order has a valid verdict from every packer")
+    found += _same_plans(table, list(runs))
+    return found
+
+
+def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Orders that all packers pack in the same way, if there are any."""
+    compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
+    same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
+    return [f"{counted(same, 'plan')} of {len(compared):,} are the same in all runs"] if same else []
+
+
+def _differing(a: Any, b: Any) -> list[str]:
+    """The names of options that differ; those of tables within them too."""
+    if not isinstance(a, Mapping) or not isinstance(b, Mapping):
+        return []
+    return [str(name) for name in sorted({*a, *b}) if a.get(name) != b.get(name)]

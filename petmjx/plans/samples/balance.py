@@ -1,0 +1,159 @@
+"""Whether a pile keeps its balance: loads go down from box to box, and each must press inside what it stands on.
+
+The criterion is that of mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm
+with static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581): below every box, the
+resultant of its weight and of all loads on it must act within the convex hull of its contacts; here at least a margin
+inside. How a box shares its load out among the boxes below it is not determined by statics. As on a bed of equal
+springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit"), the pressure under its base is taken as a plane,
+p = a + b·x + c·y, with the force and the moments of the load; on two narrow supports that is the lever rule.
+
+So a load is a vector (F, F·x, F·y), and what a box passes on to each box below is linear in its load. ``Balance`` keeps
+the products of these 3 × 3 matrices, from each box to all below it: one more box is judged with a few small products,
+however high the pile is. Forces are in kg (without g, which cancels), lengths in metres.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.units import MM_PER_M, FloatArray
+
+TOUCH_MM: Final = 1e-6
+"""Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
+
+MARGIN_M: Final = 0.020
+MARGIN_SHARE: Final = 0.2
+"""How far inside the hull a resultant must act: 20 mm, for small boxes this share of the shorter side. With 10 mm and a
+least support of 0.6 all of 60 plans stood as well; the margin is for what a robot does."""
+
+_SLACK_KG_M: Final = 1e-9
+
+
+class Rest(NamedTuple):
+    """A box that would keep the balance.
+
+    Attributes:
+        load: (3,) its own weight as a load.
+        passed: (n, 3, 3) from a load on it to what reaches each of the n boxes placed before; None on the carrier.
+        planes: (k, 3) the edges of its hull, moved inward; the product with a load is ≤ 0 inside.
+    """
+
+    load: FloatArray
+    passed: FloatArray | None
+    planes: FloatArray
+
+
+class Balance:
+    """The boxes placed so far, and the load that each passes on."""
+
+    def __init__(self, capacity: int) -> None:
+        self.n = 0
+        self._low = np.zeros((capacity, 2))
+        self._high = np.zeros((capacity, 2))
+        self._top_mm = np.zeros(capacity)
+        self._load = np.zeros((capacity, 3))
+        self._passed = np.zeros((capacity, capacity, 3, 3))
+        self._planes = np.zeros((0, 3))
+        self._owner: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+    @property
+    def loads(self) -> FloatArray:
+        """(n, 3) own weight and all loads from above of each box: kg, kg·m, kg·m."""
+        return self._load[: self.n]
+
+    def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
+        """What one more box would do, let down on the tops at its height; None: it or a box below would tip over."""
+        n = self.n
+        corner = np.array(corner_mm[:2]) / MM_PER_M
+        base = np.array(base_mm) / MM_PER_M
+        load = mass_kg * np.array([1.0, *(corner + base / 2)])
+        if corner_mm[2] <= 0:
+            return Rest(load, None, np.zeros((0, 3)))
+        low, high = np.maximum(self._low[:n], corner), np.minimum(self._high[:n], corner + base)
+        touch = TOUCH_MM / MM_PER_M
+        side = high - low > touch
+        below = side[:, 0] & side[:, 1] & (np.abs(self._top_mm[:n] - corner_mm[2]) <= TOUCH_MM)
+        under = np.flatnonzero(below)
+        low, high = low[under], high[under]
+        planes = hull_planes(low, high, min(MARGIN_M, MARGIN_SHARE * float(base.min())))
+        if not len(under) or (planes @ load).max() > 0:
+            return None
+        if len(under) == 1:  # which takes the whole load
+            passed = self._passed[under[0], :n]
+        else:
+            moments = _moments(low, high)
+            shares = moments @ np.linalg.inv(moments.sum(axis=0))
+            passed = np.matmul(self._passed[under, :n], shares[:, None]).sum(axis=0)
+        # the load of a plane's owner against that plane, for all hulls of the pile at a time
+        after = self._load[:n] + passed @ load
+        if len(self._planes) and np.einsum("kc,kc->k", self._planes, after[self._owner]).max() > _SLACK_KG_M:
+            return None
+        return Rest(load, passed, planes)
+
+    def add(self, corner_mm: tuple[float, float, float], size_mm: tuple[float, float, float], rest: Rest) -> None:
+        """Put the box down that ``rest`` is about."""
+        n = self.n
+        self._low[n] = np.array(corner_mm[:2]) / MM_PER_M
+        self._high[n] = self._low[n] + np.array(size_mm[:2]) / MM_PER_M
+        self._top_mm[n] = corner_mm[2] + size_mm[2]
+        self._passed[n, n] = np.eye(3)
+        self._load[n] = rest.load
+        if rest.passed is not None:
+            self._passed[n, :n] = rest.passed
+            self._load[:n] += rest.passed @ rest.load
+            self._planes = np.concatenate([self._planes, rest.planes])
+            self._owner = np.concatenate([self._owner, np.full(len(rest.planes), n)])
+        self.n += 1
+
+
+def _moments(low: FloatArray, high: FloatArray) -> FloatArray:
+    """∫ (1, x, y)ᵀ (1, x, y) dA over each of c rectangles, (c, 2) low and high corners: (c, 3, 3)."""
+    middle, side = (low + high) / 2, high - low
+    ones = np.concatenate([np.ones((len(low), 1)), middle], axis=1)
+    moments = ones[:, :, None] * ones[:, None, :]
+    moments[:, 1, 1] += side[:, 0] ** 2 / 12
+    moments[:, 2, 2] += side[:, 1] ** 2 / 12
+    result: FloatArray = moments * side.prod(axis=1)[:, None, None]
+    return result
+
+
+def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
+    """The edges of the convex hull of rectangles, each moved inward by ``margin``.
+
+    Args:
+        low, high: (c, 2) corners.
+
+    Returns:
+        (k, 3) rows (d, n_x, n_y): d + n · p is how far p lies beyond the edge that was moved.
+    """
+    lows, highs = low.tolist(), high.tolist()
+    corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]
+    ring = _convex_hull(corners)
+    planes = []
+    for (ax, ay), (bx, by) in zip(ring, ring[1:] + ring[:1], strict=True):
+        length = ((bx - ax) ** 2 + (by - ay) ** 2) ** 0.5
+        nx, ny = (by - ay) / length, (ax - bx) / length
+        planes.append((margin - nx * ax - ny * ay, nx, ny))
+    return np.array(planes).reshape(-1, 3)
+
+
+def _convex_hull(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The corners of the hull, anticlockwise (Andrew 1979, "Another efficient algorithm for convex hulls in two
+    dimensions", Information Processing Letters 9(5), 216–219)."""
+    ordered = sorted(set(points))
+    chains = []
+    for side in (ordered, ordered[::-1]):
+        chain: list[tuple[float, float]] = []
+        for x, y in side:
+            while len(chain) > 1 and not _turns_left(chain[-2], chain[-1], (x, y)):
+                chain.pop()
+            chain.append((x, y))
+        chains.append(chain[:-1])
+    return chains[0] + chains[1]
+
+
+def _turns_left(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]) > 1e-12

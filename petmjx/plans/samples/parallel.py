@@ -1,0 +1,52 @@
+"""A function over many tasks in several processes, results in the order of the tasks."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from itertools import chain, islice
+from multiprocessing import get_context
+from typing import Final, TypeVar
+
+ALONE: Final = 256
+"""Fewer tasks than this are done in this process: other processes would take longer to start."""
+
+_CHUNK: Final = 16
+_CHUNKS_AHEAD: Final = 4
+"""Chunks for each process that are under way, which bounds the memory."""
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def in_order(function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+    """``function`` of each task. What comes out does not depend on ``workers``.
+
+    Args:
+        function: a function of a module (or ``functools.partial`` of one), since other processes import it.
+        tasks: read as far ahead as is needed, in this process.
+        workers: how many processes; 1: this one. Scripts that ask for more need ``if __name__ == "__main__":``.
+    """
+    tasks = iter(tasks)
+    first = list(islice(tasks, ALONE)) if workers > 1 else []
+    everything = chain(first, tasks)
+    if len(first) < ALONE:
+        yield from map(function, everything)
+        return
+    # fresh processes: a forked one would hang where a thread of this one held a lock
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        waiting: deque[Future[list[Result]]] = deque()
+        while chunk := list(islice(everything, _CHUNK)):
+            waiting.append(pool.submit(_each, function, chunk))
+            if len(waiting) >= _CHUNKS_AHEAD * workers:
+                yield from waiting.popleft().result()
+        while waiting:
+            yield from waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _each(function: Callable[[Task], Result], tasks: list[Task]) -> list[Result]:
+    return [function(task) for task in tasks]

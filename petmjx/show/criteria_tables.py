@@ -1,0 +1,129 @@
+"""The tables of ``petmjx criteria``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pandas as pd
+from rich.console import RenderableType
+
+from petmjx.metrics.spec import DIMENSIONLESS
+from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.statics.record import CriteriaResults
+from petmjx.text import counted, shown, three_digits
+
+SHOWN_SKIPPED = 10
+"""Most skipped plans that are shown; ``criteria.json`` has all of them."""
+
+
+def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterator[RenderableType]:
+    """All tables and lines: what the criteria say, and with a run what physics says to that.
+
+    Args:
+        out: the folder with the tables, if they were written.
+    """
+    skipped = results.info["skipped"]
+    for message in skipped[:SHOWN_SKIPPED]:
+        yield line(f"skipped: {message}", style="yellow")
+    if len(skipped) > SHOWN_SKIPPED:
+        yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more", style="yellow")
+    yield _says_table(results)
+    if results.judged is not None:
+        yield ""
+        yield _judged_table(results.judged)
+    if results.thresholds is not None and len(results.thresholds):
+        yield ""
+        yield _thresholds_table(results.thresholds)
+    plans, boxes = counted(results.info["n_plans"], "plan"), counted(results.info["n_boxes"], "box", "boxes")
+    yield line(f"{plans}, {boxes}, in {three_digits(results.info['wall_s'])} s")
+    if out is not None:
+        yield line(f"tables in {out}")
+
+
+def _says_table(results: CriteriaResults) -> FittedTable:
+    """How many plans and boxes each criterion accepts, and the plan with the least slack."""
+    table = FittedTable(
+        Column("criterion", "left"),
+        Column("plans\naccepted"),
+        Column("%"),
+        Column("boxes\naccepted", spare=2),
+        Column("median\nslack", spare=3),
+        Column("least\nslack"),
+        Column("", "left"),
+        Column("in plan", "left", least=12, middle=True, spare=1),
+        title="what the criteria say: a plan is accepted if all its boxes are stable at their placement",
+    )
+    for criterion in results.criteria:
+        accepted = results.plans[criterion.name]
+        slack = results.plans[f"{criterion.name}_slack"]
+        worst = "" if slack.isna().all() else shown(str(results.plans["plan_id"][slack.idxmin()]))
+        table.add(
+            criterion.name,
+            f"{int(accepted.sum()):,}",
+            number(accepted.mean(), ".1f", "", 100.0),
+            percent(results.boxes[criterion.name].mean()),
+            number(slack.median()),
+            number(slack.min()),
+            "" if criterion.unit == DIMENSIONLESS else criterion.unit,
+            worst,
+        )
+    return table
+
+
+def _judged_table(judged: pd.DataFrame) -> FittedTable:
+    table = FittedTable(
+        Column("criterion", "left"),
+        Column("accepted\nstand", spare=1),
+        Column("accepted\nfall"),
+        Column("refused\nstand"),
+        Column("refused\nfall", spare=2),
+        Column("precision", "left", spare=5),
+        Column("recall", "left", spare=4),
+        Column("MCC", "left"),
+        Column("same\nfirst box", spare=3),
+        title=f"judged by physics on {counted(int(judged['n_plans'].max()), 'plan')}",
+        caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
+        "95 % intervals",
+    )
+    for row in judged.to_dict("records"):
+        table.add(
+            row["criterion"],
+            *(f"{row[cell]:,}" for cell in ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")),
+            *(_with_interval(row, score) for score in ("precision", "recall", "mcc")),
+            f"{row['same_first_box']:,}",
+        )
+    return table
+
+
+def _thresholds_table(thresholds: pd.DataFrame) -> FittedTable:
+    table = FittedTable(
+        Column("criterion", "left"),
+        Column("threshold"),
+        Column("published"),
+        Column("", "left"),
+        Column("MCC there", "left"),
+        Column("MCC as\npublished"),
+        Column("precision", "left", spare=2),
+        Column("recall", "left", spare=1),
+        title=f"thresholds found on {int(thresholds['n_found_on'].max()):,} of the plans, judged on the other "
+        f"{int(thresholds['n_plans'].max()):,}",
+    )
+    for row in thresholds.to_dict("records"):
+        table.add(
+            row["criterion"],
+            number(row["threshold"]),
+            number(row["published"]),
+            "" if row["unit"] == DIMENSIONLESS else row["unit"],
+            _with_interval(row, "mcc"),
+            number(row["mcc_published"], ".2f"),
+            *(_with_interval(row, score) for score in ("precision", "recall")),
+        )
+    return table
+
+
+def _with_interval(row: dict[str, Any], score: str) -> str:
+    """A score with its interval: "0.95 (0.91 … 0.99)"."""
+    if pd.isna(row[score]):
+        return "-"
+    return f"{row[score]:.2f} ({row[f'{score}_low']:.2f} … {row[f'{score}_high']:.2f})"

@@ -1,0 +1,170 @@
+"""The tables of ``petmjx compare --packers``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import pandas as pd
+from rich.console import RenderableType
+
+from petmjx.packers.compare import ALL_SIZES, PackerComparison
+from petmjx.packers.load import MISSING
+from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.text import counted, shown
+
+LEAST_P: Final = 1e-4
+"""Smaller p-values are shown as smaller than this."""
+
+
+def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
+    """All tables and lines. ``max_rows``: most orders that are named as won or lost, of each two packers."""
+    for name, folder in found.runs.items():
+        yield line(f"{shown(name)}  {folder}")
+    for note in found.notes:
+        yield line(f"note: {note}", style="yellow")
+    yield from _not_compared(found)
+    yield ""
+    yield _packers_table(found)
+    yield ""
+    yield _pairs_table(found)
+    if found.packers["size"].nunique() > 2:
+        yield ""
+        yield _sizes_table(found)
+    if len(found.reasons):
+        yield ""
+        yield _reasons_table(found.reasons)
+        yield ""
+        yield from _decided_lines(found.decided, max_rows)
+
+
+def _not_compared(found: PackerComparison) -> Iterator[RenderableType]:
+    whole = found.packers[found.packers["size"] == ALL_SIZES]
+    first = whole.iloc[0]
+    left = int(first["n_orders"] - first["n"])
+    if not left:
+        return
+    parts = [
+        f"{shown(row['packer'])} {row[column]:,} {what}"
+        for row in whole.to_dict("records")
+        for column, what in (("n_invalid", "invalid"), ("n_missing", MISSING))
+        if row[column]
+    ]
+    of = counted(int(first["n_orders"]), "order")
+    yield line(f"{left:,} of {of} {'is' if left == 1 else 'are'} not compared: {', '.join(parts)}", style="yellow")
+    worst = ", ".join(f"{shown(row['packer'])} {percent(row['share_at_worst'])}" for row in whole.to_dict("records"))
+    yield line(f"if these plans counted as plans that do not stand: {worst}")
+
+
+def _packers_table(found: PackerComparison) -> FittedTable:
+    whole = found.packers[found.packers["size"] == ALL_SIZES]
+    left_out = _left_out(found)
+    table = FittedTable(
+        Column("packer", "left", least=8, middle=True),
+        Column("stand"),
+        Column("share"),
+        Column(_interval_header(found)),
+        Column("boxes\nplaced", spare=2),
+        *left_out,
+        Column("volume\nm³", spare=1),
+        Column("height\nm"),
+        Column("kpi_2"),
+        title=f"{counted(int(whole['n'].iloc[0]), 'order')} compared; boxes, volume, height and kpi_2 are means",
+    )
+    for row in whole.to_dict("records"):
+        table.add(
+            row["packer"],
+            f"{row['n_stable']:,}",
+            percent(row["share"]),
+            _interval(row, ".1f"),
+            number(row["boxes"], ".1f"),
+            *(number(row["left_out"], ".2f") for _ in left_out),
+            *(number(row[name], ".3f") for name in ("volume_m3", "height_m", "kpi_2")),
+        )
+    return table
+
+
+def _pairs_table(found: PackerComparison) -> FittedTable:
+    whole = found.pairs[found.pairs["size"] == ALL_SIZES]
+    several = len(whole) > 1
+    test = "p\nHolm" if several else "p\nMcNemar"
+    table = FittedTable(
+        Column("a", "left", least=8, middle=True),
+        Column("b", "left", least=8, middle=True),
+        Column("both\nstand", spare=2),
+        Column("only\na"),
+        Column("only\nb"),
+        Column("neither", spare=1),
+        Column("b - a\npoints"),
+        Column(_interval_header(found)),
+        Column(test),
+        title="differences, in percentage points" + (f"; p corrected for {len(whole)} pairs" if several else ""),
+    )
+    for row in whole.to_dict("records"):
+        counts = [f"{row[name]:,}" for name in ("both", "only_a", "only_b", "neither")]
+        difference = number(row["difference"], "+.2f", factor=100.0)
+        table.add(row["a"], row["b"], *counts, difference, _interval(row, "+.2f"), _p(row["p_holm"]))
+    return table
+
+
+def _sizes_table(found: PackerComparison) -> FittedTable:
+    sized = found.packers[found.packers["size"] != ALL_SIZES]
+    left_out = _left_out(found)
+    table = FittedTable(
+        Column("boxes of\nthe order", "left"),
+        Column("packer", "left", least=8, middle=True),
+        Column("orders"),
+        Column("stand"),
+        Column("share"),
+        Column(_interval_header(found)),
+        *left_out,
+        Column("kpi_2"),
+        title="by size of the order",
+    )
+    last = None
+    for row in sized.to_dict("records"):
+        size, last = ("" if row["size"] == last else row["size"]), row["size"]
+        shares = (percent(row["share"]), _interval(row, ".1f"))
+        means = (*(number(row["left_out"], ".2f") for _ in left_out), number(row["kpi_2"], ".3f"))
+        table.add(size, row["packer"], f"{row['n']:,}", f"{row['n_stable']:,}", *shares, *means)
+    return table
+
+
+def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
+    several = len(reasons[["a", "b"]].drop_duplicates()) > 1
+    table = FittedTable(
+        Column("lost by", "left", least=8, middle=True),
+        Column("won by", "left", least=8, middle=True),
+        Column("reason", "left"),
+        Column("orders"),
+        title="orders that stand with one packer only" + (", for each two" if several else ""),
+    )
+    for row in reasons.to_dict("records"):
+        winner = row["a"] if row["lost_by"] == row["b"] else row["b"]
+        table.add(row["lost_by"], winner, row["reason"], f"{row['n']:,}")
+    return table
+
+
+def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableType]:
+    for (winner, loser), rows in decided.groupby(["won_by", "lost_by"], sort=False):
+        ids = ", ".join(map(shown, rows["plan_id"].head(max_rows)))
+        more = f" and {len(rows) - max_rows:,} more (all with -o)" if len(rows) > max_rows else ""
+        yield line(f"{shown(winner)} stands, {shown(loser)} does not: {ids}{more}")
+
+
+def _left_out(found: PackerComparison) -> list[Column]:
+    """The column of boxes left out, if a run was compared with orders."""
+    return [Column("left\nout", spare=3)] if found.packers["left_out"].notna().any() else []
+
+
+def _interval_header(found: PackerComparison) -> str:
+    return f"{100 * found.confidence:g} %\ninterval"
+
+
+def _interval(row: dict[str, Any], form: str) -> str:
+    """ "57.1 to 79.4", in per cent or percentage points."""
+    return f"{number(row['low'], form, factor=100.0)} to {number(row['high'], form, factor=100.0)}"
+
+
+def _p(value: float) -> str:
+    return f"<{LEAST_P:.4f}" if value < LEAST_P else number(value, ".4f")

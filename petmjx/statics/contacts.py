@@ -1,0 +1,157 @@
+"""Which boxes of a plan lie on which, and on which rectangles; which touch side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.history import CARRIER
+from petmjx.plans.plan import Plan
+from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
+from petmjx.units import FloatArray
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
+
+    A box lies on the carrier if its bottom is not above the carrier's top, and then with its whole base: the carrier is
+    taken to reach under all boxes. It lies on another box if that one was placed before, its top is at the height of
+    the bottom, and the two overlap along x and y. A box that is pushed in under another one later bears nothing:
+    what hangs in the air until then has fallen.
+
+    Attributes:
+        size_mm, corner_mm: (n, 3) of the boxes, as in the plan.
+        mass_kg: (n,).
+        upper: (c,) the box above.
+        lower: (c,) the box below, placed earlier, or ``CARRIER``.
+        low_mm, high_mm: (c, 2) corners of the rectangle along x and y.
+        tolerance_mm: gaps and overlaps up to this count as touching.
+    """
+
+    size_mm: FloatArray
+    corner_mm: FloatArray
+    mass_kg: FloatArray
+    upper: IntArray
+    lower: IntArray
+    low_mm: FloatArray
+    high_mm: FloatArray
+    tolerance_mm: float
+
+    @property
+    def n_boxes(self) -> int:
+        return len(self.mass_kg)
+
+    @cached_property
+    def centre_mm(self) -> FloatArray:
+        """(n, 3) centres of gravity: boxes are of uniform density."""
+        centre: FloatArray = self.corner_mm + self.size_mm / 2
+        return centre
+
+    @cached_property
+    def corners_mm(self) -> FloatArray:
+        """(c, 4, 2) corners of the rectangles, counter-clockwise."""
+        return rectangle_corners(self.low_mm, self.high_mm)
+
+    @cached_property
+    def n_supports(self) -> IntArray:
+        """(n,) on how many bodies each box lies."""
+        return np.bincount(self.upper, minlength=self.n_boxes)
+
+    @cached_property
+    def on_carrier(self) -> NDArray[np.bool_]:
+        """(n,) whether a box lies on the carrier."""
+        found = np.zeros(self.n_boxes, dtype=bool)
+        found[self.upper[self.lower == CARRIER]] = True
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Where boxes touch side by side: s rectangles, each upright.
+
+    Attributes:
+        first, second: (s,) the boxes; the second is on the positive side along the axis.
+        axis: (s,) 0 for x, 1 for y.
+        low_mm, high_mm: (s, 3) corners of the rectangle, which has no extent along its axis.
+    """
+
+    first: IntArray
+    second: IntArray
+    axis: IntArray
+    low_mm: FloatArray
+    high_mm: FloatArray
+
+
+def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(…, 4, 2) corners of rectangles from (…, 2) low and high ones, counter-clockwise."""
+    x0, y0, x1, y1 = low[..., 0], low[..., 1], high[..., 0], high[..., 1]
+    corners: FloatArray = np.stack(
+        [np.stack([x0, y0], -1), np.stack([x1, y0], -1), np.stack([x1, y1], -1), np.stack([x0, y1], -1)], axis=-2
+    )
+    return corners
+
+
+def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> Contacts:
+    """What the boxes of a plan lie on.
+
+    Args:
+        tolerance_mm: gaps and overlaps in height up to this count as touching, and contacts that are narrower than this
+            do not count. By default that of the warnings about a plan: half of the last digit of whole millimetres.
+    """
+    low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
+    below, above = np.nonzero(_rests(low, high, tolerance_mm))
+    on_carrier = np.flatnonzero(low[:, 2] <= tolerance_mm)
+    upper = np.concatenate([on_carrier, above])
+    lower = np.concatenate([np.full(len(on_carrier), CARRIER), below])
+    order = np.lexsort((lower, upper))
+    upper, lower = upper[order], lower[order]
+    # of the carrier: itself, so that the rectangle is the base
+    other = np.where(lower == CARRIER, upper, lower)
+    return Contacts(
+        size_mm=plan.size_mm,
+        corner_mm=plan.corner_mm,
+        mass_kg=plan.mass_kg,
+        upper=upper,
+        lower=lower,
+        low_mm=np.maximum(low[upper, :2], low[other, :2]),
+        high_mm=np.minimum(high[upper, :2], high[other, :2]),
+        tolerance_mm=tolerance_mm,
+    )
+
+
+def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
+    """(n, n): whether the box of the column lies on that of the row."""
+    touching = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance_mm
+    for axis in range(2):
+        touching &= _overlap(low[:, axis], high[:, axis]) > tolerance_mm
+    return np.triu(touching, k=1)
+
+
+def _overlap(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(n, n) shared length along one axis; negative where apart."""
+    shared: FloatArray = np.minimum.outer(high, high) - np.maximum.outer(low, low)
+    return shared
+
+
+def find_sides(contacts: Contacts) -> Sides:
+    """Where the boxes of a plan touch side by side."""
+    low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
+    tolerance_mm = contacts.tolerance_mm
+    found = []
+    for axis in range(2):
+        touching = np.abs(np.subtract.outer(high[:, axis], low[:, axis])) <= tolerance_mm
+        for across in (1 - axis, 2):
+            touching &= _overlap(low[:, across], high[:, across]) > tolerance_mm
+        first, second = np.nonzero(touching)
+        found.append((first, second, np.full(len(first), axis)))
+    first, second, axes = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    near, far = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
+    rows = np.arange(len(axes))
+    near[rows, axes] = far[rows, axes] = (near[rows, axes] + far[rows, axes]) / 2
+    return Sides(first, second, axes, near, far)

@@ -1,0 +1,161 @@
+"""Force balance with friction: forces in all three directions, and boxes that lean on their neighbours."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.history import CARRIER
+from petmjx.statics.contacts import Contacts, IntArray, Sides
+from petmjx.statics.largest import Entries, even_share, largest_slack
+from petmjx.units import MM_PER_M, FloatArray
+
+_DIRECTIONS = 5
+"""Forces at a point: pressure, and friction both ways along the two other axes."""
+
+
+class Friction(NamedTuple):
+    """Coefficients of friction.
+
+    Attributes:
+        flat: where a box lies on another one or on the carrier.
+        sides: where boxes touch side by side.
+    """
+
+    flat: float
+    sides: float = 0.0
+
+
+class _Points(NamedTuple):
+    """Points where bodies touch: p rows.
+
+    The force on ``second`` presses along ``axis``; that on ``first`` is its opposite. ``share`` is what it is asked to
+    carry per slack, in mean weights.
+    """
+
+    first: IntArray
+    second: IntArray
+    axis: IntArray
+    position_m: FloatArray
+    share: FloatArray
+    friction: FloatArray
+
+
+def friction_slack(
+    contacts: Contacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
+) -> float:
+    """Slack of a structure with friction: as in ``petmjx.statics.balance``, but all that touches it is in balance, too.
+
+    Friction lies within the pyramid |fx| + |fy| ≤ μ f, inside the cone. So a stack that is balanced here is balanced
+    with the cone. At a slack other than 0 friction is within μ times what a corner carries beyond what it is asked to;
+    the sign does not depend on that.
+
+    Args:
+        structure: (n,) the boxes whose corners are asked to carry.
+        newest: the box placed last.
+        sides: where boxes lean on each other; None: nowhere.
+    """
+    boxes = _hanging_together(contacts, structure, newest, sides)
+    points = _points(contacts, boxes, structure, friction, sides)
+    weight = contacts.mass_kg / contacts.mass_kg.mean()
+    wanted = np.zeros((int(boxes.sum()), 6))
+    wanted[:, 2] = weight[boxes]
+    share = np.zeros((len(points.share), _DIRECTIONS))
+    share[:, 0] = points.share
+    possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
+    possible[:, 0] = True
+    chosen = np.flatnonzero(possible)
+    forces = _columns(_wrenches(points, boxes, contacts.centre_mm / MM_PER_M), chosen, possible.size)
+    limits = _columns(_pyramids(points.friction), chosen, possible.size)
+    return largest_slack(forces, share.ravel()[chosen], wanted.ravel(), limits)
+
+
+def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
+    """The entries in some of n columns, which are counted anew."""
+    position = np.full(n, -1)
+    position[chosen] = np.arange(len(chosen))
+    column = position[entries.column]
+    kept = column >= 0
+    return Entries(entries.value[kept], entries.row[kept], column[kept])
+
+
+def _hanging_together(
+    contacts: Contacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
+) -> NDArray[np.bool_]:
+    """(n,) all placed boxes that touch the structure, or boxes that do, and so on."""
+    pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
+    pair = np.concatenate(pairs)
+    pair = pair[(pair[:, 1] != CARRIER) & (pair.max(axis=1) <= newest)]
+    found = structure.copy()
+    count = 0
+    while count != found.sum():
+        count = int(found.sum())
+        found[pair[found[pair].any(axis=1)]] = True
+    return found
+
+
+def _points(
+    contacts: Contacts,
+    boxes: NDArray[np.bool_],
+    structure: NDArray[np.bool_],
+    friction: Friction,
+    sides: Sides | None,
+) -> _Points:
+    """The corners of all contact areas of these boxes."""
+    own = np.flatnonzero(boxes[contacts.upper])
+    upper = contacts.upper[own]
+    height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(own), 4, 1))
+    corners = np.concatenate([contacts.corners_mm[own], height], axis=-1)
+    asked = even_share(contacts, contacts.mass_kg / contacts.mass_kg.mean())[own] * structure[upper]
+    parts = [(contacts.lower[own], upper, np.full(len(own), 2), corners, asked, np.full(len(own), friction.flat))]
+    if sides is not None:
+        own = np.flatnonzero(boxes[sides.first] & boxes[sides.second])
+        ends = (sides.first[own], sides.second[own], sides.axis[own], _side_corners(sides, own))
+        parts.append((*ends, np.zeros(len(own)), np.full(len(own), friction.sides)))
+    first, second, axis, position, share, mu = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    first, second, axis, share, mu = (np.repeat(column, 4) for column in (first, second, axis, share, mu))
+    return _Points(first, second, axis, position.reshape(-1, 3) / MM_PER_M, share, mu)
+
+
+def _side_corners(sides: Sides, own: IntArray) -> FloatArray:
+    """(s, 4, 3) corners of upright rectangles."""
+    corners = np.repeat(sides.low_mm[own][:, None, :], 4, axis=1)
+    far, across = sides.high_mm[own], 1 - sides.axis[own]
+    rows = np.arange(len(own))[:, None]
+    corners[rows, [[1, 2]], across[:, None]] = far[rows, across[:, None]]
+    corners[rows, [[2, 3]], 2] = far[:, 2:]
+    return corners
+
+
+def _wrenches(points: _Points, boxes: NDArray[np.bool_], centre_m: FloatArray) -> Entries:
+    """(6 b, 5 p): force and moment about its centre of every box by the forces at points."""
+    direction = _directions(points.axis)
+    row_of = np.cumsum(boxes) - 1
+    column_of = np.arange(len(direction) * _DIRECTIONS).reshape(-1, _DIRECTIONS)
+    values, rows, columns = [], [], []
+    for body, sign in ((points.second, 1.0), (points.first, -1.0)):
+        at = np.flatnonzero(body != CARRIER)
+        force = sign * direction[at]
+        arm = (points.position_m[at] - centre_m[body[at]])[:, None, :]
+        wrench = np.concatenate([force, np.cross(arm, force)], axis=-1)
+        row = np.broadcast_to(6 * row_of[body[at]][:, None, None] + np.arange(6), wrench.shape)
+        values.append(wrench.ravel())
+        rows.append(row.ravel())
+        columns.append(np.repeat(column_of[at].ravel(), 6))
+    return Entries(np.concatenate(values), np.concatenate(rows), np.concatenate(columns))
+
+
+def _directions(axis: IntArray) -> FloatArray:
+    """(p, 5, 3) unit vectors: along the axis, then both ways along the two others."""
+    unit = np.eye(3)
+    along, one, other = unit[axis], unit[(axis + 1) % 3], unit[(axis + 2) % 3]
+    return np.stack([along, one, -one, other, -other], axis=1)
+
+
+def _pyramids(friction: FloatArray) -> Entries:
+    """(p, 5 p): friction less μ times pressure at each point."""
+    values = np.ones((len(friction), _DIRECTIONS))
+    values[:, 0] = -friction
+    return Entries(values.ravel(), np.repeat(np.arange(len(friction)), _DIRECTIONS), np.arange(values.size))

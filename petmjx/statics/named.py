@@ -1,0 +1,148 @@
+"""The criteria by name: what each asks, and what its slack is. Tables, columns and docs are made from this list."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from petmjx.checked import hint
+from petmjx.errors import InputError
+from petmjx.metrics.spec import DIMENSIONLESS
+from petmjx.text import shown
+
+SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
+"""Shares of the base that are asked for: full support, and those of Bortfeldt & Wäscher's survey and the ADAMS
+study."""
+
+LEAST_CORNERS: Final = 3
+
+CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
+CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
+"""Shares asked for with four corners, three, and fewer, in the paper and in its authors' code."""
+
+_MM: Final = "mm"
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One criterion of static stability.
+
+    Attributes:
+        name: of its columns.
+        asks: what a box must have to be stable.
+        slack: what the slack is; its sign is the answer.
+        unit: of the slack.
+        source: where the criterion comes from.
+        strict: whether a slack of 0 is not enough.
+        number: the number behind it, if a threshold can be asked of it; "" otherwise.
+    """
+
+    name: str
+    asks: str
+    slack: str
+    unit: str
+    source: str
+    strict: bool = False
+    number: str = ""
+
+
+def _support(share: float) -> Criterion:
+    return Criterion(
+        f"support_{100 * share:.0f}",
+        f"at least {100 * share:.0f} % of the base is borne",
+        f"borne share - {share:g}",
+        DIMENSIONLESS,
+        "Bortfeldt & Wäscher 2013",
+        number="borne share of the base" if share == 1 else "",
+    )
+
+
+def _corner_area(name: str, least: tuple[float, float, float], source: str) -> Criterion:
+    four, three, fewer = (f"{100 * share:.0f} %" for share in least)
+    return Criterion(
+        name,
+        f"more than {four} of the base is borne with 4 corners, {three} with 3, {fewer} with fewer",
+        "borne share - share asked for",
+        DIMENSIONLESS,
+        source,
+        strict=True,
+    )
+
+
+CRITERIA: Final = (
+    *map(_support, SUPPORT_SHARES),
+    Criterion(
+        "three_corners",
+        f"at least {LEAST_CORNERS} of the 4 bottom corners lie on something",
+        f"corners borne - {LEAST_CORNERS}",
+        DIMENSIONLESS,
+        "Paquay, Schyns, Limbourg 2016",
+    ),
+    _corner_area("corner_area_paper", CORNER_AREA_PAPER, "Zhao et al. 2021, paper"),
+    _corner_area("corner_area_code", CORNER_AREA_CODE, "Zhao et al. 2021, code"),
+    Criterion(
+        "centre",
+        "its centre lies over the hull of its contact areas",
+        "distance of the centre from the hull's edge, inwards",
+        _MM,
+        "common",
+        number="centre inside the hull's edge",
+    ),
+    Criterion(
+        "load_polygon",
+        "its centre lies over the hull of its contact areas, as far as these can be loaded",
+        "distance of the centre from that hull's edge, inwards",
+        _MM,
+        "Gao et al. 2025, arXiv 2507.09123",
+        number="centre inside the load polygon's edge",
+    ),
+    Criterion(
+        "stacking_tree",
+        "weight and load, passed down by the lever rule, lie over the contact hull, here and below",
+        "least distance of the resultant from a hull's edge, inwards",
+        _MM,
+        "Zhao et al. 2022, arXiv 2108.13680",
+        number="resultant inside the hulls' edges",
+    ),
+    Criterion(
+        "equilibrium",
+        "weight and load, passed down in balance, lie over the contact hull, here and below",
+        "least distance of the resultant from a hull's edge, inwards",
+        _MM,
+        "Ramos et al. 2016",
+        number="resultant inside the hulls' edges",
+    ),
+    Criterion(
+        "force_balance",
+        "forces exist at the corners of all contact areas that balance every box",
+        "share of an even load that every corner can carry",
+        DIMENSIONLESS,
+        "StableLego, arXiv 2402.10711; Whiting et al. 2009",
+        number="even load on every corner",
+    ),
+    Criterion(
+        "force_balance_leaning",
+        "such forces exist if boxes may also press on neighbours that they touch side by side",
+        "share of an even load that every corner can carry",
+        DIMENSIONLESS,
+        "StableLego, arXiv 2402.10711; Whiting et al. 2009",
+        number="even load on every corner",
+    ),
+)
+"""In the order of tables, from what is asked of the base to what is asked of the stack."""
+
+NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
+
+
+def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
+    """The criteria of these names in the order of ``CRITERIA``; all if none is named.
+
+    Raises:
+        InputError: there is no such criterion.
+    """
+    wanted = tuple(names or ()) or NAMES
+    for name in wanted:
+        if name not in NAMES:
+            raise InputError(f"criteria: there is no {shown(name)}; {hint(name, NAMES)}")
+    return tuple(criterion for criterion in CRITERIA if criterion.name in wanted)

@@ -1,0 +1,106 @@
+"""The results of the criteria: in memory and as files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.csv
+
+from petmjx.checked import reason
+from petmjx.errors import InputError
+from petmjx.results.files import write_table, write_text
+from petmjx.results.plain import plain
+from petmjx.statics.named import Criterion, chosen_criteria
+from petmjx.statics.tables import (
+    Described,
+    arrow_table,
+    described_boxes,
+    described_judged,
+    described_plans,
+    described_thresholds,
+)
+from petmjx.text import counted
+
+INFO_FILE: Final = "criteria.json"
+
+
+@dataclass(frozen=True, eq=False)
+class CriteriaResults:
+    """What the criteria say, and what physics says to it.
+
+    Attributes:
+        boxes: a row a box: for each criterion its answer and its slack (``<criterion>_slack``).
+        plans: a row a plan: for each criterion whether all boxes are stable, the first that is not (``_first``), and
+            the least slack.
+        judged: a row a criterion, beside the verdicts of a run; None without one.
+        thresholds: a row a criterion with a number: the threshold that says best what physics says; None without a run.
+        info: options, counts, skipped plans and times.
+    """
+
+    boxes: pd.DataFrame
+    plans: pd.DataFrame
+    judged: pd.DataFrame | None
+    thresholds: pd.DataFrame | None
+    info: dict[str, Any]
+
+    def __repr__(self) -> str:
+        criteria = counted(len(self.criteria), "criterion", "criteria")
+        return f"CriteriaResults({counted(len(self.plans), 'plan')}, {criteria})"
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The criteria that were asked."""
+        return chosen_criteria(self.info["criteria"])
+
+    def units(self, table: str) -> dict[str, str]:
+        """Column → unit of a table: ``""`` for text, ``"1"`` for counts and shares.
+
+        Raises:
+            KeyError: there is no such table.
+        """
+        found = {name: described for name, _, described in self._tables()}
+        return {column: unit for column, (unit, _) in found[table].items()}
+
+    def write(self, folder: str | Path, overwrite: bool = False) -> None:
+        """Write every table as Parquet, with units in the metadata of its columns, and as CSV; the rest as JSON.
+
+        Raises:
+            InputError: the folder holds such files already and ``overwrite`` is not set, or cannot be written.
+        """
+        folder = Path(folder)
+        check_free(folder, overwrite)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, frame, described in self._tables():
+                table = arrow_table(frame, name, described)
+                write_table(table, folder / f"{name}.parquet")
+                buffer = pa.BufferOutputStream()
+                pyarrow.csv.write_csv(table, buffer)
+                write_text(buffer.getvalue().to_pybytes().decode(), folder / f"{name}.csv")
+            write_text(json.dumps(plain(self.info), indent=2, allow_nan=False), folder / INFO_FILE)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written: {reason(error)}") from None
+
+    def _tables(self) -> Iterator[tuple[str, pd.DataFrame, Described]]:
+        yield "boxes", self.boxes, described_boxes(self.criteria)
+        yield "plans", self.plans, described_plans(self.criteria)
+        if self.judged is not None:
+            yield "judged", self.judged, described_judged()
+        if self.thresholds is not None:
+            yield "thresholds", self.thresholds, described_thresholds()
+
+
+def check_free(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds criteria already, unless they may be replaced.
+
+    Raises:
+        InputError: it does.
+    """
+    if (folder / INFO_FILE).exists() and not overwrite:
+        raise InputError(f"{folder}: holds criteria already; name another folder with --out, or pass --overwrite")

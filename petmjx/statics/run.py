@@ -1,0 +1,153 @@
+"""The criteria of many plans: ``petmjx.criteria``."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.plans.gather import PlanSource, gather_plans
+from petmjx.plans.plan import Plan
+from petmjx.results.reader import RunResults, load_run
+from petmjx.run_options import RunOptions
+from petmjx.statics.answers import Answers, answer
+from petmjx.statics.friction import Friction
+from petmjx.statics.judged import best_thresholds, judge
+from petmjx.statics.options import CriteriaOptions
+from petmjx.statics.record import CriteriaResults, check_free
+from petmjx.statics.tables import boxes_frame, plans_frame
+from petmjx.text import counted, shown
+
+CHUNK: Final = 16
+"""Plans that a process takes at a time: half a second of force balance."""
+
+
+def criteria(
+    plans: PlanSource | None = None,
+    *,
+    run: RunResults | str | Path | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    limit: int | None = None,
+    strict: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> CriteriaResults:
+    """Ask closed-form criteria of static stability of each plan, and physics about them.
+
+    ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
+
+    Args:
+        plans: as for ``petmjx.score``; None: the bundled samples.
+        run: results of the same plans, or their folder: its verdicts judge the criteria. Of several worlds a plan the
+            nominal one counts.
+        out: a folder for the tables, as Parquet and CSV.
+        overwrite: whether tables that are there are replaced.
+        limit: at most so many plans.
+        strict: raise at the first plan that would be skipped.
+        progress: called with the number of plans done, and of all.
+        options: fields of ``petmjx.statics.options.CriteriaOptions``: ``friction``, ``side_friction``,
+            ``tolerance_mm``, ``only``, ``processes``, ``seed``. With ``processes`` a script needs its ``if __name__``.
+
+    Raises:
+        InputError: unusable plans, run or options; or SciPy or shapely is missing.
+    """
+    chosen = CriteriaOptions(**options)
+    _need_packers()
+    if out is not None:
+        check_free(Path(out), overwrite)
+    physics = run if isinstance(run, RunResults) or run is None else load_run(run)
+    found = gather_plans(plans, Simulation(), RunOptions(limit=limit, strict=strict))
+    if not found.plans:
+        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
+        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
+    start = time.perf_counter()
+    answers = list(_answers(found.plans, chosen, progress))
+    asked = chosen.criteria
+    by_plan = plans_frame(found.plans, answers, asked)
+    judged = thresholds = None
+    if physics is not None:
+        worlds = _nominal_worlds(physics, found.plans)
+        judged = judge(by_plan, worlds, asked, chosen.seed)
+        thresholds = best_thresholds(by_plan, worlds, asked, chosen.seed)
+    info = {
+        "criteria": [criterion.name for criterion in asked],
+        "options": chosen.model_dump(exclude={"only"}),
+        "run": None if physics is None else str(physics.path),
+        "n_plans": len(found.plans),
+        "n_boxes": sum(plan.n_boxes for plan in found.plans),
+        "skipped": [skipped.message for skipped in found.skipped],
+        "wall_s": time.perf_counter() - start,
+    }
+    results = CriteriaResults(boxes_frame(found.plans, answers, asked), by_plan, judged, thresholds, info)
+    if out is not None:
+        results.write(out, overwrite)
+    return results
+
+
+def _need_packers() -> None:
+    try:
+        import scipy  # noqa: F401  # only whether it is there
+        import shapely  # noqa: F401
+    except ImportError as error:
+        raise InputError(f"criteria need {error.name}: pip install 'petmjx[packers]'") from None
+
+
+def _answers(
+    plans: Sequence[Plan], options: CriteriaOptions, progress: Callable[[int, int], None] | None
+) -> Iterator[Answers]:
+    """Answers in the order of the plans."""
+    chunks = [plans[start : start + CHUNK] for start in range(0, len(plans), CHUNK)]
+    ask = partial(_ask, options=options)
+    done = 0
+
+    def told(answers: list[Answers]) -> list[Answers]:
+        nonlocal done
+        done += len(answers)
+        if progress is not None:
+            progress(done, len(plans))
+        return answers
+
+    processes = min(options.processes, len(chunks))
+    if processes == 1:
+        for chunk in chunks:
+            yield from told(ask(chunk))
+        return
+    # spawned, not forked: a fork copies locks that threads of JAX or of the caller hold
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for answers in pool.map(ask, chunks):
+            yield from told(answers)
+
+
+def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
+    friction = Friction(options.friction, options.side_friction)
+    return [answer(plan, options.criteria, friction, options.tolerance_mm) for plan in plans]
+
+
+def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:
+    """The worlds of variant 0.
+
+    Raises:
+        InputError: none is of these plans, or one has another number of boxes.
+    """
+    worlds = run.worlds[run.worlds["variant"] == 0]
+    if "margin" not in worlds:  # runs of petmjx before 0.2
+        worlds = worlds.assign(margin=float("nan"))
+    counts = {plan.plan_id: plan.n_boxes for plan in plans}
+    common = worlds[worlds["plan_id"].isin(list(counts))]
+    if common.empty:
+        raise InputError(f"{run.path}: has none of the {counted(len(plans), 'plan')}")
+    other = common[common["n_boxes"] != common["plan_id"].map(counts)]
+    if len(other):
+        first = other.iloc[0]
+        raise InputError(
+            f"{run.path}: plan {shown(str(first['plan_id']))} has {first['n_boxes']} boxes there and "
+            f"{counts[first['plan_id']]} here: not the same plans"
+        )
+    return worlds

@@ -1,0 +1,65 @@
+"""``petmjx criteria``: what is printed, what is written, and the one line of an error."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from support.command_line import only_line, run
+
+pytest.importorskip("scipy")
+pytest.importorskip("shapely")
+
+from petmjx.statics.judged import CELLS
+
+ONE = ("--processes", "1")
+
+
+@pytest.fixture
+def physics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> str:
+    """Results of a few bundled plans."""
+    monkeypatch.chdir(tmp_path)
+    assert run("score", "--limit", "10", "--engine", "mujoco", "-o", "physics") == 0
+    capsys.readouterr()
+    return "physics"
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_tables_fit_the_terminal(
+    physics: str, width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert run("criteria", "--limit", "10", "--run", physics, "-o", "out", *ONE) == 0
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= width
+    for text in ("judged by physics on 10 plans", "force_balance_leaning", "thresholds found on", "tables in out"):
+        assert text in printed
+    assert sorted(file.name for file in Path("out").glob("*.parquet")) == [
+        *("boxes.parquet", "judged.parquet", "plans.parquet", "thresholds.parquet")
+    ]
+
+
+def test_json_has_all_that_the_tables_have(physics: str, capsys: pytest.CaptureFixture[str]) -> None:
+    only = ("--only", "centre", "--only", "support_50")
+    assert run("criteria", "--limit", "10", "--run", physics, "--json", *only, *ONE) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["criteria"] == ["support_50", "centre"]
+    assert [row["n_plans"] for row in found["judged"]] == [10, 10]
+    assert sum(found["judged"][1][cell] for cell in CELLS) == 10
+    assert found["thresholds"][0]["unit"] == "mm"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("--only", "support"), "criteria: there is no support; did you mean support_"),
+        (("--run", "nowhere"), "nowhere: no such folder"),
+        (("--friction", "-1"), "--friction must be from 0 to 10, got -1"),
+        (("nowhere.json",), "nowhere.json"),
+    ],
+)
+@pytest.mark.usefixtures("in_tmp_path")
+def test_errors_are_one_line(arguments: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("criteria", *arguments, *ONE) == 2
+    assert line in only_line(capsys.readouterr().err)

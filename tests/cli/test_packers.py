@@ -1,0 +1,103 @@
+"""``score --name`` and ``compare --packers``: folders, tables, JSON, and the one line of what cannot be compared."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from support.command_line import OVERHANG, TOWER, only_line, run, write
+
+from petmjx.results.reader import load_run
+
+FAST = ("--engine", "mujoco", "--threads", "1")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two packers' plans, scored in one go: of ``x`` and ``y`` both stand with one, one with the other."""
+    folder = tmp_path_factory.mktemp("packers")
+    good = write(folder / "good.json", {"x": TOWER, "y": TOWER})
+    bad = write(folder / "bad.json", {"x": TOWER, "y": OVERHANG})
+    assert run("score", "--name", f"good={good}", f"bad,one={bad}", *FAST, "-o", folder / "out") == 0
+    return folder / "out"
+
+
+def words(text: str) -> list[str]:
+    return [" ".join(line.split()) for line in text.splitlines()]
+
+
+def test_each_packer_has_a_run_of_its_own(results: Path) -> None:
+    assert sorted(path.name for path in results.iterdir()) == ["bad,one", "good"]
+    assert load_run(results / "good").worlds["verdict"].tolist() == ["stable", "stable"]
+    assert sorted(load_run(results / "bad,one").worlds["verdict"]) == ["stable", "unstable"]
+
+
+def test_it_goes_on_where_it_was_and_tells_who_won(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = results.parent
+    plans = [f"good={folder / 'good.json'}", f"bad,one={folder / 'bad.json'}"]
+    assert run("score", "--name", plans[0], "--name", plans[1], *FAST, "-o", results, "--resume") == 0
+    out = capsys.readouterr()
+    assert out.err.count("2 plans of an earlier run are there already") == 2
+    lines = words(out.out)
+    assert lines.index("packer good") < lines.index("packer bad,one")
+    assert "good stands, bad,one does not: y" in lines
+    assert run("score", "--name", *plans, *FAST, "-o", results, "--resume", "--json") == 0
+    whole = json.loads(capsys.readouterr().out)
+    assert list(whole["runs"]) == ["good", "bad,one"]
+    assert whole["compared"]["pairs"][0]["only_a"] == 1
+
+
+def test_compare_names_runs_and_writes_files(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = f"A={results / 'good'}", f"B={results / 'bad,one'}"
+    assert run("compare", "--packers", first, second, "-o", tmp_path / "found") == 0
+    lines = words(capsys.readouterr().out)
+    assert f"A {results / 'good'}" in lines
+    assert "A stands, B does not: y" in lines
+    assert lines[-1] == f"tables in {tmp_path / 'found'}"
+    assert pd.read_csv(tmp_path / "found" / "decided.csv")["plan_id"].tolist() == ["y"]
+    assert run("compare", "--packers", results / "good", results / "bad,one", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["runs"] == {
+        "good": str(results / "good"),
+        "bad,one": str(results / "bad,one"),
+    }
+
+
+def test_compare_of_simulators_points_to_packers(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("compare", results / "good", results / "bad,one") == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "1 of 2 plans is not the same in b" in text
+    assert "petmjx compare --packers" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("compare", "{0}"), "compare takes two runs, got 1; --packers takes more"),
+        (("compare", "{0}", "{0}", "-o", "x"), "--out is for --packers"),
+        (("compare", "--packers", "{0}"), "give at least two runs to compare"),
+        (("compare", "--packers", "A={0}", "{0}"), "compare --packers: give each a name (NAME=PATH), or none"),
+        (("compare", "--packers", "A={0}", "A={0}"), "compare --packers A: there are two of this name"),
+        (("compare", "--packers", "A={0}", "B=nowhere"), "nowhere: no such folder"),
+        (("score", "--name", "plans.json"), "--name: must be NAME=PLANS"),
+        (("score", "--name", "../a=b.json"), "the name must be usable as that of a folder"),
+        (("score", "--name", "a=b.json", "c.json"), "--name: give each a name (NAME=PATH), or none"),
+        (
+            ("score", "--name", "a={0}/run.json", "b=nothing.json", "-o", "never"),
+            "nothing.json: no such file or folder",
+        ),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(
+    arguments: tuple[str, ...],
+    text: str,
+    results: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(*(each.format(results / "good") for each in arguments)) == 2
+    assert text in only_line(capsys.readouterr().err)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,325 @@
+"""The packer ``balanced``: what every packing must keep, checked by geometry and statics of their own."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import MultiPoint, Point
+from support.command_line import only_line, run, write
+from support.plan_files import order
+
+from petmjx.errors import InputError
+from petmjx.plans.samples import LeftOut, as_placements, generate, generate_one, pack_orders
+from petmjx.plans.samples import parallel as parallel_module
+from petmjx.plans.samples.balance import MARGIN_M, MARGIN_SHARE, Balance, hull_planes
+from petmjx.plans.samples.balanced import LEAST_SUPPORT, TASTES, pack_balanced
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, draw_order
+from petmjx.plans.samples.packer import MAX_HEIGHT_MM, PackRules, Placed, pack_best
+from petmjx.plans.samples.parallel import in_order
+
+EPS = 1e-6
+EURO = (1200.0, 800.0)
+
+sides = st.integers(60, 600).map(float)
+articles = st.builds(
+    Item,
+    article=st.sampled_from(["jam", "a,b\n", "<b>📦"]),
+    item_id=st.uuids().map(str),
+    product_group=st.just(""),
+    length_mm=sides,
+    width_mm=sides,
+    height_mm=st.integers(50, 400).map(lambda h: h / 2 + 50),
+    weight_kg=st.floats(0.2, 30),
+)
+orders = st.lists(st.tuples(articles, st.integers(1, 6)), min_size=1, max_size=7).map(
+    lambda kinds: [item for item, many in kinds for _ in range(many)]
+)
+targets = st.sampled_from([*TARGET_EXTENT_MM.values()])
+
+
+def corners(placed: list[Placed]) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) low and high corners, mm."""
+    low = np.array([box.corner_mm for box in placed]).reshape(-1, 3)
+    size = []
+    for box in placed:
+        base = [box.item.length_mm, box.item.width_mm]
+        size.append([*(base[::-1] if box.orientation else base), box.item.height_mm])
+    return low, low + np.array(size).reshape(-1, 3)
+
+
+def contacts(low: np.ndarray, high: np.ndarray, box: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """(box below, low, high) of each rectangle that a box rests on."""
+    found = []
+    for other in range(len(low)):
+        start, end = np.maximum(low[box, :2], low[other, :2]), np.minimum(high[box, :2], high[other, :2])
+        if other != box and (end - start > EPS).all() and abs(high[other, 2] - low[box, 2]) < EPS:
+            found.append((other, start, end))
+    return found
+
+
+def least_slack_mm(placed: list[Placed]) -> float:
+    """How much further inside the hull of its contacts than the margin the resultant of the worst box acts, mm.
+
+    Loads go down box by box; on several supports the pressure is the plane a + b·x + c·y that carries the load, found
+    by quadrature over a grid of points instead of integrals.
+    """
+    low, high = corners(placed)
+    load = np.array([[1.0, *((low[k] + high[k]) / 2)[:2]] for k in range(len(placed))])
+    load *= np.array([box.item.weight_kg for box in placed])[:, None]
+    worst = np.inf
+    for box in reversed(range(len(placed))):
+        if low[box, 2] <= 0:
+            continue
+        below = contacts(low, high, box)
+        hull = MultiPoint([(x, y) for _, a, b in below for x in (a[0], b[0]) for y in (a[1], b[1])]).convex_hull
+        at = Point(load[box, 1:] / load[box, 0])
+        margin = min(1000 * MARGIN_M, MARGIN_SHARE * float((high[box] - low[box])[:2].min()))
+        worst = min(worst, hull.exterior.distance(at) * (1 if hull.contains(at) else -1) - margin)
+        # Gauss's rule with two points a side is exact for products of two linear functions
+        points = [(np.array([1.0, x, y]), area, other) for other, a, b in below for x, y, area in gauss(a, b)]
+        plane = np.linalg.solve(sum(area * np.outer(p, p) for p, area, _ in points), load[box])
+        for point, area, other in points:
+            load[other] += area * (point @ plane) * point
+    return worst
+
+
+def gauss(low: np.ndarray, high: np.ndarray) -> list[tuple[float, float, float]]:
+    middle, half = (low + high) / 2, (high - low) / 2 / np.sqrt(3)
+    area = float((high - low).prod()) / 4
+    return [(middle[0] + i * half[0], middle[1] + j * half[1], area) for i in (-1, 1) for j in (-1, 1)]
+
+
+@settings(max_examples=60, deadline=None)
+@given(items=orders, extent=targets)
+def test_every_packing_is_sound(items: list[Item], extent: tuple[int, int]) -> None:
+    placed = pack_balanced(items, extent)
+    low, high = corners(placed)
+    assert (low >= 0).all()
+    assert (high <= (*extent, MAX_HEIGHT_MM)).all()
+    for first in range(len(placed)):
+        shared = np.minimum(high[first], high[first + 1 :]) - np.maximum(low[first], low[first + 1 :])
+        assert not (shared > EPS).all(axis=1).any(), "boxes overlap"
+        # let down from above: nothing that is placed later lies under it
+        covered = (shared[:, :2] > EPS).all(axis=1) & (low[first, 2] >= high[first + 1 :, 2] - EPS)
+        assert not covered.any()
+    for box in range(len(placed)):
+        if low[box, 2] > 0:
+            area = sum(float((b - a).prod()) for _, a, b in contacts(low, high, box))
+            assert area >= (LEAST_SUPPORT - 1e-9) * (high[box] - low[box])[:2].prod()
+    # at every moment of the packing, not only at its end
+    for count in range(1, len(placed) + 1):
+        assert least_slack_mm(placed[:count]) > -EPS
+    # no box twice, none that nobody ordered; and what is packed again is packed in the same way
+    assert not Counter(box.item for box in placed) - Counter(items)
+    assert placed == pack_balanced(items, extent)
+
+
+@pytest.mark.parametrize("index", [1, 4, 6])
+def test_high_pallets_keep_their_balance_box_by_box(index: int) -> None:
+    """Dense pallets, on which the loads of boxes above decide."""
+    drawn = draw_order(9, index)
+    placed = pack_balanced(drawn.items, TARGET_EXTENT_MM[drawn.target])
+    assert min(least_slack_mm(placed[:count]) for count in range(1, len(placed) + 1)) > -EPS
+
+
+def test_what_fits_easily_is_placed_as_a_whole() -> None:
+    items = draw_order(0, 3).items
+    assert len(pack_balanced(items, EURO)) == len(items)
+
+
+def test_boxes_left_out_are_told_by_their_numbers(tmp_path: Path) -> None:
+    orders_file = {"fits": order(), "some": order(4, **{"height/mm": 2500}), "none": order(2, **{"length/mm": 1300})}
+    orders_file["none"]["item_sequence"]["1"]["length/mm"] = 1300
+    left_out: list[LeftOut] = []
+    path = write(tmp_path / "orders.json", orders_file)
+    packed = dict(pack_orders(path, packer="balanced", on_left_out=left_out.append))
+    assert {plan_id: len(plan) for plan_id, plan in packed.items()} == {"fits": 3, "some": 3}
+    assert left_out == [LeftOut("some", 4, (2,)), LeftOut("none", 2, (1, 2))]
+
+
+def test_equal_boxes_that_find_no_place_are_counted() -> None:
+    item = Item("jam", "1", "", 1100.0, 700.0, 900.0, 10.0)
+    assert len(pack_balanced([item] * 3, EURO)) == 2  # the third one would reach above 2 m
+
+
+def test_it_packs_denser_than_the_baseline_and_leaves_out_less() -> None:
+    heights, left = [], np.zeros(2, dtype=int)
+    for index in range(12):
+        drawn = draw_order(5, index)
+        extent = TARGET_EXTENT_MM[drawn.target]
+        both = (
+            pack_best(drawn.items, extent, PackRules(), np.random.default_rng(index)),
+            pack_balanced(drawn.items, extent),
+        )
+        left += [len(drawn.items) - len(placed) for placed in both]
+        heights.append([corners(placed)[1][:, 2].max() for placed in both])
+    means = np.mean(heights, axis=0)
+    assert means[1] < 0.95 * means[0]
+    assert left[1] <= left[0]
+
+
+def test_the_other_tastes_are_for_orders_that_do_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    tight = next(
+        drawn
+        for drawn in (draw_order(0, index) for index in (27, 593, 529))
+        if len(packed_with(drawn.items, 1, drawn.target, monkeypatch)) < len(drawn.items)
+    )
+    first = packed_with(tight.items, 1, tight.target, monkeypatch)
+    every = packed_with(tight.items, len(TASTES), tight.target, monkeypatch)
+    assert len(every) > len(first)
+
+
+def packed_with(items: tuple[Item, ...], tastes: int, target: str, monkeypatch: pytest.MonkeyPatch) -> list[Placed]:
+    monkeypatch.setattr("petmjx.plans.samples.balanced.TASTES", TASTES[:tastes])
+    return pack_balanced(items, TARGET_EXTENT_MM[target])
+
+
+# -- the balance itself ------------------------------------------------------------------------------------------------
+
+
+def put(pile: Balance, x: float, y: float, z: float, size: tuple[float, float, float], mass: float) -> bool:
+    rest = pile.rest((x, y, z), size[:2], mass)
+    if rest is not None:
+        pile.add((x, y, z), size, rest)
+    return rest is not None
+
+
+def test_a_bridge_shares_its_load_by_the_lever_rule() -> None:
+    """A weight of 3 kg a quarter of the way between two narrow supports presses 3:1."""
+    pile = Balance(5)
+    assert put(pile, 0, 0, 0, (100, 300, 200), 1.0)
+    assert put(pile, 700, 0, 0, (100, 300, 200), 1.0)
+    assert put(pile, 0, 0, 200, (800, 300, 50), 2.0)
+    assert put(pile, 175, 50, 250, (100, 200, 100), 3.0)  # centre at x = 225: (225 - 50) / 700 = 1/4
+    left, right, bridge, weight = pile.loads
+    assert weight[0] == pytest.approx(3.0)
+    assert bridge[0] == pytest.approx(5.0)
+    # the supports are 100 mm wide, not lines: the plane of pressure bends the lever rule by (100 / 700)² / 3 at most
+    assert left[0] - 1.0 == pytest.approx(1.0 + 3 * 0.75, rel=0.01)
+    assert right[0] - 1.0 == pytest.approx(1.0 + 3 * 0.25, rel=0.02)
+    assert left[0] + right[0] == pytest.approx(7.0)
+
+
+def test_an_overhang_is_judged_by_the_margin() -> None:
+    size = (400.0, 300.0, 200.0)
+    for overhang, holds in ((179.0, True), (181.0, False), (220.0, False)):
+        pile = Balance(2)
+        assert put(pile, 0, 0, 0, size, 5.0)
+        assert put(pile, overhang, 0, 200, size, 5.0) is holds, overhang
+    assert MARGIN_M == 0.020
+
+
+def test_a_box_that_would_tip_one_below_is_refused() -> None:
+    """Each box alone is well supported; the third one's weight would turn the second over the edge of the first."""
+    pile = Balance(3)
+    assert put(pile, 0, 0, 0, (400, 300, 200), 5.0)
+    assert put(pile, 170, 0, 200, (400, 300, 200), 5.0)
+    assert not put(pile, 300, 0, 400, (400, 300, 200), 5.0)
+    assert put(pile, 100, 0, 400, (400, 300, 200), 5.0)  # further back it is a counterweight
+
+
+def test_nothing_below_is_no_support() -> None:
+    assert Balance(1).rest((0, 0, 100), (100, 100), 1.0) is None
+
+
+@settings(max_examples=40, deadline=None)
+@given(items=orders)
+def test_no_weight_is_lost_on_its_way_down(items: list[Item]) -> None:
+    """Boxes on the carrier pass on all weight, and its moments."""
+    placed = pack_balanced(items, EURO)
+    pile = Balance(len(placed))
+    low, high = corners(placed)
+    for box, start, end in zip(placed, low, high, strict=True):
+        put(pile, *start, tuple(end - start), box.item.weight_kg)
+    on_carrier = pile.loads[low[: pile.n, 2] <= 0].sum(axis=0)
+    middles = (low + high)[:, :2] / 2 / 1000
+    weights = np.array([box.item.weight_kg for box in placed])
+    assert pile.n == len(placed)
+    assert on_carrier == pytest.approx([weights.sum(), *(weights @ middles)], rel=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    rectangles=st.lists(st.tuples(*[st.floats(0, 1)] * 2, *[st.floats(0.05, 0.5)] * 2), min_size=1, max_size=5),
+    point=st.tuples(st.floats(-0.2, 1.7), st.floats(-0.2, 1.7)),
+)
+def test_planes_are_those_of_the_convex_hull(
+    rectangles: list[tuple[float, float, float, float]], point: tuple[float, float]
+) -> None:
+    low = np.array([each[:2] for each in rectangles])
+    high = low + np.array([each[2:] for each in rectangles])
+    margin = 0.01
+    beyond = float((hull_planes(low, high, margin) @ [1.0, *point]).max())
+    hull = MultiPoint([(x, y) for a, b in zip(low, high, strict=True) for x in (a[0], b[0]) for y in (a[1], b[1])])
+    inside = hull.convex_hull.contains(Point(point))
+    distance = hull.convex_hull.exterior.distance(Point(point))
+    if inside:
+        assert beyond == pytest.approx(margin - distance, abs=1e-9)
+    else:
+        assert beyond > margin - 1e-9
+
+
+# -- packers by name, in several processes -----------------------------------------------------------------------------
+
+
+def test_both_packers_get_the_same_orders_and_the_baseline_is_what_it_was() -> None:
+    plan_id, placements = generate_one(0, 7, packer="balanced")
+    baseline_id, baseline = generate_one(0, 7, loose_share=0.0)
+    assert plan_id == baseline_id == "s7-000000"
+    assert Counter(each["item"]["id"] for each in baseline) <= Counter(each["item"]["id"] for each in placements)
+    drawn = draw_order(7, 0)
+    assert placements == as_placements(pack_balanced(drawn.items, TARGET_EXTENT_MM[drawn.target]))
+    assert generate_one(0, 7, packer="baseline") == generate_one(0, 7)
+
+
+def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel_module, "ALONE", 4)
+    told: dict[int, list[LeftOut]] = {1: [], 2: []}
+    plans = {
+        workers: list(generate(24, 2, packer="baseline", workers=workers, on_left_out=told[workers].append))
+        for workers in told
+    }
+    assert plans[1] == plans[2]
+    assert told[1] == told[2] != []
+
+
+def test_few_tasks_are_done_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel_module, "ProcessPoolExecutor", None)
+    assert list(in_order(abs, range(-5, 0), workers=8)) == [5, 4, 3, 2, 1]
+
+
+def test_an_unknown_packer_is_one_line(tmp_path: Path) -> None:
+    line = "unknown packer balancd; did you mean balanced"
+    with pytest.raises(InputError, match=line):
+        generate(1, 0, packer="balancd")
+    with pytest.raises(InputError, match=line):
+        pack_orders(tmp_path / "orders.json", packer="balancd")
+
+
+def test_the_command_tells_what_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    packed = tmp_path / "plans.json"
+    assert run("samples", "-n", "12", "--packer", "balanced", "--workers", "1", "-o", packed) == 0
+    assert capsys.readouterr().out == f"12 plans in {packed}\n"
+    assert list(json.loads(packed.read_text())) == [f"s0-{index:06d}" for index in range(12)]
+    tall = write(tmp_path / "orders.json", {"tall": order(3, **{"height/mm": 2500})})
+    assert run("samples", "--orders", tall, "--packer", "balanced", "-o", packed) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "order tall: 1 of 3 boxes is left out: item 2",
+        f"1 plan in {packed}; 1 box of 1 order left out",
+    ]
+    assert run("samples", "-n", "1", "--packer", "best", "-o", packed) == 2
+    assert "unknown packer best" in only_line(capsys.readouterr().err)
+
+
+def test_real_orders_are_packed_and_hold_more_than_the_baseline_places(real_data: Path) -> None:
+    placed = {}
+    for packer in ("baseline", "balanced"):
+        plans = dict(pack_orders(real_data / "5_bed-bpp.json", packer=packer))
+        placed[packer] = sum(map(len, plans.values()))
+    assert placed["balanced"] > placed["baseline"]

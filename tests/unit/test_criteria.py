@@ -1,0 +1,354 @@
+"""Closed-form criteria against answers by hand, and force balance against an independent formulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from support.plans import Box, Triple, make_plan, stack
+
+pytest.importorskip("scipy")
+pytest.importorskip("shapely")
+
+from scipy.optimize import nnls
+
+from petmjx.errors import InputError
+from petmjx.history import CARRIER
+from petmjx.statics.answers import NO, NOT_ASKED, YES, Answers, answer
+from petmjx.statics.balance import _slack_alone, _VerticalSystem, balance_slack
+from petmjx.statics.base import support_share
+from petmjx.statics.contacts import Contacts, find_contacts, find_sides
+from petmjx.statics.friction import Friction
+from petmjx.statics.hulls import contact_hulls
+from petmjx.statics.load_polygon import load_polygons
+from petmjx.statics.loads import even_bedding, lever_rule
+from petmjx.statics.named import CRITERIA, NAMES, chosen_criteria
+
+MU = Friction(0.5)
+
+
+def asked(boxes: Sequence[Box], friction: Friction = MU) -> Answers:
+    return answer(make_plan(boxes=boxes), CRITERIA, friction, 0.5)
+
+
+def says(found: Answers, box: int = -1) -> dict[str, bool]:
+    """What each criterion says of a box (of the last one)."""
+    return {name: bool(found.stable[box, number] == YES) for number, name in enumerate(NAMES)}
+
+
+def slack(found: Answers, name: str, box: int = -1) -> float:
+    return float(found.slack[box, NAMES.index(name)])
+
+
+def box(x: float, y: float, z: float, dx: float, dy: float, dz: float, kg: float = 1.0) -> Box:
+    return (dx, dy, dz), (x, y, z), kg
+
+
+def beam(x: float, x_end: float, z: float, z_end: float, kg: float = 1.0) -> Box:
+    """A box of a plan in one plane: all are 300 mm wide."""
+    return box(x, 0, z, x_end - x, 300, z_end - z, kg)
+
+
+HULL = ("centre", "load_polygon", "stacking_tree", "equilibrium", "force_balance", "force_balance_leaning")
+
+
+def test_overhang_below_half_stands() -> None:
+    found = asked(stack(overhang_mm=190))
+    answers = says(found)
+    assert all(answers[name] for name in HULL)
+    assert answers["support_50"]
+    assert not answers["support_60"]
+    assert found.share[1] == pytest.approx(210 / 400)
+    for name in HULL[:4]:
+        assert slack(found, name) == pytest.approx(10)
+    # the centre is 95 mm from the middle of a contact that is 210 mm long
+    assert slack(found, "force_balance") == pytest.approx(1 - 95 / 105)
+    assert found.corners.tolist() == [4, 2]
+
+
+def test_overhang_above_half_falls() -> None:
+    found = asked(stack(overhang_mm=210))
+    assert not any(says(found)[name] for name in HULL)
+    assert all(slack(found, name) == pytest.approx(-10) for name in HULL[:4])
+    assert slack(found, "force_balance") == pytest.approx(1 - 105 / 95)
+    assert all(says(found, 0).values())
+
+
+def test_an_overhang_of_one_half_is_on_the_edge_and_stands() -> None:
+    found = asked(stack(overhang_mm=200))
+    assert all(says(found)[name] for name in HULL)
+    assert all(slack(found, name) == pytest.approx(0, abs=1e-9) for name in HULL)
+
+
+def test_bridge() -> None:
+    found = asked([beam(0, 100, 0, 200), beam(300, 400, 0, 200), beam(0, 400, 200, 300)])
+    answers = says(found)
+    assert all(answers[name] for name in (*HULL, "three_corners", "support_50"))
+    assert not answers["support_60"]
+    # 4 corners and exactly half of the base: more than half is asked for
+    assert slack(found, "corner_area_code") == 0
+    assert not answers["corner_area_code"]
+    assert slack(found, "centre") == pytest.approx(150)
+    assert slack(found, "force_balance") == pytest.approx(1)
+
+
+def test_l_shaped_support_is_the_hull_of_two_rectangles() -> None:
+    supports = [box(0, 0, 0, 100, 400, 200), box(100, 0, 0, 300, 100, 200)]
+    found = asked([*supports, box(0, 0, 200, 400, 400, 100)])
+    assert found.share[2] == pytest.approx(0.4375)
+    assert found.corners[2] == 3
+    assert says(found)["three_corners"]
+    # the hull's slanting edge is x + y = 500, the centre (200, 200)
+    for name in HULL[:2]:
+        assert slack(found, name) == pytest.approx(100 / np.sqrt(2))
+    for name in HULL[2:4]:  # the supports, on 100 mm of the carrier, are asked again
+        assert 0 < slack(found, name) <= 50
+
+
+def test_l_shaped_support_beside_the_centre_falls() -> None:
+    supports = [box(0, 0, 0, 50, 400, 200), box(50, 0, 0, 350, 50, 200)]
+    found = asked([*supports, box(0, 0, 200, 400, 400, 100), box(300, 300, 300, 100, 100, 100, kg=3)])
+    # hull's edge x + y = 450: the box stands, and tips under the load at (350, 350)
+    assert all(says(found, 2)[name] for name in HULL)
+    assert says(found)["centre"]
+    assert not any(says(found)[name] for name in HULL[1:])
+
+
+def test_tower() -> None:
+    found = asked(stack(5))
+    assert (found.stable == YES).all()
+    assert slack(found, "centre") == pytest.approx(150)
+    assert slack(found, "force_balance") == pytest.approx(1)
+    assert found.share.tolist() == [1] * 5
+
+
+SUPPORT = beam(0, 150, 0, 200)
+PLANK = beam(-100, 300, 200, 300, kg=2)
+LOAD = beam(200, 300, 300, 400, kg=3)
+COUNTERWEIGHT = beam(-100, 0, 300, 400, kg=3)
+
+
+def test_counterweight_holds_a_plank_only_if_it_is_there_first() -> None:
+    # about the support's right edge: 2·50 + 3·200 hold, 3·100 tip
+    held = asked([SUPPORT, PLANK, COUNTERWEIGHT, LOAD])
+    falls = asked([SUPPORT, PLANK, LOAD, COUNTERWEIGHT])
+    for name in ("stacking_tree", "equilibrium", "force_balance"):
+        assert (says(held)[name], says(falls, 2)[name]) == (True, False), name
+    total = 2 * 100 + 3 * -50 + 3 * 250
+    assert slack(held, "equilibrium") == pytest.approx(min(150 - total / 8, total / 8, 50))
+    # with both in place the stack would stand again; for a load polygon it never does, for the centre always
+    assert says(falls)["equilibrium"]
+    assert falls.stable[3, NAMES.index("force_balance")] == NOT_ASKED
+    assert not says(held)["load_polygon"]
+    assert says(falls, 2)["centre"]
+
+
+def test_cantilever_held_down_from_above() -> None:
+    """What lies across the plank's tail and a column can press on the tail with all its weight, if it must."""
+    column, across = beam(-200, -20, 0, 300), beam(-100, 120, 300, 400, kg=10)
+    end = beam(250, 300, 300, 400, kg=20)
+    found = asked([beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, end])
+    # about x = 200: the plank's 2·50 and 10·190 hold against 20·75; shared out evenly, 10 holds less
+    assert says(found)["force_balance"]
+    assert not says(found)["equilibrium"]
+    assert not says(found)["stacking_tree"]
+    heavier = asked([beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, (*end[:2], 27.0)])
+    assert not says(heavier)["force_balance"]  # 27·75 > 100 + 1900
+
+
+LEANING = [beam(0, 400, 0, 200, kg=5), beam(630, 1030, 0, 400, kg=10), beam(230, 630, 200, 400, kg=5)]
+
+
+def test_a_box_leans_on_its_neighbour() -> None:
+    """Its centre is 30 mm beyond the edge; pressing 200 mm above it, the neighbour needs 0.15 of its weight."""
+    found = asked(LEANING)
+    assert says(found)["force_balance_leaning"]
+    assert not says(found)["force_balance"]
+    assert not says(asked(LEANING, Friction(0.14)))["force_balance_leaning"]
+    assert says(asked(LEANING, Friction(0.16)))["force_balance_leaning"]
+    light = [LEANING[0], (*LEANING[1][:2], 1.0), LEANING[2]]
+    assert not says(asked(light))["force_balance_leaning"]  # the neighbour slides: 0.75 N / g against 0.5 of 1 kg
+
+
+@pytest.mark.parametrize("friction", [MU, Friction(0.5, 0.5)])
+def test_between_neighbours_nothing_hangs_in_the_air(friction: Friction) -> None:
+    found = asked([beam(0, 200, 0, 400, 20), beam(400, 600, 0, 400, 20), beam(200, 400, 200, 300)], friction)
+    assert not any(says(found).values())
+    assert all(np.isnan(slack(found, name)) for name in HULL)
+    assert found.n_supports[2] == 0
+    assert found.share[2] == 0
+
+
+def test_what_is_placed_later_bears_nothing_that_is_there() -> None:
+    found = asked([beam(0, 400, 200, 400), beam(0, 400, 0, 200)])
+    assert not says(found, 0)["centre"]
+    assert says(found)["centre"]
+    assert found.stable[:, NAMES.index("force_balance")].tolist() == [NO, NOT_ASKED]
+
+
+def test_area_of_overlapping_supports_counts_once() -> None:
+    plan = make_plan(boxes=[beam(0, 200, 0, 200), beam(100, 300, 0, 200), beam(0, 400, 200, 300)])
+    assert support_share(find_contacts(plan))[2] == pytest.approx(0.75)
+
+
+def test_gaps_up_to_the_tolerance_touch() -> None:
+    for gap, touches in ((0.5, True), (0.6, False), (-0.5, True), (-0.6, False)):
+        contacts = find_contacts(make_plan(boxes=[beam(0, 400, 0, 200), beam(0, 400, 200 + gap, 300)]))
+        assert (contacts.lower.tolist() == [CARRIER, 0]) is touches
+    narrow = find_contacts(make_plan(boxes=[beam(0, 400, 0, 200), beam(399.6, 700, 200, 300)]))
+    assert narrow.lower.tolist() == [CARRIER]
+
+
+def test_load_polygons_are_cut_by_those_below() -> None:
+    polygons = load_polygons(find_contacts(make_plan(boxes=stack(3, overhang_mm=150))))
+    assert [polygon.bounds for polygon in polygons] == [(0, 0, 400, 300), (150, 0, 400, 300), (150, 0, 400, 300)]
+
+
+def test_an_unknown_criterion_is_refused_with_a_hint() -> None:
+    with pytest.raises(InputError, match="there is no suport_75; did you mean support_75"):
+        chosen_criteria(["suport_75"])
+
+
+def random_stack(rng: np.random.Generator, n: int = 7) -> list[Box]:
+    """Boxes let down at random places of a grid, so that many touch side by side and some overhang a lot."""
+    placed: list[tuple[Triple, Triple]] = []
+    boxes: list[Box] = []
+    for _ in range(n):
+        size = (*(100.0 * rng.integers(1, 5, size=2)), 100.0 * rng.integers(1, 3))
+        x, y = 50.0 * rng.integers(0, 9), 50.0 * rng.integers(0, 5)
+        z = 0.0
+        for (a, b, c), (dx, dy, dz) in placed:
+            if x < a + dx and a < x + size[0] and y < b + dy and b < y + size[1]:
+                z = max(z, c + dz)
+        placed.append(((x, y, z), size))
+        boxes.append((size, (x, y, z), float(rng.uniform(0.5, 10))))
+    return boxes
+
+
+def balanced_by_rays(boxes: Sequence[Box], friction: float, lean: bool) -> bool:
+    """Whether all boxes can be balanced, by another formulation and another solver: at each corner of each contact a
+    force is a sum of the edges of its friction pyramid with weights that non-negative least squares finds."""
+    rays, n = [], len(boxes)
+    low = np.array([corner for _, corner, _ in boxes])
+    high = low + np.array([size for size, _, _ in boxes])
+    for upper in range(n):
+        for lower in (-1, *range(n)):
+            for axis in (0, 1, 2):
+                if (axis == 2 and lower >= upper) or (axis < 2 and (lower < 0 or not lean)):
+                    continue
+                near = low[upper] if lower < 0 else np.maximum(low[upper], low[lower])
+                far = high[upper] if lower < 0 else np.minimum(high[upper], high[lower])
+                level = 0.0 if lower < 0 else high[lower, axis]
+                across = [k for k in range(3) if k != axis]
+                if low[upper, axis] != level or (far - near)[across].min() <= 0:
+                    continue
+                edges = [np.zeros(3)] if axis < 2 else [s * friction * np.eye(3)[k] for k in across for s in (1, -1)]
+                for first in (near[across[0]], far[across[0]]):
+                    for second in (near[across[1]], far[across[1]]):
+                        point = np.zeros(3)
+                        point[axis], point[across[0]], point[across[1]] = level, first, second
+                        for edge in edges:
+                            force, column = np.eye(3)[axis] + edge, np.zeros((n, 6))
+                            for body, sign in ((upper, 1), (lower, -1)):
+                                if body >= 0:
+                                    arm = (point - (low[body] + high[body]) / 2) / 1000
+                                    column[body] += sign * np.r_[force, np.cross(arm, force)]
+                            rays.append(column.ravel())
+    weights = np.zeros((n, 6))
+    weights[:, 2] = [kg for _, _, kg in boxes]
+    matrix = np.array(rays).T
+    # the residual that nnls itself gives is 0 for some programmes without a solution (SciPy 1.17.1)
+    left_over = matrix @ nnls(matrix, weights.ravel(), maxiter=10_000)[0] - weights.ravel()
+    return bool(np.linalg.norm(left_over) < 1e-6)
+
+
+@pytest.mark.parametrize("lean", [False, True], ids=["", "leaning"])
+def test_force_balance_agrees_with_rays_on_random_stacks(lean: bool) -> None:
+    rng = np.random.default_rng(7)
+    answers: list[bool] = []
+    while len(answers) < 500:
+        boxes = random_stack(rng)
+        contacts = find_contacts(make_plan(boxes=boxes))
+        found = balance_slack(contacts, contact_hulls(contacts), Friction(0.3), lean)[int(lean)]
+        # up to the first failure, or some placement before it; a random box never floats
+        found = found[: rng.integers(1, np.count_nonzero(~np.isnan(found)) + 1)]
+        if abs(found.min()) >= 1e-6:
+            answers.append(bool(found.min() > 0))
+            assert answers[-1] == balanced_by_rays(boxes[: len(found)], 0.3, lean), boxes
+    assert 0.2 < np.mean(answers) < 0.8
+
+
+def test_the_closed_form_of_one_box_is_what_its_linear_programme_finds() -> None:
+    rng = np.random.default_rng(11)
+    compared = 0
+    for _ in range(60):
+        contacts = find_contacts(make_plan(boxes=random_stack(rng, 4)))
+        system, alone = _VerticalSystem(contacts), _slack_alone(contacts, contact_hulls(contacts))
+        for each in np.flatnonzero(~contacts.on_carrier):
+            if not contacts.on_carrier[contacts.lower[contacts.upper == each]].all():
+                continue  # part of a larger structure
+            assert system.slack(np.array([each])) == pytest.approx(min(alone[each], 1), abs=1e-6)
+            compared += 1
+    assert compared > 60
+
+
+def test_friction_can_hold_what_vertical_forces_cannot() -> None:
+    """A board on the edge of its support tips under what lies across it and a cube, which ties it by friction."""
+    boxes = [box(0, 0, 0, 400, 400, 200, 1.7), box(0, 200, 200, 200, 400, 100, 3.4)]
+    boxes += [box(350, 150, 200, 100, 100, 100, 3.8), box(100, 200, 300, 400, 300, 200, 1.9)]
+    assert [says(asked(boxes, Friction(mu)))["force_balance"] for mu in (0.0, 0.8)] == [False, True]
+    assert [balanced_by_rays(boxes, mu, lean=False) for mu in (0.0, 0.8)] == [False, True]
+
+
+@pytest.mark.parametrize("sharing", [lever_rule, even_bedding])
+def test_shares_add_up_to_the_load(sharing: object) -> None:
+    contacts = find_contacts(make_plan(boxes=[*three_posts(), box(0, 0, 200, 500, 500, 100, 4)]))
+    shares = sharing(contacts)[contacts.upper == 3]  # type: ignore[operator]
+    load = np.array([1.0, 240.0, 230.0])
+    assert shares.sum(axis=0) @ load == pytest.approx(load)
+
+
+def three_posts() -> list[Box]:
+    return [box(0, 0, 0, 100, 100, 200), box(400, 0, 0, 100, 100, 200), box(200, 400, 0, 100, 100, 200)]
+
+
+def test_lever_rule_of_two() -> None:
+    contacts = find_contacts(make_plan(boxes=[beam(0, 100, 0, 200), beam(300, 400, 0, 200), beam(0, 400, 200, 300)]))
+    shares = lever_rule(contacts)[contacts.upper == 2]
+    load = np.array([4.0, 4 * 125, 4 * 150])  # at 125, a quarter of the way from 50 to 350
+    assert (shares @ load)[:, 0] == pytest.approx([3, 1])
+
+
+def test_hull_distances_are_those_of_shapely() -> None:
+    import shapely
+
+    contacts = find_contacts(make_plan(boxes=[*three_posts(), box(0, 0, 200, 500, 500, 100)]))
+    hulls, rng = contact_hulls(contacts), np.random.default_rng(1)
+    polygon = shapely.MultiPoint(contacts.corners_mm[contacts.upper == 3].reshape(-1, 2)).convex_hull
+    points = rng.uniform(-200, 700, size=(500, 2))
+    distance = shapely.distance(polygon.exterior, shapely.points(points))
+    signed = np.where(shapely.contains_xy(polygon, *points.T), distance, -distance)
+    assert hulls.distance(np.full(500, 3), points) == pytest.approx(signed)
+
+
+def test_sides_are_found_once_for_each_pair() -> None:
+    sides = find_sides(find_contacts(make_plan(boxes=LEANING)))
+    assert list(zip(sides.first, sides.second, sides.axis, strict=True)) == [(2, 1, 0)]
+    assert sides.low_mm.tolist() == [[630, 0, 200]]
+    assert sides.high_mm.tolist() == [[630, 300, 400]]
+
+
+def test_answers_do_not_depend_on_where_the_plan_is() -> None:
+    boxes = random_stack(np.random.default_rng(3))
+    moved = [(size, (x + 3000, y - 700, z), kg) for size, (x, y, z), kg in boxes]
+    here, there = asked(boxes), asked(moved)
+    assert (here.stable == there.stable).all()
+    assert there.slack == pytest.approx(here.slack, abs=1e-6, nan_ok=True)
+
+
+def test_contacts_are_in_the_order_of_the_boxes_above() -> None:
+    contacts: Contacts = find_contacts(make_plan(boxes=random_stack(np.random.default_rng(5), 20)))
+    assert all(first <= second for first, second in pairwise(contacts.upper.tolist()))
+    assert (contacts.lower < contacts.upper).all()
