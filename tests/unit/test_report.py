@@ -19,6 +19,7 @@ from test_pages import opened_block
 
 from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.columns import block
 from petmjx.pages.report.about import differing
 from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks
@@ -222,8 +223,11 @@ def test_plans_won_and_lost_are_counted(tmp_path: Path) -> None:
     runs = open_runs([one, two])
     assert common_verdicts(runs)[0].tolist() == ["stable"] * 3 + ["unstable"] * 2 + ["invalid"]
     text = words_of(compared(runs))
-    for words in ("2 stand in both", "1 stand only in one", "1 stand only in two", "2 stand in neither"):
+    for words in ("2 stand in both", "1 stand only in one", "1 stand only in two", "1 stand in neither"):
         assert words in text
+    assert "two − one +0.0" in text, "as many won as lost"
+    low, high = newcombe_interval(PairedCounts(2, 1, 1, 1))
+    assert f"{100 * low:+.1f} to {100 * high:+.1f}".replace("-", "−") in text
     assert "Flipped verdicts (3)" in text
     assert "3 of 6 worlds agree (50.0 %)" in text
     assert "Stable rates" in compared(open_runs([one, two, of("three", "ffffff")]))

@@ -8,6 +8,7 @@ from typing import Final
 
 import pandas as pd
 
+from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.report.charts import between, intervals, percent, stacked
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
@@ -33,7 +34,8 @@ def compared(runs: Sequence[ReportRun]) -> Markup:
     both = "both runs" if len(runs) == 2 else f"all {len(runs)} runs"
     parts: list[Content] = [element("p", f"{counted(len(common), _word(runs))} in {both}.")]
     if len(common):
-        parts.append(element("div", _rates(runs, common), _won_and_lost(runs, common), class_="charts"))
+        drawn, differences = _won_and_lost(runs, common)
+        parts += [element("div", _rates(runs, common), drawn, class_="charts"), differences]
     if len(runs) == 2:
         parts.append(_two(runs, compare_runs(runs[0].results, runs[1].results)))
     return joined(*parts)
@@ -67,21 +69,26 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
     return figure("Stable rates", intervals("Stable rates", rows), note)
 
 
-def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
-    """For each pair of runs, which one's plans stand where the other's do not."""
-    rows = []
-    stands = common == Verdict.STABLE.value
+def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
+    """For each pair of runs, whose plans stand where the other's do not, of the worlds that both judged.
+
+    Returns:
+        The drawing, and a table of the differences of their shares.
+    """
+    rows, differences = [], []
     pairs = list(itertools.combinations(range(len(runs)), 2))
     for a, b in pairs[:MOST_PAIRS]:
-        won, lost = int((stands[a] & ~stands[b]).sum()), int((~stands[a] & stands[b]).sum())
-        both, neither = int((stands[a] & stands[b]).sum()), int((~stands[a] & ~stands[b]).sum())
+        counts = paired(common[a], common[b])
         parts = [
-            ("stable", both, "stand in both"),
-            ("won", won, f"stand only in {runs[a].name}"),
-            ("lost", lost, f"stand only in {runs[b].name}"),
-            ("unstable", neither, "stand in neither"),
+            ("stable", counts.both, "stand in both"),
+            ("won", counts.only_a, f"stand only in {runs[a].name}"),
+            ("lost", counts.only_b, f"stand only in {runs[b].name}"),
+            ("unstable", counts.neither, "stand in neither"),
         ]
         rows.append((f"{runs[a].name} – {runs[b].name}", parts))
+        low, high = (f"{100 * bound:+.1f}".replace("-", "−") for bound in newcombe_interval(counts))
+        said = f"{100 * counts.difference:+.1f}".replace("-", "−") if counts.n else "–"
+        differences.append([f"{runs[b].name} − {runs[a].name}", said, f"{low} to {high}"])
     key = element(
         "p",
         *(
@@ -93,7 +100,22 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
     )
     more = f"{len(pairs) - MOST_PAIRS:,} more pairs are not drawn." if len(pairs) > MOST_PAIRS else ""
     picture = stacked("Plans won and lost", rows)
-    return element("div", figure("Plans won and lost, pair by pair", picture, more), key)
+    test = "95 %: Newcombe’s interval of paired shares. petmjx compare --packers tests them, too."
+    drawn = element("div", figure("Plans won and lost, pair by pair", picture, more), key)
+    listed = table(["difference, points", "", "95 %"], differences)
+    return drawn, joined(listed, element("p", test, class_="hint"))
+
+
+def paired(a: pd.Series, b: pd.Series) -> PairedCounts:
+    """How many worlds stand in both, in one or in none of two runs, of those that have a valid verdict in both.
+
+    Args:
+        a, b: verdicts of the same worlds.
+    """
+    judged = (a != Verdict.INVALID.value) & (b != Verdict.INVALID.value)
+    stands_a, stands_b = (verdicts[judged] == Verdict.STABLE.value for verdicts in (a, b))
+    counts = (stands_a & stands_b, stands_a & ~stands_b, ~stands_a & stands_b, ~stands_a & ~stands_b)
+    return PairedCounts(*(int(each.sum()) for each in counts))
 
 
 def _two(runs: Sequence[ReportRun], found: Comparison) -> Markup:

@@ -105,7 +105,7 @@ def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, 
     for shown in NUMBERS:
         _add_number(rows, shown, frame)
         if shown.column == "culprit":
-            _add_choice(rows, "article", "its article", frame["first_article"], True)
+            _add_choice(rows, "article", "first article", frame["first_article"], True)
     _add_parameters(rows, runs, frame, lambda name: name not in of_variants)
     return rows, frame
 
