@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from petmjx.history import History
     from petmjx.packers.compare import compare_packers
     from petmjx.pictures.save import draw
+    from petmjx.pages.report.make import report
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.plans.write import save_plans
@@ -62,6 +63,7 @@ _HOME = {
     "PetmjxError": "petmjx.errors",
     "History": "petmjx.history",
     "draw": "petmjx.pictures.save",
+    "report": "petmjx.pages.report.make",
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan",
     "load_plans": "petmjx.plans.read",
@@ -110,6 +112,7 @@ __all__ = [
     "loads",
     "merge_runs",
     "save_plans",
+    "report",
     "score",
     "sweep",
     "tell",

@@ -36,6 +36,7 @@ READERS = (
     "petmjx.packers.compare",
     "petmjx.show.tables",
     "petmjx.pages.story_page",
+    "petmjx.pages.report.make",
     "petmjx.plans",
     "petmjx.statics.run",
 )

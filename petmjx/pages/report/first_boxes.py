@@ -1,0 +1,68 @@
+"""Which articles and which places in the order go first."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.pages.report.charts import Bar, bars, histogram
+from petmjx.pages.report.markup import NOTHING, Markup, element, joined
+from petmjx.pages.report.runs import ReportRun
+from petmjx.pages.report.svg import WIDTH, Frame, Scale, figure
+from petmjx.pages.report.verdicts import ORDER, link
+from petmjx.results.compare import KEY
+from petmjx.text import counted
+
+MOST_ARTICLES: Final = 12
+
+
+def first_boxes(run: ReportRun) -> Markup:
+    """Charts of the boxes that first crossed a threshold."""
+    falls = run.worlds[run.worlds["culprit"].notna()]
+    if falls.empty:
+        return NOTHING if run.worlds.empty else element("p", "No box crossed a threshold.", class_="hint")
+    place = 100 * falls["culprit"].astype("float64") / (falls["n_boxes"] - 1).clip(lower=1)
+    along = Frame(
+        "Place in the packing order of the box that goes first", Scale(0, 100), Scale(0, 1), "", f"{run.what}s"
+    )
+    along.x_label = "place in the order: 0 first, 100 last box"
+    histogram(along, place, falls["verdict"], ORDER)
+    number = Frame(
+        "Number of the box that goes first", Scale(0, 1), Scale(0, 1), "number in the order, from 0", f"{run.what}s"
+    )
+    number.x = Scale.over(falls["culprit"].astype("float64"), zero=True)
+    histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)
+    return joined(
+        element("p", f"In {counted(len(falls), run.what)} a box crossed a threshold first."),
+        element(
+            "div",
+            figure(
+                "Articles that go first", _articles(run, falls), "Of all boxes of that article: how many went first."
+            ),
+            figure(along.title, along.svg()),
+            figure(number.title, number.svg()),
+            class_="charts",
+        ),
+    )
+
+
+def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
+    """Articles by how often one of their boxes went first, with the number of their boxes in the same run."""
+    first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
+    boxes = run.results.boxes
+    if run.results.worlds.shape[0] != len(run.worlds):
+        boxes = boxes.merge(run.worlds[KEY], on=KEY)
+    of_article = boxes["article"].value_counts()
+    rows = [
+        Bar(
+            str(article),
+            float(count),
+            f"{count:,} of {of_article.get(article, np.nan):,.0f}",
+            "unstable",
+            link(run, q=str(article)),
+        )
+        for article, count in first.head(MOST_ARTICLES).items()
+    ]
+    return bars("Articles that go first", rows, width=WIDTH, names=140)

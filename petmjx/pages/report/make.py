@@ -1,0 +1,190 @@
+"""The page of a report: its sections, and the data that its scripts read."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.errors import InputError, PetmjxError
+from petmjx.pages.columns import block, whole
+from petmjx.pages.page import page
+from petmjx.pages.palette import category, ramp
+from petmjx.pages.report.about import about
+from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks, simulation_of
+from petmjx.pages.report.compared import compared
+from petmjx.pages.report.distributions import distributions
+from petmjx.pages.report.first_boxes import first_boxes
+from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined
+from petmjx.pages.report.replays import replays
+from petmjx.pages.report.rows import table_rows
+from petmjx.pages.report.runs import Kind, ReportRun, open_runs
+from petmjx.pages.report.swept import sweep_answers
+from petmjx.pages.report.verdicts import headline, verdict_table
+from petmjx.results.compare import thresholds_of
+from petmjx.results.files import write_text
+from petmjx.results.reader import RunResults
+from petmjx.text import counted, one_line, printable
+from petmjx.units import MM_PER_M
+
+N_CATEGORIES: Final = 21
+"""Colours of articles, after which they come again."""
+
+Source = str | Path | RunResults
+
+
+def report(
+    runs: Source | Sequence[Source],
+    out: str | Path = "report.html",
+    *,
+    plans: str | Path | Sequence[str | Path] = (),
+    overwrite: bool = False,
+) -> Path:
+    """Write one offline page about one or several runs.
+
+    Args:
+        runs: folders of runs, or what ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run`` return.
+        out: the HTML file.
+        plans: files or folders with the runs' plans; without, the files that the runs name. Only they have the sizes of
+            boxes, which 3D pictures need.
+        overwrite: replace a file that is there.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        InputError: a folder without a run, a damaged run, plans that cannot be read, or ``out`` is there already.
+        PetmjxError: the page cannot be written.
+    """
+    path = Path(out)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file for the report")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: exists already; name another file, or overwrite it")
+    given = [runs] if isinstance(runs, str | Path | RunResults) else list(runs)
+    files = [plans] if isinstance(plans, str | Path) else list(plans)
+    text = report_page(open_runs(given, [Path(file) for file in files]))
+    try:
+        write_text(text, path)
+    except OSError as error:
+        raise PetmjxError(f"{path}: cannot be written: {one_line(error)}") from error
+    return path
+
+
+def report_page(runs: Sequence[ReportRun]) -> str:
+    """The page as text."""
+    rows, table = table_rows(runs)
+    boxes = box_blocks(runs, table)
+    played = replays(runs, table, boxes.drawn)
+    arrays = {**rows.arrays, "of": whole(table["run"].to_numpy(dtype="int64"))}
+    arrays |= {"drawn": whole(boxes.drawn), "replay": whole(played.number)}
+    info = {
+        "columns": rows.columns,
+        "texts": rows.texts,
+        "n": len(table),
+        "runs": [_of_run(run) for run in runs],
+        "what": runs[0].what,
+        "worldsPerBlock": WORLDS_PER_BLOCK,
+        "ramp": ramp(),
+        "categories": [category(number) for number in range(N_CATEGORIES)],
+    }
+    title = "petmjx report: " + ", ".join(run.name for run in runs)
+    notes = _notes(runs, rows.left_out, boxes.without_boxes, played.left_out)
+    body = _body(runs, notes)
+    blocks = {"rows": block(arrays), **boxes.blocks, **played.blocks}
+    return page(title, body, script="report.js", styles=("report.css",), info=info, blocks=blocks)
+
+
+def _of_run(run: ReportRun) -> dict[str, Any]:
+    """What the scripts know of a run."""
+    limits = thresholds_of(run.info)
+    return {
+        "name": run.name,
+        "command": "sweep" if run.kind in (Kind.GRID, Kind.SEARCH) else "score",
+        "floorZ": simulation_of(run.info).physics.floor_z_m,
+        "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
+        "missing": run.found.note,
+        "folder": shlex.quote(printable(str(run.results.path))),
+        "nominalSizes": any("size_tolerance" in name for name in run.parameters),
+    }
+
+
+def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
+    """What the page does not show, a line each."""
+    notes = [f"{run.name}: {run.found.note}. These have no 3D picture." for run in runs if run.found.note]
+    if left_out:
+        notes.append(f"{counted(left_out, 'world')} that stand are not in the table: it would be too large.")
+    if without_boxes:
+        notes.append(f"{counted(without_boxes, 'world')} have no 3D picture: the page would be too large.")
+    if not_played:
+        worlds = counted(not_played, "recorded world")
+        notes.append(f"{worlds} cannot be played here: the page would be too large. petmjx show plays them.")
+    return notes
+
+
+def _body(runs: Sequence[ReportRun], notes: Sequence[str]) -> Markup:
+    several = len(runs) > 1
+    sections: list[tuple[str, str, Content]] = []
+    if several:
+        sections.append(("compared", "The runs compared", compared(runs)))
+    else:
+        sections.append(("verdicts", "What came out", _came_out(runs[0])))
+        sections += _details_of(runs[0])
+    sections.append(("plans", "All worlds" if _worlds(runs) else "All plans", _table_section(notes)))
+    if several:
+        for number, run in enumerate(runs):
+            parts = [element("h3", title) + inner for _, title, inner in _details_of(run) if inner]
+            inner = joined(_came_out(run), *(Markup(part) for part in parts))
+            sections.append((f"run-{number}", run.name, inner))
+    links = [element("a", title, href=f"#{name}") for name, title, _ in sections]
+    return joined(
+        element(
+            "header",
+            element("p", "petmjx report", class_="faint"),
+            element("h1", ", ".join(run.name for run in runs)),
+            element("nav", *links, aria_label="Sections"),
+        ),
+        element("main", *(element("section", element("h2", title), inner, id=name) for name, title, inner in sections)),
+    )
+
+
+def _worlds(runs: Sequence[ReportRun]) -> bool:
+    return any(run.kind in (Kind.GRID, Kind.SEARCH) for run in runs)
+
+
+def _came_out(run: ReportRun) -> Markup:
+    """Headline, verdicts, and what was run."""
+    empty = element("p", "No world was simulated: there is nothing to show.") if run.worlds.empty else NOTHING
+    return joined(
+        headline(run),
+        empty,
+        element(
+            "div",
+            element("div", verdict_table(run)),
+            element("div", element("h3", "What was run"), about(run)),
+            class_="two",
+        ),
+    )
+
+
+def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
+    """Sections that some runs have: name, title, content."""
+    title = "How sure are the verdicts?" if run.kind is Kind.CONFIDENCE else "Answers of the sweep"
+    found = [("answers", title, sweep_answers(run))]
+    if run.kind is not Kind.SEARCH:  # its worlds say where it looked, and not how pallets do
+        found.append(("distributions", "Shift, tilt, force, time", distributions(run)))
+        found.append(("first", "What goes first", first_boxes(run)))
+    return [each for each in found if each[2]]
+
+
+def _table_section(notes: Sequence[str]) -> Markup:
+    """Where the scripts build the table, and the plan that is looked at."""
+    lines = [element("p", note, class_="note") for note in notes]
+    return joined(
+        *lines,
+        element("noscript", element("p", "The table and the 3D pictures need JavaScript.", class_="note")),
+        element("div", id="filters"),
+        element("div", id="table"),
+        element("div", id="plan", tabindex="-1"),
+    )

@@ -1,0 +1,87 @@
+"""Histories of worlds that were recorded, for the page to play."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.history import History
+from petmjx.pages.columns import Packed, block, quantised, whole
+from petmjx.pages.report.runs import ReportRun
+from petmjx.results.compare import KEY
+from petmjx.results.files import part_files
+from petmjx.results.histories import read_history
+from petmjx.verdict import Verdict
+
+MOST_POSES: Final = 500_000
+"""Poses (boxes × frames) of a page: a pose takes about 7 bytes. Worlds that do not stand come first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replays:
+    """Histories of a page.
+
+    Attributes:
+        blocks: name → block.
+        number: (rows of the table,) number of a row's block "replay-N"; −1 for none.
+        left_out: recorded worlds that would make the page too large.
+    """
+
+    blocks: dict[str, str]
+    number: NDArray[np.int64]
+    left_out: int
+
+
+def replays(
+    runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64], most: int = MOST_POSES
+) -> Replays:
+    """Pack the histories of the worlds in a table that have a 3D picture.
+
+    Args:
+        table: the second result of :func:`petmjx.pages.report.rows.table_rows`.
+        drawn: of each of its rows, negative where it has no picture.
+    """
+    poses = _poses(runs, table)
+    recorded = np.flatnonzero((poses > 0) & (drawn >= 0))
+    stands = (table["verdict"].iloc[recorded] == Verdict.STABLE.value).to_numpy()
+    recorded = recorded[np.argsort(stands, kind="stable")]
+    fits = int(np.searchsorted(np.cumsum(poses[recorded]), most, side="right"))
+    number = np.full(len(table), -1)
+    blocks: dict[str, str] = {}
+    for row in np.sort(recorded[:fits]):
+        world = table.iloc[row]
+        folder = runs[int(world["run"])].results.path
+        history = read_history(folder, world["plan_id"], int(world["variant"]), int(world["n_boxes"]))
+        if history is not None:
+            number[row] = len(blocks)
+            blocks[f"replay-{len(blocks)}"] = block(_frames(history))
+    return Replays(blocks, number, len(recorded) - fits)
+
+
+def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
+    """(rows of the table,) poses that were recorded of each world."""
+    found = np.zeros(len(table), dtype=np.int64)
+    for at, run in enumerate(runs):
+        if not part_files(run.results.path, "frames"):
+            continue
+        frames = run.results.frames.groupby(KEY)["n_placed"].sum().rename("poses")
+        rows = np.flatnonzero(table["run"] == at)
+        found[rows] = table.iloc[rows][KEY].merge(frames, on=KEY, how="left")["poses"].fillna(0).to_numpy(np.int64)
+    return found
+
+
+def _frames(history: History) -> dict[str, NDArray[Any] | Packed]:
+    """What ``static/frames.js`` plays."""
+    return {
+        "time": history.time_s.astype(np.float64),
+        "placed": whole(history.n_placed, steps=True),
+        "pos": quantised(history.pos, steps=True),
+        "quat": quantised(history.quat, steps=True),
+        "carrier_pos": quantised(history.carrier_pos, steps=True),
+        "carrier_quat": quantised(history.carrier_quat, steps=True),
+    }

@@ -1,0 +1,150 @@
+"""The runs of a report: their tables, with what the plans add to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from petmjx.errors import InputError
+from petmjx.pages.report.plans_again import FoundPlans, find_plans_again
+from petmjx.results.compare import KEY
+from petmjx.results.reader import RunResults, load_run
+from petmjx.sweeps.shares import ALL_PLANS, share_standing
+from petmjx.text import printable
+from petmjx.units import MM_PER_M
+
+
+class Kind(StrEnum):
+    """What a run asked of its plans."""
+
+    SCORE = "score"
+    CONFIDENCE = "confidence"
+    GRID = "sweep"
+    SEARCH = "search"
+
+
+@dataclass(frozen=True, eq=False)
+class ReportRun:
+    """A run as a report sees it.
+
+    Attributes:
+        name: how the report calls it.
+        results: its tables.
+        found: its plans, as far as they were found again.
+    """
+
+    name: str
+    results: RunResults
+    found: FoundPlans
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """``run.json``."""
+        return self.results.info
+
+    @cached_property
+    def kind(self) -> Kind:
+        """What the run asked."""
+        config = self.info.get("config", {})
+        if config.get("command") == "sweep":
+            return Kind.SEARCH if (config.get("sweep") or {}).get("search") is not None else Kind.GRID
+        return Kind.CONFIDENCE if config.get("confidence") is not None else Kind.SCORE
+
+    @property
+    def what(self) -> str:
+        """The user's word for a world."""
+        return "plan" if self.kind in (Kind.SCORE, Kind.CONFIDENCE) else "world"
+
+    @cached_property
+    def worlds(self) -> pd.DataFrame:
+        """The worlds that are shown, one row each, by plan and variant: all of them, with confidence the nominal ones.
+
+        Besides the columns of ``worlds``: ``height_m`` and ``mass_kg`` of the plan (NaN where it was not found), and
+        ``first_article``, what the first box is of ("" where there is none).
+        """
+        worlds = self.results.worlds
+        if self.kind is Kind.CONFIDENCE:
+            worlds = worlds[worlds["variant"] == 0]
+        worlds = worlds.sort_values(KEY, kind="stable", ignore_index=True)
+        plans = self.found.plans.values()
+        height = {plan.plan_id: float((plan.corner_mm + plan.size_mm)[:, 2].max()) / MM_PER_M for plan in plans}
+        mass = {plan.plan_id: float(plan.mass_kg.sum()) for plan in plans}
+        return worlds.assign(
+            height_m=worlds["plan_id"].map(height).astype("float64"),
+            mass_kg=worlds["plan_id"].map(mass).astype("float64"),
+            first_article=self._first_articles(worlds),
+        )
+
+    def _first_articles(self, worlds: pd.DataFrame) -> list[str]:
+        falls = worlds[worlds["culprit"].notna()]
+        boxes = self.results.boxes
+        boxes = boxes[boxes["plan_id"].isin(falls["plan_id"])]
+        of_box = dict(zip(zip(*(boxes[name] for name in (*KEY, "box")), strict=True), boxes["article"], strict=True))
+        rows = zip(worlds["plan_id"], worlds["variant"], worlds["culprit"], strict=True)
+        return ["" if pd.isna(box) else of_box.get((plan, variant, box), "") for plan, variant, box in rows]
+
+    @cached_property
+    def axes(self) -> list[str]:
+        """Columns of ``worlds`` with the parameters that a sweep varies."""
+        if self.shares is None:
+            return []
+        overall = self.shares[self.shares["scope"] == ALL_PLANS]
+        several = overall["axis"].value_counts()
+        return [axis for axis in overall["axis"].unique() if axis and several[axis] > 1]
+
+    @cached_property
+    def shares(self) -> pd.DataFrame | None:
+        """The shares of a grid or a sample, as its ``summary`` has them; None for other runs."""
+        summary = self.results.summary
+        if self.kind is not Kind.GRID or summary is None or "scope" in summary:
+            return summary if self.kind is Kind.GRID else None
+        known = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
+        return share_standing(self.worlds, known)
+
+    @property
+    def parameters(self) -> list[str]:
+        """Columns of ``worlds`` that this run's variants add."""
+        return [str(param["name"]) for param in self.info.get("params", [])]
+
+
+def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] = ()) -> list[ReportRun]:
+    """Open the runs of a report.
+
+    Args:
+        plans: files with their plans; without: those that the runs name.
+
+    Raises:
+        InputError: no folder, no run in one of them, a run twice, or a damaged one.
+    """
+    if not folders:
+        raise InputError("no run to report on: name the folders of runs")
+    results = [folder if isinstance(folder, RunResults) else load_run(folder) for folder in folders]
+    paths = [run.path.resolve() for run in results]
+    for at, path in enumerate(paths):
+        if path in paths[:at]:
+            raise InputError(f"{results[at].path}: named twice")
+    for run in results:
+        if run.worlds.duplicated(KEY).any():
+            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be reported")
+    names = names_apart(paths)
+    return [
+        ReportRun(printable(name), run, find_plans_again(run, plans)) for name, run in zip(names, results, strict=True)
+    ]
+
+
+def names_apart(paths: Sequence[Path]) -> list[str]:
+    """The shortest ends of paths that tell all of them apart: "a", or "fast/run" and "slow/run"."""
+    depth = 1
+    deepest = max(len(path.parts) for path in paths)
+    while depth < deepest:
+        names = ["/".join(path.parts[-depth:]) for path in paths]
+        if len(set(names)) == len(names):
+            break
+        depth += 1
+    return ["/".join(path.parts[-depth:]) for path in paths]

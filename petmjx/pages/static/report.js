@@ -1,0 +1,84 @@
+// The page of a report. Charts and small tables are in it already; this makes the table of plans and their pictures.
+
+import { readBlock, readInfo } from "./blocks.js";
+import { byId } from "./dom.js";
+import { Filters } from "./filters.js";
+import { readState, writeState } from "./fragment.js";
+import { PlanView } from "./plan.js";
+import { Rows } from "./rows.js";
+import { Table } from "./table.js";
+
+async function start() {
+  const info = readInfo();
+  const rows = new Rows(info, await readBlock("rows"));
+  let state = readState();
+
+  const filters = new Filters(byId("filters"), rows, (next) => apply(next));
+  const table = new Table(byId("table"), rows, {
+    onOpen: (row) => apply(opened(state, row)),
+    onSort: (key) => apply(sorted(state, key)),
+  });
+  const plan = new PlanView(byId("plan"), info, rows, () => apply(closed(state)));
+  let shown = -1;
+
+  function apply(next) {
+    state = next;
+    writeState(state);
+    show();
+  }
+
+  function show() {
+    const order = rows.select(state);
+    filters.show(state, order.length);
+    table.show(order, state.get("sort") ?? "");
+    const row = rowOf(state);
+    if (row === shown) return;
+    shown = row;
+    byId("plans").classList.toggle("open", row >= 0);
+    table.open(row);
+    if (row < 0) plan.close();
+    else plan.show(row);
+  }
+
+  function rowOf(asked) {
+    const run = info.runs.findIndex(({ name }) => name === asked.get("of"));
+    return asked.has("plan") ? rows.find(asked.get("plan"), Number(asked.get("variant") ?? 0), run) : -1;
+  }
+
+  function opened(from, row) {
+    const next = closed(from);
+    next.set("plan", rows.text("plan", row));
+    if (rows.arrays.variant[row]) next.set("variant", rows.arrays.variant[row]);
+    if (info.runs.length > 1) next.set("of", info.runs[rows.arrays.of[row]].name);
+    return next;
+  }
+
+  // A link of a chart or a list was followed: it is about the table.
+  addEventListener("hashchange", () => {
+    if (!location.hash.includes("=")) return;
+    state = readState();
+    show();
+    byId("plans").scrollIntoView();
+  });
+  show();
+  if (state.toString()) byId("plans").scrollIntoView();
+  document.documentElement.dataset.ready = "true";
+}
+
+function closed(from) {
+  const next = new URLSearchParams(from);
+  for (const key of ["plan", "variant", "of"]) next.delete(key);
+  return next;
+}
+
+// Rising, falling, as it was.
+function sorted(from, key) {
+  const next = new URLSearchParams(from);
+  const now = from.get("sort");
+  if (now === key) next.set("sort", `-${key}`);
+  else if (now === `-${key}`) next.delete("sort");
+  else next.set("sort", key);
+  return next;
+}
+
+start();

@@ -1,0 +1,379 @@
+"""The report about runs: its numbers are those of the tables, and no text of a plan becomes markup."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.reported import CONFIG, fallen, invalid, scored, standing, write_plans, write_run
+from test_pages import opened_block
+
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.packers.paired import PairedCounts, newcombe_interval
+from petmjx.pages.columns import block
+from petmjx.pages.report.about import differing
+from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks
+from petmjx.pages.report.charts import bars, equal_groups, histogram
+from petmjx.pages.report.compared import common_verdicts, compared
+from petmjx.pages.report.distributions import SHIFT
+from petmjx.pages.report.make import report, report_page
+from petmjx.pages.report.markup import element
+from petmjx.pages.report.rows import table_rows
+from petmjx.pages.report.runs import Kind, names_apart, open_runs
+from petmjx.pages.report.svg import Frame, Scale, path
+from petmjx.pages.report.swept import explained, largest_survived
+from petmjx.pages.report.verdicts import verdict_table
+from petmjx.results.reader import load_run
+from petmjx.sweeps.shares import wilson_interval
+
+NASTY = "<img src=x onerror=alert(1)>\"'&</script><!-- 🧀 é"
+"""An id that is markup, if somebody forgets to escape it."""
+
+
+class Balance(HTMLParser):
+    """Whether every element that is opened is closed, in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        assert not {name for name, _ in attrs} & {"style", "onclick", "onload"}, "the policy forbids it"
+        if tag not in ("meta", "link", "input", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def checked(html: str) -> str:
+    """A page's markup without its scripts, once it has proved well-formed."""
+    balance = Balance()
+    balance.feed(html)
+    assert balance.open == []
+    assert len(balance.ids) == len(set(balance.ids))
+    for drawing in re.findall(r"<svg.*?</svg>", html, flags=re.DOTALL):
+        for part in ElementTree.fromstring(drawing).iter():
+            assert "nan" not in " ".join(part.attrib.values()).lower(), ElementTree.tostring(part)
+    return re.sub(r"<script.*?</script>", "", html, flags=re.DOTALL)
+
+
+def page_of(*folders: Path, **options: Any) -> str:
+    return report_page(open_runs(folders, **options))
+
+
+def words_of(html: str) -> str:
+    """The text of markup, without its layout."""
+    return " ".join(re.sub(r"<[^>]*>", " ", html).split())
+
+
+def info_of(html: str) -> dict[str, Any]:
+    (text,) = re.findall(r'<script type="application/json" id="info">(.*?)</script>', html, flags=re.DOTALL)
+    return dict(json.loads(text))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return scored(tmp_path_factory.mktemp("report"), 30)
+
+
+def test_verdicts_have_their_counts_and_wilson_intervals(run: Path) -> None:
+    (opened,) = open_runs([run])
+    text = words_of(verdict_table(opened))
+    low, high = (100 * float(bound) for bound in wilson_interval(21, 30))
+    assert f"stable 21 70.0 % {low:.1f} to {high:.1f} %" in text
+    assert [int(count) for count in re.findall(r"(?:drop|tilt|failed) +(\d+)", text)] == [3, 3, 3]
+
+
+def test_the_page_is_well_formed_and_says_what_was_run(run: Path) -> None:
+    html = page_of(run)
+    body = checked(html)
+    for words in ("two threads", "all at their defaults", "30 plans", "plans.json", "Shift", "What goes first", "jam"):
+        assert words in body
+    assert info_of(html)["n"] == 30
+    assert html.count('id="block-boxes-') == 1
+
+
+def test_nothing_of_a_plan_becomes_markup(tmp_path: Path) -> None:
+    plans = write_plans(tmp_path / "plans.json", [NASTY, "x" * 200, "plan\nof two lines", "🧀" * 30])
+    named = [replace(plan, articles=(NASTY,) * plan.n_boxes) for plan in plans]
+    folder = write_run(tmp_path / "<b>run", named, [fallen(plan) for plan in named], config=CONFIG | {"engine": NASTY})
+    (tmp_path / "other").mkdir()
+    other = write_run(tmp_path / "other" / "<b>run", named, [standing(plan) for plan in named])
+    for html in (page_of(folder), page_of(folder, other)):
+        assert not re.search(r"<(img|b>run)", html)
+        assert "onerror=alert" in checked(html)
+        assert html.count("<!--") == 0
+
+
+def test_plans_are_found_again_only_if_they_are_what_was_simulated(tmp_path: Path) -> None:
+    run = scored(tmp_path, 4)
+    (opened,) = open_runs([run])
+    assert (len(opened.found.plans), opened.found.note) == (4, "")
+    assert opened.worlds["height_m"].tolist() == [0.4] * 4
+    assert opened.worlds["mass_kg"][0] == sum(2.0 + box % 7 for box in range(12))
+    entries = json.loads((tmp_path / "plans.json").read_text())
+    entries["plan-1"][0]["item"]["weight/kg"] = 99.0
+    moved = tmp_path / "moved.json"
+    moved.write_text(json.dumps(entries))
+    (tmp_path / "plans.json").unlink()
+    (opened,) = open_runs([run])
+    assert opened.found.note.startswith("4 plans of 4 not found again (gone: ")
+    checked(page_of(run))
+    (opened,) = open_runs([run], [moved])
+    assert sorted(opened.found.plans) == ["plan-0", "plan-2", "plan-3"]
+    assert opened.found.note == "1 plan of 4 not found again (1 plan changed since)"
+    with pytest.raises(InputError, match="no such file"):
+        open_runs([run], [tmp_path / "nowhere.json"])
+
+
+def test_boxes_come_back_as_they_ended(run: Path) -> None:
+    runs = open_runs([run])
+    _, table = table_rows(runs)
+    packed = box_blocks(runs, table)
+    assert packed.drawn.tolist() == list(range(30))
+    assert len(packed.blocks) == math.ceil(30 / WORLDS_PER_BLOCK)
+    found = {name: restored_column(column) for name, column in opened_block(packed.blocks["boxes-0"]).items()}
+    boxes = runs[0].results.boxes.merge(table[["plan_id"]].reset_index(), on="plan_id")
+    boxes = boxes.sort_values(["index", "box"])
+    pos = found["planned"].reshape(-1, 3) / 1e4 + found["moved"].reshape(-1, 3)
+    assert np.allclose(pos, boxes[["pos_x_m", "pos_y_m", "pos_z_m"]], rtol=0, atol=1e-4, equal_nan=True)
+    turn = boxes[["quat_x", "quat_y", "quat_z"]].to_numpy()
+    assert np.allclose(found["turn"].reshape(-1, 3), turn, rtol=0, atol=1e-4, equal_nan=True)
+    assert np.allclose(np.expm1(found["force"]), boxes["max_top_force_n"], rtol=1e-3, equal_nan=True)
+    assert np.allclose(found["drop"], boxes["drop_s"], atol=1e-3, equal_nan=True)
+    items = json.loads(bytes(found["items"].astype(np.uint8)))
+    assert [items[int(kind)][:2] for kind in found["kind"]] == boxes[["item_id", "article"]].to_numpy().tolist()
+    assert found["count"].tolist() == table["n_boxes"].tolist()
+
+
+def restored_column(column: dict[str, Any]) -> Any:
+    values = np.asarray(column["values"]).reshape(column["shape"])
+    if "scale" not in column:
+        return values
+    return np.where(values == -32768, np.nan, values * column["scale"] + column["offset"])
+
+
+def test_of_too_many_worlds_those_that_fall_are_kept(run: Path) -> None:
+    runs = open_runs([run])
+    rows, table = table_rows(runs, most=10)
+    assert (len(table), rows.left_out) == (10, 20)
+    assert (table["verdict"] != "stable").sum() == 9
+    assert table["plan_id"].is_monotonic_increasing
+    packed = box_blocks(runs, table, most=40)
+    assert packed.without_boxes == 7
+    assert set(table["verdict"][packed.drawn >= 0]) <= {"unstable", "invalid"}
+
+
+def test_ten_thousand_plans_fit_into_a_mail(tmp_path: Path) -> None:
+    runs = open_runs([scored(tmp_path, 100, n_boxes=44)])
+    rows, table = table_rows(runs)
+    bytes_a_box = sum(map(len, box_blocks(runs, table).blocks.values())) / table["n_boxes"].sum()
+    bytes_a_row = len(block(rows.arrays)) / len(table)
+    assert 10_003 * (43 * bytes_a_box + bytes_a_row) < 18e6, "of 20 MB"
+
+
+def test_odd_runs_look_right(tmp_path: Path) -> None:
+    plans = write_plans(tmp_path / "plans.json", ["a", "b", "c"], n_boxes=3)
+    empty = write_run(tmp_path / "empty", [], [])
+    one = write_run(tmp_path / "one", plans[:1], [standing(plans[0])])
+    bad = write_run(tmp_path / "bad", plans, [invalid(plan) for plan in plans])
+    unfinished = write_run(
+        tmp_path / "unfinished", plans[:2], [standing(plan) for plan in plans[:2]], expected_worlds=9
+    )
+    assert "nothing to show" in checked(page_of(empty))
+    assert "Verdicts of 1 plan<" in checked(page_of(one))
+    assert "100.0 %" in checked(page_of(bad))
+    assert "7 plans not simulated" in checked(page_of(unfinished))
+    for folders in ((empty, one), (one, bad, unfinished), (empty, bad)):
+        checked(page_of(*folders))
+    bare = write_run(tmp_path / "bare", plans, [standing(plan) for plan in plans], manifest=None, config={})
+    assert "does not say what it is of" in checked(page_of(bare))
+
+
+def test_options_that_differ_are_told() -> None:
+    defaults = Simulation().model_dump(mode="json")
+    changed = Simulation.read({"check": "static", "thresholds": {"tilt_deg": 5.0}}).model_dump(mode="json")
+    assert dict(differing(changed, defaults)) == {
+        "check": "static instead of one-by-one",
+        "thresholds.tilt_deg": "5.0 instead of 20.0",
+    }
+
+
+def test_plans_won_and_lost_are_counted(tmp_path: Path) -> None:
+    plans = write_plans(tmp_path / "plans.json", list("abcdef"), n_boxes=3)
+
+    def of(name: str, outcomes: str) -> Path:
+        made = {"s": standing, "f": fallen, "i": invalid}
+        return write_run(tmp_path / name, plans, [made[each](plan) for each, plan in zip(outcomes, plans, strict=True)])
+
+    one, two = of("one", "sssffi"), of("two", "ssffsf")
+    runs = open_runs([one, two])
+    assert common_verdicts(runs)[0].tolist() == ["stable"] * 3 + ["unstable"] * 2 + ["invalid"]
+    text = words_of(compared(runs))
+    for words in ("2 stand in both", "1 stand only in one", "1 stand only in two", "1 stand in neither"):
+        assert words in text
+    assert "two − one +0.0" in text, "as many won as lost"
+    low, high = newcombe_interval(PairedCounts(2, 1, 1, 1))
+    assert f"{100 * low:+.1f} to {100 * high:+.1f}".replace("-", "−") in text
+    assert "Flipped verdicts (3)" in text
+    assert "3 of 6 worlds agree (50.0 %)" in text
+    assert "Stable rates" in compared(open_runs([one, two, of("three", "ffffff")]))
+
+
+def test_runs_are_told_apart(run: Path) -> None:
+    assert names_apart([Path("/x/a"), Path("/x/b")]) == ["a", "b"]
+    assert names_apart([Path("/x/a/r"), Path("/x/b/r"), Path("/x/b/q")]) == ["a/r", "b/r", "b/q"]
+    with pytest.raises(InputError, match="named twice"):
+        open_runs([run, run / ".." / "run"])
+    with pytest.raises(InputError, match="no run to report on"):
+        open_runs([])
+
+
+def test_a_report_is_written_once(run: Path, tmp_path: Path) -> None:
+    out = report(load_run(run), tmp_path / "it.html")
+    before = out.read_bytes()
+    with pytest.raises(InputError, match="exists already"):
+        report(run, out)
+    assert report([run], out, overwrite=True).read_bytes() == before, "a page of one run is always the same"
+    with pytest.raises(InputError, match="is a folder"):
+        report(run, tmp_path)
+    with pytest.raises(InputError, match=r"no such folder"):
+        report(tmp_path / "nothing", tmp_path / "b.html")
+    assert not (tmp_path / "b.html").exists()
+
+
+# Sweeps.
+
+
+def test_largest_levels_are_below_every_failure() -> None:
+    levels = [0.1, 0.2, 0.3, 0.4]
+    rows = []
+    for plan, direction, stands in (("a", 0, "ssfs"), ("a", 90, "ssss"), ("b", 0, "fsss"), ("b", 90, "ssif")):
+        verdicts = [{"s": "stable", "f": "unstable", "i": "invalid"}[each] for each in stands]
+        rows += [(plan, direction, *each) for each in zip(levels, verdicts, strict=True)]
+    worlds = pd.DataFrame(rows, columns=["plan_id", "direction_deg", "level_g", "verdict"])
+    found = largest_survived(worlds.sample(frac=1, random_state=1), "level_g")
+    assert found["largest"].tolist() == [0.2, 0.4, 0.0, 0.2]
+
+
+def test_explained_variance_is_that_of_one_way_analysis() -> None:
+    values = pd.Series([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
+    assert explained(values, pd.Series(list("aabbba"))) == pytest.approx(1.0)
+    assert explained(values, pd.Series(list("ababab"))) == pytest.approx(1 / 9)  # means 2/3 and 1/3 about 1/2
+    assert math.isnan(explained(pd.Series([1.0, 1.0]), pd.Series(["a", "b"])))
+
+
+SHORT = '[simulation]\ncheck = "static"\nduration_s = 0.1\nrest_s = 0.05\n'
+
+
+def swept(folder: Path, rest: str) -> tuple[pd.DataFrame, Path]:
+    """The worlds of a short sweep of two plans of two boxes each, and its folder."""
+    import petmjx
+
+    write_plans(folder / "two.json", ["a", "b"], n_boxes=4)
+    file = folder / "sweep.toml"
+    file.write_text('name = "grid"\nplans = "two.json"\n' + SHORT + rest, encoding="utf-8")
+    return petmjx.sweep(file, engine="mujoco", out=folder / "swept").worlds, folder / "swept"
+
+
+def test_grids_have_their_answers(tmp_path: Path) -> None:
+    axes = '[axes]\nprofile = "eumos-40509"\nlevel = [0.2, 1.5]\ndirection = [0, 90, 180]\n'
+    worlds, folder = swept(tmp_path, axes)
+    (opened,) = open_runs([folder])
+    assert (opened.kind, opened.axes) == (Kind.GRID, ["direction_deg", "level_g"])
+    html = page_of(folder)
+    body = checked(html)
+    for words in ("Share that stands by level", "Largest level of eumos-40509 by direction", "Which axis matters most"):
+        assert words in body
+    assert info_of(html)["n"] == len(worlds) == 12
+    keys = [column["key"] for column in info_of(html)["columns"]]
+    assert keys.index("x-level_g") < keys.index("verdict") < keys.index("x-mode")
+    shares = worlds.assign(stands=worlds["verdict"] == "stable").groupby("level_g")["stands"].mean()
+    assert f"<title>0.2: {100 * shares[0.2]:.1f} %, 95 %:" in body
+
+
+def test_searches_have_their_answers(tmp_path: Path) -> None:
+    search = "[search]\nlower = 0.2\nupper = 0.6\ntolerance = 0.2\n"
+    axes = '[axes]\nprofile = "eumos-40509"\ndirection = [0, 90, 180]\n'
+    _, folder = swept(tmp_path, search + axes)
+    body = checked(page_of(folder))
+    for words in ("6 searches of placements that stand at rest", "tested up to 0.6 g", "Largest level survived, g"):
+        assert words in body
+    assert "Tilt: histogram" not in body, "its worlds say where it looked"
+
+
+def test_confidence_has_its_answers(tmp_path: Path) -> None:
+    import petmjx
+
+    write_plans(tmp_path / "two.json", ["a", "b"], n_boxes=4)
+    options: dict[str, Any] = {"engine": "mujoco", "check": "static", "duration_s": 0.1, "confidence": 4}
+    petmjx.score(tmp_path / "two.json", out=tmp_path / "sure", **options)
+    html = page_of(tmp_path / "sure")
+    assert "How sure are the verdicts?" in checked(html)
+    assert info_of(html)["n"] == 2, "a row a plan, not a row a world"
+    assert {"share", "low", "high"} <= {column["key"] for column in info_of(html)["columns"]}
+
+
+# Charts.
+
+
+@pytest.mark.parametrize(
+    ("scale", "ticks"),
+    [
+        (Scale(0.0, 10.0), ["0", "2", "4", "6", "8", "10"]),
+        (Scale(0.0, 1.0, counts=True), ["0", "1"]),
+        (Scale(0.0, 0.05), ["0.00", "0.01", "0.02", "0.03", "0.04", "0.05"]),
+        (Scale(0.5, 2000.0, log=True, lowest="< 1"), ["< 1", "1", "10", "100", "1000"]),
+    ],
+)
+def test_ticks_are_round(scale: Scale, ticks: list[str]) -> None:
+    assert [label for _, label in scale.ticks()] == ticks
+    assert all(0 <= share <= 1 for share in scale.place([value for value, _ in scale.ticks()]))
+
+
+@pytest.mark.parametrize("values", [[], [math.nan], [3.0], [0.0, 0.0], [1e-9, 1e9], [-1.0, math.inf]])
+def test_scales_hold_any_values(values: list[float]) -> None:
+    for scale in (Scale.over(values), Scale.over(values, zero=True), Scale.over(values, log_from=0.1)):
+        assert scale.low < scale.high
+        assert 1 <= len(scale.ticks()) < 12
+        assert np.all(np.diff(scale.edges(5)) > 0)
+
+
+def test_histograms_count_every_world_once() -> None:
+    values = pd.Series([0.0, 1e-9, 0.5, 3.0, 20.0, 1e5, math.nan])
+    classes = pd.Series(["stable"] * 4 + ["unstable"] * 3)
+    frame = Frame("t", SHIFT.scale(values), Scale(0, 1), "x", "y")
+    histogram(frame, values, classes, ["stable", "unstable", "invalid"])
+    counts = re.findall(r": (\d+) (\w+)</title>", "".join(map(str, frame.marks)))
+    assert sum(int(count) for count, name in counts if name == "stable") == 4
+    assert sum(int(count) for count, name in counts if name == "unstable") == 2
+
+
+def test_groups_are_about_equal_and_tear_no_ties_apart() -> None:
+    x = np.array([1.0] * 50 + [2.0] * 10 + [3.0] * 40)
+    groups = equal_groups(x)
+    assert sum(len(rows) for rows in groups) == 100
+    assert all(len(set(x[rows])) == 1 for rows in groups)
+    assert [len(rows) for rows in equal_groups(np.arange(96.0))] == [12] * 8
+    assert equal_groups(np.array([])) == []
+
+
+def test_marks_are_drawn_as_they_are_meant() -> None:
+    assert path(np.array([1.0, math.nan, 2.0, 3.0]), np.array([1.0, 1.0, 2.0, 3.0])) == "M1.0 1.0M2.0 2.0L3.0 3.0"
+    assert element("a", "<b>", None, href='"x"', class_="y", hidden=False, open=True) == (
+        '<a href="&quot;x&quot;" class="y" open>&lt;b&gt;</a>'
+    )
+    assert ElementTree.fromstring(bars("none", [])).tag == "svg"
