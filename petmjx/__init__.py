@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError
     from petmjx.history import History
     from petmjx.packers.compare import compare_packers
-    from petmjx.pictures.save import draw
     from petmjx.pages.report.make import report
+    from petmjx.pictures.save import draw
     from petmjx.plans.plan import Plan, PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.plans.write import save_plans
@@ -111,8 +111,8 @@ __all__ = [
     "load_run",
     "loads",
     "merge_runs",
-    "save_plans",
     "report",
+    "save_plans",
     "score",
     "sweep",
     "tell",
