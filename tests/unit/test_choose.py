@@ -120,11 +120,9 @@ def test_expected_times_follow_the_schedule() -> None:
     assert cpu_s(Work(ADAPTIVE, [40])) < 0.6 * cpu_s(Work(FIXED, [40]))
 
 
-@pytest.mark.parametrize(
-    ("plans", "measured_s", "factor"), [(500, 9.6, 1.7), (2_000, 11.2, 1.25), (10_003, 38.4, 1.25)]
-)
+@pytest.mark.parametrize(("plans", "measured_s", "factor"), [(500, 7.5, 1.7), (2_000, 9.4, 1.25), (10_003, 30.0, 1.25)])
 def test_expected_times_are_those_measured_on_the_h200(plans: int, measured_s: float, factor: float) -> None:
-    """Few plans take longer than the fit, since one of them takes 12,000 steps."""
+    """Few plans take longer than the fit, since one of them takes 11,000 steps."""
     # Plans of 46 boxes take as many box² steps as the workload's do on average (43 ± 14 boxes).
     seconds = MEASURED.seconds(Work(SIM, [46] * plans), 16)
     assert 1 / factor < (seconds["mjx-warp"] - MEASURED.gpu_start_s) / measured_s < factor
