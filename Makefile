@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 TESTS ?= tests
+TEST_PROCESSES ?= 2
 DEMO_OUT := petmjx-results/demo
 BENCH_OUT := petmjx-results/bench.jsonl
 
@@ -17,7 +18,7 @@ demo: $(VENV)/.runtime ## install, score the bundled plans on the CPU and print 
 	$(BIN)/petmjx score --engine mujoco --out $(DEMO_OUT)
 
 test: check ## lint, types, then the whole test suite
-	$(BIN)/python -m pytest -q $(TESTS)
+	$(BIN)/python -m pytest -q -n $(TEST_PROCESSES) --dist loadfile $(TESTS)
 
 check: $(VENV)/.dev ## lint, format and types only; rules for scripts of pages
 	$(BIN)/ruff check .
