@@ -172,7 +172,7 @@ def test_a_history_is_of_the_attempt_that_counts() -> None:
         (["a,b <i>", "stands too"], {"a,b <i>", "stands too"}),
         (None, set()),
     ],
-    ids=str,
+    ids=["all", "failed", "two ids", "one id with a comma", "a list", "none"],
 )
 def test_the_worlds_that_are_asked_for_have_histories(record: Any, kept: set[str]) -> None:
     run = petmjx.score(PLANS, engine="mujoco", threads=1, record=record)
