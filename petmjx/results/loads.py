@@ -12,15 +12,14 @@ import pandas as pd
 import pyarrow as pa
 
 from petmjx.checked import reason
-from petmjx.config import Simulation
 from petmjx.errors import InputError
-from petmjx.plans.gather import PathArgument, PlanSource, gather_plans
+from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
 from petmjx.results.articles import Articles, read_articles
 from petmjx.results.files import write_csv, write_table
-from petmjx.results.manifest import plan_digest
+from petmjx.results.manifest import Manifest
+from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
-from petmjx.run_options import RunOptions
 from petmjx.text import counted, printable, shown
 
 _MOST_NAMED: Final = 8
@@ -112,30 +111,25 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
     return Loads(results.path, boxes, _of_worlds(results, boxes), tuple(_notes(missing)))
 
 
-def _plans_of(results: RunResults, plans: PlanSource | None) -> dict[str, Plan]:
+def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:
     """The plans of a run by id.
 
     Raises:
         InputError: one is not there, or is another one.
     """
-    listed = results.plans
-    wanted = set(results.worlds["plan_id"])
-    if plans is None:
-        sources = [Path(each) for each in dict.fromkeys(listed["source"])] if len(listed) else []
-        gone = [source for source in sources if not source.exists()]
-        if gone or not sources:
-            what = f"{printable(str(gone[0]))} is not there" if gone else "the run does not say which"
-            raise InputError(f"{results.path}: needs the plans of the run, and {what}: name them")
-        plans = sources
-    found = {plan.plan_id: plan for plan in gather_plans(plans, Simulation(), RunOptions())}
-    digests = dict(zip(listed["plan_id"], listed["digest"], strict=True)) if len(listed) else {}
-    for plan_id in sorted(wanted):
-        if plan_id not in found:
-            raise InputError(f"{results.path}: plan {shown(plan_id)} is not among the plans that were read")
-        digest = plan_digest(found[plan_id])
-        if digests.get(plan_id, digest) != digest:
-            raise InputError(f"{results.path}: plan {shown(plan_id)} differs from the one that was simulated there")
-    return {plan_id: found[plan_id] for plan_id in wanted}
+    # a run that was written by petmjx before 0.2 does not say what it was of
+    records = {} if results.plans.empty else Manifest.read(results.path, results.info).plans
+    found = find_plans(records, set(results.worlds["plan_id"]), plans)
+    if plans is None and (found.gone or not records):
+        what = f"{printable(found.gone[0])} is not there" if found.gone else "the run does not say which"
+        raise InputError(f"{results.path}: needs the plans of the run, and {what}: name them")
+    for plan_ids, what in (
+        (found.missing, "is not among the plans that were read"),
+        (found.changed, "differs from the one that was simulated there"),
+    ):
+        if plan_ids:
+            raise InputError(f"{results.path}: plan {shown(plan_ids[0])} {what}")
+    return found.plans
 
 
 def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame, Counter[str]]:
