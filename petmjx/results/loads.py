@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
-import pyarrow as pa
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
 from petmjx.results.articles import Articles, read_articles
-from petmjx.results.files import write_csv, write_table
+from petmjx.results.described import write_described
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
@@ -75,16 +74,8 @@ class Loads:
         """
         folder = Path(folder)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for name, frame, units in (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS)):
-                table = pa.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata(None)
-                fields = [
-                    table.schema.field(column).with_metadata({"unit": unit, "description": text})
-                    for column, (unit, text) in units.items()
-                ]
-                table = table.cast(pa.schema(fields))
-                write_table(table, folder / f"{name}.parquet")
-                write_csv(table, folder / f"{name}.csv")
+            tables = (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS))
+            write_described(folder, tables)
         except OSError as error:
             raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
 
