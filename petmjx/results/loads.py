@@ -19,7 +19,7 @@ from petmjx.results.described import write_described
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
-from petmjx.text import counted, printable, shown
+from petmjx.text import counted, first_names, printable, shown
 
 _MOST_NAMED: Final = 8
 """Articles that a note names."""
@@ -163,7 +163,6 @@ def _notes(missing: Mapping[str, int]) -> list[str]:
     if not missing:
         return []
     most = sorted(missing, key=lambda name: (-missing[name], name))
-    named = ", ".join(map(shown, most[:_MOST_NAMED])) + (", …" if len(most) > _MOST_NAMED else "")
     verb = "has" if len(most) == 1 else "have"
     boxes = counted(sum(missing.values()), "box", "boxes")
-    return [f"{counted(len(most), 'article')} of {boxes} {verb} no strength: {named}"]
+    return [f"{counted(len(most), 'article')} of {boxes} {verb} no strength: {first_names(most, _MOST_NAMED)}"]

@@ -12,7 +12,7 @@ from petmjx.plans.plan import Plan
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import PlansAgain, find_plans
 from petmjx.results.reader import RunResults
-from petmjx.text import counted, shown
+from petmjx.text import counted, first_names
 
 MOST_FILES_NAMED: Final = 2
 
@@ -49,7 +49,6 @@ def _note(found: PlansAgain, wanted: int) -> str:
         return ""
     why = [f"{counted(len(found.changed), 'plan')} changed since"] if found.changed else []
     if found.gone:
-        more = f" and {len(found.gone) - MOST_FILES_NAMED:,} more" if len(found.gone) > MOST_FILES_NAMED else ""
-        why.append(f"gone: {', '.join(map(shown, found.gone[:MOST_FILES_NAMED]))}{more}")
+        why.append(f"gone: {first_names(found.gone, MOST_FILES_NAMED)}")
     told = f" ({'; '.join(why)})" if why else ""
     return f"{counted(not_found, 'plan')} of {wanted:,} not found again{told}"
