@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 _SHOWN_CHARACTERS: Final = 60
@@ -28,6 +29,12 @@ def shown(text: str) -> str:
 def shortened(text: str) -> str:
     """The beginning of a text that is too long for a message."""
     return text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "…"
+
+
+def first_names(names: Sequence[str], most: int = 5) -> str:
+    """ "a, b and 3 more": the first of many names from files, as messages show them."""
+    more = f" and {len(names) - most:,} more" if len(names) > most else ""
+    return ", ".join(map(shown, names[:most])) + more
 
 
 def is_text(text: str) -> bool:

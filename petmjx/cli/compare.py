@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -24,6 +24,15 @@ def compare(
     packers: Annotated[
         bool, typer.Option("--packers", help="The runs are of different plans for the same orders: who packs better?")
     ] = False,
+    orders: Annotated[
+        Path | None,
+        typer.Option(
+            "--orders",
+            metavar="FILE",
+            help="With --packers: BED-BPP orders of the plans, for KPIs, too.",
+            show_default=False,
+        ),
+    ] = None,
     rows: Annotated[
         int, typer.Option("--rows", metavar="N", min=1, help="Name at most so many plans with differing verdicts.")
     ] = 40,
@@ -39,17 +48,20 @@ def compare(
     sign means something the mean of b - a stands beside them. Plans that are not the same are left out of them.
 
     With --packers it compares packers on the same orders (plan ids): the share that stands of each with its interval,
-    the paired difference with interval and McNemar's exact test, orders won and lost, and utilisation.
+    the paired difference with interval and McNemar's exact test, orders won and lost, utilisation, and
+    with --orders KPIs.
     """
     from petmjx.show.layout import print_each
 
     if packers:
-        _compare_packers(runs, rows, out, as_json)
+        _compare_packers(runs, orders, rows, out, as_json)
         return
     if len(runs) != 2:
         raise InputError(f"compare takes two runs, got {len(runs)}; --packers takes more")
     if out is not None:
         raise InputError("--out is for --packers; --json prints a comparison of two runs")
+    if orders is not None:
+        raise InputError("--orders is for --packers")
     from petmjx.results.compare import compare_runs
     from petmjx.show.compare_tables import comparison_tables
 
@@ -60,17 +72,17 @@ def compare(
     print_each(comparison_tables(comparison, max_rows=rows), results_console())
 
 
-def _compare_packers(runs: list[str], rows: int, out: Path | None, as_json: bool) -> None:
+def _compare_packers(runs: list[str], orders: Path | None, rows: int, out: Path | None, as_json: bool) -> None:
     from petmjx.packers.compare import compare_packers
     from petmjx.packers.write import write_comparison
     from petmjx.show.layout import line, print_each
     from petmjx.show.packer_tables import packer_tables
 
-    found = compare_packers(named_paths(runs, "compare --packers") or runs)
+    found = compare_packers(named_paths(runs, "compare --packers") or runs, orders=orders)
     if out is not None:
         write_comparison(found, out)
     if as_json:
         print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
         return
-    tables: list[Any] = [*packer_tables(found, max_rows=rows)]
-    print_each([*tables, *([line(f"tables in {out}")] if out is not None else [])], results_console())
+    written = [] if out is None else [line(f"tables in {out}")]
+    print_each([*packer_tables(found, max_rows=rows), *written], results_console())

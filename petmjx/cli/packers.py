@@ -47,9 +47,10 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
     finally:
         if made is not None:
             remove_empty(made)
+    compared = compare_packers(results, orders=options.get("orders")) if len(results) > 1 else None
     if as_json:
         runs = {name: brief(run) for name, run in results.items()}
-        compared = compare_packers(results).to_dict() if len(results) > 1 else None
-        print(json.dumps({"runs": runs, "compared": compared}, indent=2, allow_nan=False))
-    elif len(results) > 1:
-        print_each(packer_tables(compare_packers(results)), console)
+        tables = None if compared is None else compared.to_dict()
+        print(json.dumps({"runs": runs, "compared": tables}, indent=2, allow_nan=False))
+    elif compared is not None:
+        print_each(packer_tables(compared), console)

@@ -10,12 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from os import PathLike
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
 from petmjx.errors import InputError
+from petmjx.packers.kpis import KPIS, kpis_of_runs
 from petmjx.packers.load import MEASURES, MISSING, Run, doubts, opened, plans_of
 from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
 from petmjx.results.plain import plain
@@ -37,8 +40,9 @@ class PackerComparison:
         runs: name of each packer → folder of its run.
         confidence: of all intervals.
         packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, ``n`` compared orders,
-            ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; the means of ``MEASURES`` over the
-            compared orders; ``n_orders`` of this size, of which ``n_invalid`` and ``n_missing``; ``share_at_worst``.
+            ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; the means of ``MEASURES``, and with
+            orders of ``KPIS``, over the compared orders; ``n_orders`` of this size, of which ``n_invalid`` and
+            ``n_missing``; ``share_at_worst``.
         pairs: a row for each two packers and size: ``a``, ``b``, ``n``, ``both``, ``only_a``, ``only_b``, ``neither``
             stand, ``difference`` (share of b − share of a) with Newcombe's interval ``low``, ``high``; ``p`` of
             McNemar's exact test, and ``p_holm``, corrected for the number of pairs (size ``all``; null in the others,
@@ -76,21 +80,30 @@ class PackerComparison:
 
 
 def compare_packers(
-    runs: Sequence[Run] | Mapping[str, Run], confidence: float = DEFAULT_CONFIDENCE
+    runs: Sequence[Run] | Mapping[str, Run],
+    confidence: float = DEFAULT_CONFIDENCE,
+    *,
+    orders: str | PathLike[str] | None = None,
 ) -> PackerComparison:
     """Compare packers by runs of their plans, which are paired by plan id.
 
     Args:
         runs: two or more runs or their folders, or packer → run. Without names they have those of their folders.
         confidence: of the intervals.
+        orders: BED-BPP orders of the plans; with them also KPIs, for which the plans are read again.
 
     Raises:
-        InputError: fewer than two runs, no run in a folder, a sweep, two of one name; or SciPy is missing.
+        InputError: fewer than two runs, no run in a folder, a sweep, two of one name, unreadable orders; or SciPy is
+            missing.
     """
     if not 0 < confidence < 1:
         raise InputError(f"confidence must be between 0 and 1, got {confidence}")
     found = opened(runs)
     plans = plans_of(found)
+    notes = doubts(found, plans)
+    if orders is not None:
+        kpis, without = kpis_of_runs(found, Path(orders))
+        plans, notes = _with_kpis(plans, kpis), [*notes, *without]
     sized = plans.assign(size=size_names(plans["order_boxes"]))
     sizes = [ALL_SIZES, *(size for size in _bin_names() if (sized["size"] == size).any())]
     parts = {size: sized if size == ALL_SIZES else sized[sized["size"] == size] for size in sizes}
@@ -110,8 +123,14 @@ def compare_packers(
         reasons=reasons.sort_values([*by[:3], "n"], ascending=[True, True, True, False]).reset_index(drop=True),
         decided=decided,
         plans=plans,
-        notes=tuple(doubts(found, plans)),
+        notes=tuple(notes),
     )
+
+
+def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
+    """With the columns ``KPIS``; kpi_2 is that of the order's target, where that is known."""
+    found = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
+    return found.assign(kpi_2=found["kpi_2"].combine_first(plans["kpi_2"]))
 
 
 def _bin_names() -> list[str]:
@@ -130,7 +149,8 @@ def _packer_row(size: str, name: str, rows: pd.DataFrame, confidence: float) -> 
     compared = mine[mine["compared"]]
     stable = int((compared["verdict"] == Verdict.STABLE.value).sum())
     low, high = wilson_interval(stable, len(compared), confidence)
-    means = {column: float(compared[column].mean()) for column in MEASURES}
+    measures = [*MEASURES, *(column for column in KPIS if column in rows and column not in MEASURES)]
+    means = {column: float(compared[column].mean()) for column in measures}
     standing = int((mine["verdict"] == Verdict.STABLE.value).sum())
     return {
         "size": size,

@@ -3,23 +3,70 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
+from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.packers.compare import PackerComparison
+from petmjx.rating.columns import COLUMNS
+from petmjx.results.described import Described, write_described
 from petmjx.text import printable
+
+_COUNTS: Final = {
+    "n": "compared orders; in reasons those that are lost",
+    "n_stable": "compared orders whose plan stands",
+    "n_orders": "orders",
+    "n_invalid": "orders with an invalid world",
+    "n_missing": "orders without a plan",
+    "both": "orders of which both plans stand",
+    "only_a": "orders of which the plan of a alone stands",
+    "only_b": "orders of which the plan of b alone stands",
+    "neither": "orders of which neither plan stands",
+    "boxes": "boxes placed; in packers the mean",
+    "left_out": "boxes left out; in packers the mean",
+    "order_boxes": "boxes of the order",
+}
+_NUMBERS: Final = {
+    "share": "share of the compared orders whose plan stands",
+    "low": "lower end of its interval",
+    "high": "upper end of its interval",
+    "share_at_worst": "the share, if orders without a valid plan counted as plans that do not stand",
+    "difference": "share of b - share of a",
+    "p": "of McNemar's exact test; null where it is not tested",
+    "p_holm": "the same, corrected for the number of pairs",
+    "margin": "distance to the nearest threshold as a share of it",
+}
+_TEXTS: Final = {
+    "size": "boxes of the orders, from and to; all: of any size",
+    "packer": "name of the packer",
+    "a": "name of the first packer",
+    "b": "name of the second packer",
+    "won_by": "packer whose plan stands",
+    "lost_by": "packer whose plan does not stand",
+    "plan_id": "id of the order and of its plans",
+    "verdict": "what the simulation came to; missing: there is no plan",
+    "reason": "why a plan does not stand; in decided that of the loser",
+    "digest": "of all in the plan that reaches the results",
+}
+
+DESCRIBED: Final[Described] = {
+    **{column.name: (column.unit, column.meaning) for column in COLUMNS},
+    "height_m": ("m", "highest top of the plan; in packers the mean"),
+    **{name: (DIMENSIONLESS, meaning) for name, meaning in (_COUNTS | _NUMBERS).items()},
+    **{name: (TEXT, meaning) for name, meaning in _TEXTS.items()},
+    "compared": (DIMENSIONLESS, "whether the order has a valid verdict from every packer"),
+}
+"""Every column of every table. Of KPIs and measures ``packers`` has the means."""
 
 
 def write_comparison(found: PackerComparison, folder: Path) -> None:
-    """Write each table into a folder, as NAME.parquet and NAME.csv; those that are there are replaced.
+    """Write each table into a folder, as NAME.parquet, with units, and NAME.csv; those that are there are replaced.
 
     Raises:
         InputError: the folder or a file cannot be written.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, table in found.tables.items():
-            table.to_parquet(folder / f"{name}.parquet", index=False)
-            table.to_csv(folder / f"{name}.csv", index=False)
+        write_described(folder, ((name, table, DESCRIBED) for name, table in found.tables.items()))
     except OSError as error:
         raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
-from petmjx.history import FLOOR, Contacts, History
+from petmjx.history import Contacts, History
 from petmjx.metrics import motion_np
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.palette import article_colours, ramp
+from petmjx.pages.pushes import pushes
 from petmjx.pages.words import first_box_in_words, thresholds_of
 from petmjx.story import Story
 from petmjx.text import printable
@@ -133,27 +134,11 @@ def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed
 
 
 def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
-    """One force for each pair of bodies and frame: the sum of its contacts' forces at their centre of pressure.
-
-    Rows are in order of pairs, then frames, so that a row differs little from the one before and deflates well. Forces
-    press on the lower body: their z is not positive.
-    """
-    strength = np.linalg.norm(contacts.force, axis=1)
-    body = contacts.body.astype(np.int64) - FLOOR  # the lowest number of a body becomes 0
-    on_later = np.where(body[:, 0] > body[:, 1], -1.0, 1.0)[:, None] * contacts.force
-    pair = body.min(axis=1) * (body.max(initial=0) + 1) + body.max(axis=1)
-    ranks = pair * (contacts.frame.max(initial=0) + 1) + contacts.frame
-    _, sample, row_of = np.unique(ranks, return_index=True, return_inverse=True)
-
-    def summed(values: FloatArray) -> FloatArray:
-        return np.column_stack([np.bincount(row_of, values[:, axis]) for axis in range(3)])
-
-    weight = np.bincount(row_of, strength)
-    felt = weight > 0
-    force, centre = summed(on_later)[felt], summed(contacts.point * strength[:, None])[felt] / weight[felt, None]
-    force = np.where(force[:, [2]] > 0, -force, force)
+    """One force for each two bodies and frame. Rows of a pair follow each other, so that a row differs little from the
+    one before and deflates well."""
+    found = pushes(contacts)
     return {
-        "frame": whole(contacts.frame[sample[felt]], steps=True),
-        "point": quantised(centre, steps=True),
-        "force": quantised(force, steps=True),
+        "frame": whole(found.frame, steps=True),
+        "point": quantised(found.point, steps=True),
+        "force": quantised(found.force, steps=True),
     }

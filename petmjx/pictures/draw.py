@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.history import Contacts
 from petmjx.pages.palette import Rgb
+from petmjx.pages.pushes import pushes
 from petmjx.pages.words import thresholds_of
 from petmjx.pictures.camera import Camera
 from petmjx.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
@@ -167,20 +168,11 @@ def newtons_per_m(story: Story) -> float:
 
 
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
-    """For each two bodies that touch in a frame: (3,) m the mean place of their contacts, weighted by force, and (3,) N
-    the sum of their forces on the lower one of the two."""
-    rows = np.flatnonzero(contacts.frame == poses.frame)
-    pairs = np.sort(contacts.body[rows], axis=1)
-    on_larger = np.where(contacts.body[rows, :1] == pairs[:, :1], 1.0, -1.0) * contacts.force[rows]
-    found = []
-    for pair in np.unique(pairs, axis=0):
-        chosen = (pairs == pair).all(axis=1)
-        weights = np.linalg.norm(on_larger[chosen], axis=1)
-        if weights.sum() > 0:
-            force = on_larger[chosen].sum(axis=0)
-            place = np.average(contacts.point[rows[chosen]], axis=0, weights=weights)
-            found.append((place, -force if force[2] > 0 else force))
-    return found
+    """For each two bodies that press on each other in a frame: (3,) m where, and (3,) N on the lower one of the two."""
+    kept = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
+    kept[poses.frame : poses.frame + 1] = True
+    found = pushes(contacts.of_frames(kept, 0))
+    return list(zip(found.point, found.force, strict=True))
 
 
 def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.pictures.camera import framing
 from petmjx.pictures.draw import Painter, framed_points
+from petmjx.pictures.encoder import h264_encoder
 from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_at
 from petmjx.pictures.still import Look
@@ -125,22 +126,13 @@ def write_mp4(
     Raises:
         InputError: the encoder is missing or gives up.
     """
-    import imageio_ffmpeg
-
     try:
-        encoder = imageio_ffmpeg.write_frames(
-            path, size, fps=fps, codec="libx264", macro_block_size=2, quality=None, ffmpeg_log_level="error",
-            output_params=["-crf", "20", "-preset", "medium", "-movflags", "+faststart"],
-        )  # fmt: skip
-        encoder.send(None)
-        try:
+        with h264_encoder(path, size, fps) as add:
             for number, (frame, last) in enumerate(_with_last(frames)):
                 for _ in range(1 + (round(HELD_S * fps) if last else 0)):
-                    encoder.send(frame.tobytes())
+                    add(frame.tobytes())
                 if progress is not None:
                     progress(number + 1)
-        finally:
-            encoder.close()
     except (RuntimeError, OSError) as error:
         raise InputError(f"{path}: the film cannot be encoded: {one_line(error)}") from error
 

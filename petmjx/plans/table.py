@@ -31,7 +31,7 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.plan import Plan
-from petmjx.text import counted, shown
+from petmjx.text import counted, first_names, shown
 from petmjx.units import FloatArray
 
 _SIZE: Final = ("length_mm", "width_mm", "height_mm")
@@ -48,9 +48,6 @@ _MAY_LACK: Final = ("item_id", "product_group")
 """Columns that may have no value in a row."""
 _ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in _RANGES}
 """BED-BPP's own spelling of sizes and weights."""
-
-_MOST_NAMED: Final = 5
-"""Plans that a note names."""
 
 
 class TableError(InputError):
@@ -146,10 +143,8 @@ class _Reading:
                 yield from self._rows_of_plans()
         finally:  # also if only the first plans are wanted
             if self.gaps:
-                more = ", …" if len(self.gaps) > _MOST_NAMED else ""
-                named = ", ".join(map(shown, self.gaps[:_MOST_NAMED])) + more
-                plans = counted(len(self.gaps), "plan")
-                self.notes.append(f"{self.source}: sequence has gaps in {plans} ({named}); are rows missing?")
+                plans = f"{counted(len(self.gaps), 'plan')} ({first_names(self.gaps)})"
+                self.notes.append(f"{self.source}: sequence has gaps in {plans}; are rows missing?")
 
     def _rows_of_plans(self) -> Iterator[Plan | Refused]:
         refused = self._refused_before()

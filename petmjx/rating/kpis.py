@@ -25,7 +25,7 @@ from petmjx.rating.columns import COLUMNS, MEANS
 from petmjx.rating.stability import Stability, read_stability
 from petmjx.rating.support import direct_support
 from petmjx.run_options import RunOptions
-from petmjx.text import counted, shown
+from petmjx.text import counted, first_names
 from petmjx.units import MM_PER_M
 
 SCORED_HEIGHT_MM: Final = 2_000.0
@@ -33,9 +33,6 @@ SCORED_HEIGHT_MM: Final = 2_000.0
 
 _EDGE_MM: Final = 1.0
 """By how much BED-BPP's evaluator reads the height of the pile low: it takes the last whole millimetre of a box."""
-
-_MOST_NAMED: Final = 5
-"""Plans that a note names."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
@@ -192,12 +189,13 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
     notes = []
     if without_order:
         verb = "has" if len(without_order) == 1 else "have"
-        notes.append(f"{counted(len(without_order), 'plan')} {verb} no order and no KPIs ({_named(without_order)})")
+        plans_without = counted(len(without_order), "plan")
+        notes.append(f"{plans_without} {verb} no order and no KPIs ({first_names(without_order)})")
     if without_plan:
         verb = "has no plan, and counts" if len(without_plan) == 1 else "have no plan, and count"
         boxes = counted(sum(len(orders[order_id].items) for order_id in without_plan), "box", "boxes")
         these = f"{counted(len(without_plan), 'order')} ({boxes})"
-        notes.append(f"{these} {verb} as not stable in the ratings ({_named(without_plan)})")
+        notes.append(f"{these} {verb} as not stable in the ratings ({first_names(without_plan)})")
     return notes
 
 
@@ -208,14 +206,9 @@ def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()
         if known and missing:
             verb = "is" if len(missing) == 1 else "are"
-            plans = counted(len(missing), "plan")
-            notes.append(f"{plans} {verb} not in the run or invalid there, so {column} is empty ({_named(missing)})")
+            unknown = f"{counted(len(missing), 'plan')} {verb} not in the run or invalid there"
+            notes.append(f"{unknown}, so {column} is empty ({first_names(missing)})")
     return notes
-
-
-def _named(ids: Sequence[str]) -> str:
-    more = ", …" if len(ids) > _MOST_NAMED else ""
-    return ", ".join(map(shown, ids[:_MOST_NAMED])) + more
 
 
 def _as_list(run: Paths | None) -> list[Path]:

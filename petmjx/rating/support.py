@@ -53,7 +53,9 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
     for box, bottom in enumerate(corner_mm[:, 2]):
         under = slice(x.first[box], x.end[box]), slice(y.first[box], y.end[box])
         there = last[under]
-        below = np.unique(there[(there >= 0) & (reached[under] >= bottom - HEIGHT_TOLERANCE_MM)])
+        met = np.zeros(len(low), dtype=bool)
+        met[there[(there >= 0) & (reached[under] >= bottom - HEIGHT_TOLERANCE_MM)]] = True
+        below = np.flatnonzero(met)
         if len(below):
             shared = np.minimum(high[box], high[below]) - np.maximum(low[box], low[below])
             share[box] = (shared[:, 0] * shared[:, 1]).sum() / (size_mm[box, 0] * size_mm[box, 1])

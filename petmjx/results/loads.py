@@ -9,19 +9,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
-import pyarrow as pa
 
 from petmjx.checked import reason
-from petmjx.config import Simulation
 from petmjx.errors import InputError
-from petmjx.plans.gather import PathArgument, PlanSource, gather_plans
+from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
 from petmjx.results.articles import Articles, read_articles
-from petmjx.results.files import write_csv, write_table
-from petmjx.results.manifest import plan_digest
+from petmjx.results.described import write_described
+from petmjx.results.manifest import Manifest
+from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
-from petmjx.run_options import RunOptions
-from petmjx.text import counted, printable, shown
+from petmjx.text import counted, first_names, printable, shown
 
 _MOST_NAMED: Final = 8
 """Articles that a note names."""
@@ -76,16 +74,8 @@ class Loads:
         """
         folder = Path(folder)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for name, frame, units in (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS)):
-                table = pa.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata(None)
-                fields = [
-                    table.schema.field(column).with_metadata({"unit": unit, "description": text})
-                    for column, (unit, text) in units.items()
-                ]
-                table = table.cast(pa.schema(fields))
-                write_table(table, folder / f"{name}.parquet")
-                write_csv(table, folder / f"{name}.csv")
+            tables = (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS))
+            write_described(folder, tables)
         except OSError as error:
             raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
 
@@ -112,30 +102,25 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
     return Loads(results.path, boxes, _of_worlds(results, boxes), tuple(_notes(missing)))
 
 
-def _plans_of(results: RunResults, plans: PlanSource | None) -> dict[str, Plan]:
+def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:
     """The plans of a run by id.
 
     Raises:
         InputError: one is not there, or is another one.
     """
-    listed = results.plans
-    wanted = set(results.worlds["plan_id"])
-    if plans is None:
-        sources = [Path(each) for each in dict.fromkeys(listed["source"])] if len(listed) else []
-        gone = [source for source in sources if not source.exists()]
-        if gone or not sources:
-            what = f"{printable(str(gone[0]))} is not there" if gone else "the run does not say which"
-            raise InputError(f"{results.path}: needs the plans of the run, and {what}: name them")
-        plans = sources
-    found = {plan.plan_id: plan for plan in gather_plans(plans, Simulation(), RunOptions())}
-    digests = dict(zip(listed["plan_id"], listed["digest"], strict=True)) if len(listed) else {}
-    for plan_id in sorted(wanted):
-        if plan_id not in found:
-            raise InputError(f"{results.path}: plan {shown(plan_id)} is not among the plans that were read")
-        digest = plan_digest(found[plan_id])
-        if digests.get(plan_id, digest) != digest:
-            raise InputError(f"{results.path}: plan {shown(plan_id)} differs from the one that was simulated there")
-    return {plan_id: found[plan_id] for plan_id in wanted}
+    # a run that was written by petmjx before 0.2 does not say what it was of
+    records = {} if results.plans.empty else Manifest.read(results.path, results.info).plans
+    found = find_plans(records, set(results.worlds["plan_id"]), plans)
+    if plans is None and (found.gone or not records):
+        what = f"{printable(found.gone[0])} is not there" if found.gone else "the run does not say which"
+        raise InputError(f"{results.path}: needs the plans of the run, and {what}: name them")
+    for plan_ids, what in (
+        (found.missing, "is not among the plans that were read"),
+        (found.changed, "differs from the one that was simulated there"),
+    ):
+        if plan_ids:
+            raise InputError(f"{results.path}: plan {shown(plan_ids[0])} {what}")
+    return found.plans
 
 
 def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame, Counter[str]]:
@@ -178,7 +163,6 @@ def _notes(missing: Mapping[str, int]) -> list[str]:
     if not missing:
         return []
     most = sorted(missing, key=lambda name: (-missing[name], name))
-    named = ", ".join(map(shown, most[:_MOST_NAMED])) + (", …" if len(most) > _MOST_NAMED else "")
     verb = "has" if len(most) == 1 else "have"
     boxes = counted(sum(missing.values()), "box", "boxes")
-    return [f"{counted(len(most), 'article')} of {boxes} {verb} no strength: {named}"]
+    return [f"{counted(len(most), 'article')} of {boxes} {verb} no strength: {first_names(most, _MOST_NAMED)}"]

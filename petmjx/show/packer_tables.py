@@ -9,6 +9,7 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
+from petmjx.packers.kpis import KPIS
 from petmjx.packers.load import MISSING
 from petmjx.show.layout import Column, FittedTable, line, number, percent
 from petmjx.text import counted, shown
@@ -26,6 +27,9 @@ def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[Rende
     yield from _not_compared(found)
     yield ""
     yield _packers_table(found)
+    if KPIS[0] in found.packers:
+        yield ""
+        yield _kpis_table(found)
     yield ""
     yield _pairs_table(found)
     if found.packers["size"].nunique() > 2:
@@ -81,6 +85,15 @@ def _packers_table(found: PackerComparison) -> FittedTable:
             *(number(row["left_out"], ".2f") for _ in left_out),
             *(number(row[name], ".3f") for name in ("volume_m3", "height_m", "kpi_2")),
         )
+    return table
+
+
+def _kpis_table(found: PackerComparison) -> FittedTable:
+    whole = found.packers[found.packers["size"] == ALL_SIZES]
+    columns = [Column(name.replace("_2m", "\nbelow 2 m")) for name in KPIS]
+    table = FittedTable(Column("packer", "left", least=8, middle=True), *columns, title="KPIs of BED-BPP, means")
+    for row in whole.to_dict("records"):
+        table.add(row["packer"], *(number(row[name], ".4f") for name in KPIS))
     return table
 
 

@@ -9,17 +9,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.csv
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
-from petmjx.results.files import write_table, write_text
+from petmjx.results.described import Described, write_described
+from petmjx.results.files import write_text
 from petmjx.results.plain import plain
 from petmjx.statics.named import Criterion, chosen_criteria
 from petmjx.statics.tables import (
-    Described,
-    arrow_table,
     described_boxes,
     described_judged,
     described_plans,
@@ -76,13 +73,7 @@ class CriteriaResults:
         folder = Path(folder)
         check_free(folder, overwrite)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for name, frame, described in self._tables():
-                table = arrow_table(frame, name, described)
-                write_table(table, folder / f"{name}.parquet")
-                buffer = pa.BufferOutputStream()
-                pyarrow.csv.write_csv(table, buffer)
-                write_text(buffer.getvalue().to_pybytes().decode(), folder / f"{name}.csv")
+            write_described(folder, self._tables())
             write_text(json.dumps(plain(self.info), indent=2, allow_nan=False), folder / INFO_FILE)
         except OSError as error:
             raise InputError(f"{folder}: cannot be written: {reason(error)}") from None

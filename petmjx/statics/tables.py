@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.plans.plan import Plan
+from petmjx.results.described import Described
 from petmjx.statics.answers import NO, NOT_ASKED, YES, Answers
 from petmjx.statics.judged import CELLS, SCORES
 from petmjx.statics.named import Criterion
-
-Described = Mapping[str, tuple[str, str]]
-"""Column → unit and meaning."""
 
 _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
@@ -129,13 +126,3 @@ def described_thresholds() -> Described:
     return (
         columns | judged | {"mcc_published": (DIMENSIONLESS, "MCC of the criterion's own threshold, on the same plans")}
     )
-
-
-def arrow_table(frame: pd.DataFrame, name: str, described: Described) -> pa.Table:
-    """The frame with unit and description of every column in its metadata."""
-    table = pa.Table.from_pandas(frame, preserve_index=False)
-    fields = [
-        column.with_metadata({"unit": described[column.name][0], "description": described[column.name][1]})
-        for column in table.schema
-    ]
-    return table.cast(pa.schema(fields, metadata={"table": name}))

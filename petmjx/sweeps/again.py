@@ -11,9 +11,9 @@ from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.gather import PlanSource, find_plan, gather_plans
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import bundled_path
 from petmjx.results.files import RUN_FILE
 from petmjx.results.manifest import Manifest, plan_digest
+from petmjx.results.plans_again import file_again
 from petmjx.results.reader import RunResults
 from petmjx.run_options import RunOptions
 from petmjx.sweeps.confidence import confidence_sweep
@@ -44,14 +44,11 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
 
 
 def _file(run: RunResults, plan_id: str, source: str) -> Path:
-    """The file of a plan. Bundled plans may have been elsewhere, on another machine."""
-    if Path(source).is_file():
-        return Path(source)
-    if Path(source).name == bundled_path().name:
-        return bundled_path()
-    raise InputError(
-        f"{run.path}: plan {shown(plan_id)} came from {printable(source)}, which is not there: name its file"
-    )
+    file = file_again(source)
+    if file is None:
+        gone = f"plan {shown(plan_id)} came from {printable(source)}, which is not there: name its file"
+        raise InputError(f"{run.path}: {gone}")
+    return file
 
 
 def sweep_of_run(run: RunResults) -> Sweep:

@@ -21,10 +21,7 @@ from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter, write_summary
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.summary import ShareColumns, summarise_shares
-from petmjx.text import counted, shown
-
-MOST_NAMED: Final = 5
-"""Worlds, plans or shards that a message names."""
+from petmjx.text import counted, first_names, shown
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
 """What makes a row of a search's summary unique, and sorts it."""
@@ -109,7 +106,7 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
     total = of.pop()
     missing = [f"{number}/{total}" for number in range(1, total + 1) if number not in found]
     if missing:
-        raise InputError(f"missing: {'shard' if len(missing) == 1 else 'shards'} {_listed(missing)}")
+        raise InputError(f"missing: {'shard' if len(missing) == 1 else 'shards'} {first_names(missing)}")
     return [found[number] for number in sorted(found)]
 
 
@@ -127,7 +124,7 @@ def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
                 home[key] = run.path
     lacking = sorted(whole.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
-        raise InputError(f"no world of {counted(len(lacking), 'plan')}: {_listed([shown(each) for each in lacking])}")
+        raise InputError(f"no world of {counted(len(lacking), 'plan')}: {first_names(lacking)}")
 
 
 def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
@@ -197,8 +194,3 @@ def _write_summary(out: Path, runs: Sequence[RunResults]) -> None:
     units = {name: entry.get(b"unit", b"").decode() for name, entry in metadata.items()}
     texts = {name: entry.get(b"description", b"").decode() for name, entry in metadata.items()}
     write_summary(out, summarise_shares(out, columns), units, texts)
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(names[:MOST_NAMED]) + more

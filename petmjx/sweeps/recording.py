@@ -12,11 +12,8 @@ from petmjx.plans.plan import Plan
 from petmjx.results.files import part_files
 from petmjx.results.reader import read_part
 from petmjx.run_options import ALL, FAILED, RunOptions
-from petmjx.text import counted, shown
+from petmjx.text import counted, first_names
 from petmjx.verdict import Outcome, Verdict
-
-MOST_NAMED = 5
-"""Unknown plans that a message names."""
 
 _KEY = ("plan_id", "variant")
 
@@ -88,9 +85,7 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     ids = frozenset(asked if not isinstance(asked, str) else [asked] if asked in known else _split(asked))
     unknown = sorted(ids - known)
     if unknown:
-        more = f" and {len(unknown) - MOST_NAMED} more" if len(unknown) > MOST_NAMED else ""
-        names = ", ".join(shown(each) for each in unknown[:MOST_NAMED])
-        raise InputError(f"record: {names}{more}: not among the {counted(len(known), 'plan')} of the run")
+        raise InputError(f"record: {first_names(unknown)}: not among the {counted(len(known), 'plan')} of the run")
     return Recording(record, ids)
 
 

@@ -8,7 +8,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from support.command_line import OVERHANG, TOWER, only_line, run, write
+from support.plan_files import order_for
 
+import petmjx
+from petmjx.packers.kpis import KPIS
 from petmjx.results.reader import load_run
 
 FAST = ("--engine", "mujoco", "--threads", "1")
@@ -64,6 +67,32 @@ def test_compare_names_runs_and_writes_files(results: Path, tmp_path: Path, caps
     }
 
 
+def test_kpis_stand_beside_shares(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each is that of ``petmjx.kpis``. A plan without an order has none, and is told."""
+    monkeypatch.setenv("COLUMNS", "80")
+    orders = write(tmp_path / "orders.json", {"x": order_for(TOWER, more=2), "y": order_for(TOWER, more=6)})
+    runs = [f"A={results / 'good'}", f"B={results / 'bad,one'}"]
+    assert run("compare", "--packers", *runs, "--orders", orders, "--json") == 0
+    found = {row["packer"]: row for row in json.loads(capsys.readouterr().out)["packers"] if row["size"] == "all"}
+    for name, file in (("A", "good"), ("B", "bad")):
+        expected = petmjx.kpis(results.parent / f"{file}.json", orders).summary["means"]
+        assert {kpi: found[name][kpi] for kpi in KPIS} == pytest.approx({kpi: expected[kpi] for kpi in KPIS})
+    assert (found["A"]["kpi_1"], found["B"]["kpi_4"]) == pytest.approx(((2 / 4 + 6 / 8) / 2, (1 + (1 + 0.35) / 2) / 2))
+    write(orders, {"x": order_for(TOWER)})
+    assert run("compare", "--packers", *runs, "--orders", orders) == 0
+    text = capsys.readouterr().out
+    assert "note: no KPIs of 1 plan of A" in text
+    assert max(map(len, text.partition("compared; boxes")[2].splitlines())) <= 80
+    assert "KPIs of BED-BPP, means" in text
+    assert not any(kpi in petmjx.compare_packers(runs_of(results)).packers for kpi in KPIS if kpi != "kpi_2")
+
+
+def runs_of(results: Path) -> dict[str, Path]:
+    return {"A": results / "good", "B": results / "bad,one"}
+
+
 def test_compare_of_simulators_points_to_packers(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("compare", results / "good", results / "bad,one") == 0
     text = " ".join(capsys.readouterr().out.split())
@@ -76,6 +105,7 @@ def test_compare_of_simulators_points_to_packers(results: Path, capsys: pytest.C
     [
         (("compare", "{0}"), "compare takes two runs, got 1; --packers takes more"),
         (("compare", "{0}", "{0}", "-o", "x"), "--out is for --packers"),
+        (("compare", "{0}", "{0}", "--orders", "x"), "--orders is for --packers"),
         (("compare", "--packers", "{0}"), "give at least two runs to compare"),
         (("compare", "--packers", "A={0}", "{0}"), "compare --packers: give each a name (NAME=PATH), or none"),
         (("compare", "--packers", "A={0}", "A={0}"), "compare --packers A: there are two of this name"),

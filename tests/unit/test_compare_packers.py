@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support import plans
@@ -222,6 +223,8 @@ def test_files_hold_all_tables(two: tuple[Path, Path], tmp_path: Path) -> None:
     for name, table in found.tables.items():
         read = pd.read_parquet(tmp_path / "deep" / "out" / f"{name}.parquet")
         pd.testing.assert_frame_equal(read, table, check_dtype=False)
+        fields = pq.read_schema(tmp_path / "deep" / "out" / f"{name}.parquet")
+        assert all(b"unit" in field.metadata and field.metadata[b"description"] for field in fields)
         assert len(pd.read_csv(tmp_path / "deep" / "out" / f"{name}.csv")) == len(table)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file: cannot be written"):

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.command_line import only_line, run, write
-from support.plan_files import placement, tower
+from support.plan_files import order_for, placement, tower
 
 import petmjx
 from petmjx.plans.read import load_plans
@@ -36,14 +36,6 @@ PUBLISHED = (
     "eval_score_height",
     "eval_score_absolute_n_stable_pal_items",
 )
-
-
-def order_for(*plans: list[dict[str, Any]], more: int = 0, target: str = "euro-pallet") -> dict[str, Any]:
-    """An order of the boxes of one plan, and of so many more."""
-    (plan,) = plans
-    items = [each["item"] for each in plan] + [placement(id="more")["item"]] * more
-    sequence = {str(number): {**item, "sequence": number} for number, item in enumerate(items, start=1)}
-    return {"item_sequence": sequence, "properties": {"target": target}}
 
 
 def rate(plans: dict[str, Any], orders: dict[str, Any] | None = None, **options: Any) -> petmjx.rating.kpis.Kpis:

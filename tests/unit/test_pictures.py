@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import runpy
+import subprocess
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +22,7 @@ from petmjx.history import History
 from petmjx.pictures.camera import VIEWS, framing, view_of
 from petmjx.pictures.colours import FIRST, colouring
 from petmjx.pictures.draw import framed_points
+from petmjx.pictures.encoder import h264_encoder
 from petmjx.pictures.options import Colour
 from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_of_frame
@@ -124,12 +129,40 @@ def test_an_mp4_has_its_frames_its_size_and_its_time(tmp_path: Path) -> None:
     petmjx.draw(STORY, tmp_path / "x.mp4", size=(160, 121), fps=10, speed=2)
     frames, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "x.mp4"))
     assert (frames, seconds) == (11 + 20, pytest.approx(3.1, abs=0.05))
-    reader = ffmpeg.read_frames(str(tmp_path / "x.mp4"))
-    try:
-        about = next(reader)
-    finally:
-        reader.close()
-    assert about["size"] == (160, 120), "H.264 takes even sides"
+    asked = subprocess.run([ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "x.mp4"], capture_output=True, text=True)
+    assert re.search(r"Video: h264.*yuv420p.* 160x120", asked.stderr), "H.264 takes even sides"
+
+
+def encoded(path: Path, frames: Iterator[bytes]) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed (extra: show)")
+    with h264_encoder(path, (32, 16), 10) as add:
+        for frame in frames:
+            add(frame)
+
+
+def test_ffmpeg_runs_nothing_of_python_between_fork_and_exec(tmp_path: Path) -> None:
+    """JAX, once it is loaded, warns of any fork that does."""
+    forks: list[int] = []
+    os.register_at_fork(before=lambda: forks.append(1))
+    encoded(tmp_path / "a:b.mp4", iter([bytes(32 * 16 * 3)]))
+    assert (tmp_path / "a:b.mp4").stat().st_size > 0
+    assert not forks
+
+
+def test_an_encoder_that_gives_up_says_why(tmp_path: Path) -> None:
+    endless = repeat(bytes(32 * 16 * 3), 100_000)
+    with pytest.raises(RuntimeError, match="No such file or directory"):
+        encoded(tmp_path / "nowhere" / "x.mp4", endless)
+    assert next(endless, None) is not None, "it stops taking frames"
+
+
+def test_what_fails_between_frames_ends_the_encoder(tmp_path: Path) -> None:
+    def frames() -> Iterator[bytes]:
+        yield bytes(32 * 16 * 3)
+        raise BrokenPipeError("of a progress bar")
+
+    with pytest.raises(BrokenPipeError, match="of a progress bar"):
+        encoded(tmp_path / "x.mp4", frames())
 
 
 @needs_pictures()

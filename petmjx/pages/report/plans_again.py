@@ -1,4 +1,4 @@
-"""The plans of a run, found again: its tables have no sizes of boxes, which pictures and weights need."""
+"""The plans of a run for its report, as far as they are found again: pictures and weights need them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from typing import Final
 
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import bundled_path
-from petmjx.results.manifest import Manifest, plan_digest
+from petmjx.results.manifest import Manifest
+from petmjx.results.plans_again import PlansAgain, find_plans
 from petmjx.results.reader import RunResults
-from petmjx.text import counted, shown
+from petmjx.text import counted, first_names
 
 MOST_FILES_NAMED: Final = 2
 
@@ -27,37 +26,29 @@ class FoundPlans:
 
 
 def find_plans_again(run: RunResults, given: Sequence[Path] = ()) -> FoundPlans:
-    """Read the plans of a run from the files that it names. Only plans that are what the run simulated are taken.
+    """The plans of a run. A report is also made without them.
 
     Args:
-        given: files or folders to read instead.
+        given: files or folders to read instead of those that the run names.
 
     Raises:
         InputError: one of ``given`` cannot be used.
     """
     try:
-        manifest = Manifest.read(run.path, run.info)
+        records = Manifest.read(run.path, run.info).plans
     except InputError as error:
         return FoundPlans({}, str(error))
-    named = dict.fromkeys(record.source for record in manifest.plans.values())
-    sources = list(given) or [Path(source) for source in named]
-    if not given:
-        # bundled plans may have been elsewhere, on another machine
-        bundled = bundled_path()
-        sources = [bundled if source.name == bundled.name and not source.is_file() else source for source in sources]
-    there = [source for source in sources if given or source.is_file()]
-    read = load_plans(there).plans if there else []
-    known = {plan_id: record.digest for plan_id, record in manifest.plans.items()}
-    same = {plan.plan_id: plan for plan in read if known.get(plan.plan_id) == plan_digest(plan)}
     wanted = set(run.worlds["plan_id"])
-    missing = len(wanted - same.keys())
-    if not missing:
-        return FoundPlans(same)
-    changed = sum(plan.plan_id in wanted and plan.plan_id not in same for plan in read)
-    gone = [shown(str(source)) for source in sources if source not in there]
-    why = [f"{counted(changed, 'plan')} changed since"] if changed else []
-    if gone:
-        more = f" and {len(gone) - MOST_FILES_NAMED:,} more" if len(gone) > MOST_FILES_NAMED else ""
-        why.append(f"gone: {', '.join(gone[:MOST_FILES_NAMED])}{more}")
+    found = find_plans(records, wanted, list(given) or None)
+    return FoundPlans(found.plans, _note(found, len(wanted)))
+
+
+def _note(found: PlansAgain, wanted: int) -> str:
+    not_found = len(found.missing) + len(found.changed)
+    if not not_found:
+        return ""
+    why = [f"{counted(len(found.changed), 'plan')} changed since"] if found.changed else []
+    if found.gone:
+        why.append(f"gone: {first_names(found.gone, MOST_FILES_NAMED)}")
     told = f" ({'; '.join(why)})" if why else ""
-    return FoundPlans(same, f"{counted(missing, 'plan')} of {len(wanted):,} not found again{told}")
+    return f"{counted(not_found, 'plan')} of {wanted:,} not found again{told}"

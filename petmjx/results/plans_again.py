@@ -1,0 +1,70 @@
+"""The plans of a run, found again in its files: its tables have no sizes of boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from petmjx.config import Simulation
+from petmjx.plans.gather import PlanSource, gather_plans
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import bundled_path
+from petmjx.results.manifest import PlanRecord, plan_digest
+from petmjx.run_options import RunOptions
+
+
+@dataclass(frozen=True, eq=False)
+class PlansAgain:
+    """What was found of the plans of a run.
+
+    Attributes:
+        plans: those that are what the run simulated, by id.
+        missing: ids of those that were not read, sorted.
+        changed: ids of those that were read and are others now, sorted.
+        gone: files that the run names and that are not there.
+    """
+
+    plans: Mapping[str, Plan]
+    missing: tuple[str, ...]
+    changed: tuple[str, ...]
+    gone: tuple[str, ...]
+
+
+def find_plans(
+    records: Mapping[str, PlanRecord], wanted: Collection[str], given: PlanSource | None = None
+) -> PlansAgain:
+    """Read the plans of a run, and take those that are what it simulated.
+
+    Args:
+        records: what the run says of its plans, by id; of a plan without a record any version is taken.
+        wanted: ids of the plans to find.
+        given: where they are now; None: the files that the run names.
+
+    Raises:
+        InputError: ``given`` cannot be used.
+    """
+    gone: list[str] = []
+    if given is None:
+        files = {source: file_again(source) for source in dict.fromkeys(record.source for record in records.values())}
+        gone = [source for source, file in files.items() if file is None]
+        given = [file for file in files.values() if file is not None]
+    read: dict[str, Plan] = {}
+    if not isinstance(given, list) or given:
+        read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), RunOptions())}
+    there = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
+    changed = {name for name, plan in there.items() if name in records and records[name].digest != plan_digest(plan)}
+    return PlansAgain(
+        plans={plan_id: plan for plan_id, plan in there.items() if plan_id not in changed},
+        missing=tuple(sorted(set(wanted) - there.keys())),
+        changed=tuple(sorted(changed)),
+        gone=tuple(gone),
+    )
+
+
+def file_again(source: str) -> Path | None:
+    """The file that a plan came from; None: it is gone. Bundled plans may have been elsewhere, on another machine."""
+    file, bundled = Path(source), bundled_path()
+    if file.is_file():
+        return file
+    return bundled if file.name == bundled.name else None
