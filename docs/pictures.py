@@ -1,12 +1,14 @@
-"""Makes the pictures of the documents again, from the bundled plans: ``make pictures``."""
+"""Makes the pictures of the documents again, from bundled and generated plans: ``make pictures``."""
 
 from __future__ import annotations
 
 import shlex
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from petmjx.cli.main import main
+from petmjx.plans.samples import generate_one, write_plans
 
 FOLDER = Path(__file__).resolve().parent / "pictures"
 
@@ -16,8 +18,14 @@ COMMANDS = (
     "show s0-000013 --png forces.png --colour force --arrows --size 560x640 --view 25/12",
     "show s0-001784 --png shifts.png --colour shift --size 400x360",
     "show hand-overhang-55 --png planned.png --colour planned --size 400x360 --at 0.5,0.9,end --view 20/12",
+    "show s0-005459 PLANS --png accepted-and-falls.png --size 330x400",
+    "show s0-005630 PLANS --png later-load.png --size 330x400",
+    "show s0-002720 PLANS --png refused-and-stands.png --size 440x440 --colour force",
 )
-"""Each file of the folder is made by one of these."""
+"""Each file of the folder is made by one of these. ``PLANS`` has the plans of ``GENERATED``."""
+
+GENERATED = (2720, 5459, 5630)
+"""Plans of ``petmjx samples``, seed 0, by their numbers."""
 
 
 def files() -> list[str]:
@@ -27,10 +35,14 @@ def files() -> list[str]:
 
 def make() -> int:
     """Run all commands; the exit code is that of the first one that fails."""
-    for command in COMMANDS:
-        words = [str(FOLDER / word) if word in files() else word for word in shlex.split(command)]
-        if code := main([*words, "--engine", "mujoco"]):
-            return code
+    with TemporaryDirectory() as folder:
+        plans = Path(folder) / "plans.json"
+        write_plans(plans, (generate_one(number, seed=0) for number in GENERATED))
+        places = {"PLANS": str(plans)} | {file: str(FOLDER / file) for file in files()}
+        for command in COMMANDS:
+            words = [places.get(word, word) for word in shlex.split(command)]
+            if code := main([*words, "--engine", "mujoco"]):
+                return code
     return 0
 
 
