@@ -21,7 +21,7 @@ from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.columns import block
-from petmjx.pages.report.about import differing
+from petmjx.pages.report.about import _options, differing
 from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks
 from petmjx.pages.report.charts import bars, equal_groups, histogram
 from petmjx.pages.report.compared import common_verdicts, compared
@@ -210,6 +210,8 @@ def test_odd_runs_look_right(tmp_path: Path) -> None:
 def test_options_that_differ_are_told() -> None:
     defaults = Simulation().model_dump(mode="json")
     changed = Simulation.read({"check": "static", "thresholds": {"tilt_deg": 5.0}}).model_dump(mode="json")
+    assert "world_timeout_s</code> 0.5 instead of none" in _options({"simulation": defaults, "world_timeout_s": 0.5})
+    assert _options({"simulation": defaults, "world_timeout_s": None}) == "all at their defaults"
     assert dict(differing(changed, defaults)) == {
         "check": "static instead of one-by-one",
         "thresholds.tilt_deg": "5.0 instead of 20.0",
