@@ -58,6 +58,11 @@ class Story:
     options: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
 
+    @property
+    def name(self) -> str:
+        """The plan's id as people see it; where a plan has many worlds also which one: "tower, variant 3"."""
+        return shown(self.plan.plan_id) + (f", variant {self.variant}" if self.values else "")
+
 
 def tell(
     plan_id: str,
@@ -133,7 +138,13 @@ def _worlds(plan_id: str, run: RunResults, plans: PlanSource | None, variant: in
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
     if variant is None and not sweep.nominal:
         raise InputError(f"{run.path}: plan {shown(plan_id)} has many worlds: name a variant, as in the table worlds")
-    return SweepPlan(sweep, [plan]), variant or 0
+    worlds = SweepPlan(sweep, [plan])
+    if variant is not None:
+        try:
+            worlds.find(plan_id, variant)
+        except InputError as error:  # which tells of the sweep's file; a score has none, and people named the run
+            raise InputError(f"{run.path}: plan {shown(plan_id)} has no variant {variant}") from error
+    return worlds, variant or 0
 
 
 def _recorded(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:

@@ -124,7 +124,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     from petmjx.show.progress import Shown, progress
     from petmjx.show.story import headline
 
-    print(printable(f"plan {story.plan.plan_id}: {headline(story)}"))
+    print(printable(f"plan {story.name}: {headline(story)}"))
     if story.note:
         print(printable(f"note: {story.note}"))
     for file in files:

@@ -51,7 +51,9 @@ def view_of(text: str) -> View:
         return VIEWS[text]
     angles = _ANGLES.fullmatch(text)
     if angles is None:
-        raise InputError(f"unknown view {shown(text)}; {hint(text, VIEWS)} Or AZIMUTH/ELEVATION in degrees: 35/24")
+        raise InputError(
+            f"unknown view {shown(text)}; {hint(text, VIEWS)} (or AZIMUTH/ELEVATION in degrees, such as 35/24)"
+        )
     view = View(float(angles[1]), float(angles[2]))
     if abs(view.elevation_deg) > 90:
         raise InputError(f"{shown(text)}: the elevation must be from -90 to 90")

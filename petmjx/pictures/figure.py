@@ -63,7 +63,7 @@ def write_figure(story: Story, look: Look, moments: list[Moment], path: Path, ki
 def _head(figure: Any, story: Story, width: float, height: float) -> None:
     top = 1 - 0.06 / height
     left = 0.04 / width
-    name = figure.text(left, top, shown(story.plan.plan_id), size=_POINTS + 1, weight="bold", va="top")
+    name = figure.text(left, top, story.name, size=_POINTS + 1, weight="bold", va="top")
     said = printable(headline(story))
     colour = FIRST if story.outcome.culprit >= 0 else "0.35"
     below = figure.text(left, top - 0.17 / height, said, size=_POINTS, color=colour, va="top")

@@ -65,7 +65,7 @@ def moment_of(text: str) -> str | float:
     except ValueError:
         time_s = math.nan
     if not math.isfinite(time_s):
-        raise InputError(f"unknown moment {shown(name)}; {hint(name, MOMENTS)} Or seconds: 2.5")
+        raise InputError(f"unknown moment {shown(name)}; {hint(name, MOMENTS)} (or seconds, such as 2.5)")
     return time_s
 
 

@@ -71,7 +71,7 @@ class Overlay:
         room = self.width - 2 * em
         placed = f"{poses.n_placed} of {counted(self.story.plan.n_boxes, 'box', 'boxes')}"
         bold, plain = font(round(1.15 * em), bold=True), font(em)
-        pen.text((em, 0.7 * em), fitted(printable(self.story.plan.plan_id), bold, room), fill=INK, font=bold)
+        pen.text((em, 0.7 * em), fitted(self.story.name, bold, room), fill=INK, font=bold)
         failed = self.story.outcome.culprit >= 0
         said = fitted(printable(headline(self.story)), plain, room)
         pen.text((em, 2.2 * em), said, fill=_whole(FIRST) if failed else FAINT, font=plain)

@@ -16,6 +16,7 @@ from petmjx.pictures.camera import view_of
 from petmjx.pictures.colours import colouring
 from petmjx.pictures.options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.pictures.poses import moments
+from petmjx.results.files import why_unwritable
 from petmjx.story import Story
 from petmjx.text import one_line, printable
 
@@ -82,11 +83,7 @@ def check_files(paths: Sequence[Path]) -> None:
     for path in paths:
         if missing := _missing(kind_of(path)):
             raise InputError(f"{printable(str(path))}: {missing}")
-        folder = path.parent
-        why = "is a folder" if path.is_dir() else "" if folder.is_dir() else f"{folder} is not a folder"
-        if not why and not os.access(folder, os.W_OK | os.X_OK):
-            why = f"{folder} is not writable"
-        if why:
+        if why := why_unwritable(path):
             raise InputError(f"{printable(str(path))}: cannot be written: {printable(why)}")
     if len({path.absolute() for path in paths}) < len(paths):
         raise InputError("the same file is named twice")

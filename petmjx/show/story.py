@@ -47,7 +47,7 @@ def story_tables(story: Story) -> Iterator[RenderableType]:
     """Lines and tables that tell a story."""
     plan, outcome = story.plan, story.outcome
     yield Text.assemble(
-        (f"plan {shown(plan.plan_id)}", "bold"),
+        (f"plan {story.name}", "bold"),
         f", {counted(plan.n_boxes, 'box', 'boxes')}, {plan.mass_kg.sum():.1f} kg: ",
         (outcome.verdict.value, _STYLES[outcome.verdict]),
         f", {reason_in_words(story)}",

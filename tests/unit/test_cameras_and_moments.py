@@ -62,7 +62,7 @@ def test_views_are_from_where_their_names_say(name: str, nearest: list[int]) -> 
         ("view", "isso", "view: unknown view isso; did you mean iso?"),
         ("view", "10/95", "view: 10/95: the elevation must be from -90 to 90"),
         ("at", "start,forst-sign", "at: unknown moment forst-sign; did you mean first-sign?"),
-        ("at", "nan", "at: unknown moment nan"),
+        ("at", "nan", "at: unknown moment nan; there are start, before, first-sign, end (or seconds, such as 2.5)"),
         ("size", "12x900", "size must be WIDTHxHEIGHT with sides from 64 to 4096 pixels, got '12x900'"),
         ("size", "big", "size must be WIDTHxHEIGHT"),
         ("colour", "blue", "colour must be 'article', 'order', 'shift', 'tilt', 'force' or 'planned', got 'blue'"),

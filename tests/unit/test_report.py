@@ -21,7 +21,7 @@ from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.columns import block
-from petmjx.pages.report.about import differing
+from petmjx.pages.report.about import _options, differing
 from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks
 from petmjx.pages.report.charts import bars, equal_groups, histogram
 from petmjx.pages.report.compared import common_verdicts, compared
@@ -195,7 +195,11 @@ def test_odd_runs_look_right(tmp_path: Path) -> None:
     )
     assert "nothing to show" in checked(page_of(empty))
     assert "Verdicts of 1 plan<" in checked(page_of(one))
-    assert "100.0 %" in checked(page_of(bad))
+    nothing_valid = checked(page_of(bad))
+    assert "100.0 %" in nothing_valid
+    assert "No plan was simulated validly" in nothing_valid
+    assert "<svg" not in nothing_valid, "a chart without data"
+    assert "No box crossed" not in nothing_valid, "nobody knows"
     assert "7 plans not simulated" in checked(page_of(unfinished))
     for folders in ((empty, one), (one, bad, unfinished), (empty, bad)):
         checked(page_of(*folders))
@@ -206,6 +210,8 @@ def test_odd_runs_look_right(tmp_path: Path) -> None:
 def test_options_that_differ_are_told() -> None:
     defaults = Simulation().model_dump(mode="json")
     changed = Simulation.read({"check": "static", "thresholds": {"tilt_deg": 5.0}}).model_dump(mode="json")
+    assert "world_timeout_s</code> 0.5 instead of none" in _options({"simulation": defaults, "world_timeout_s": 0.5})
+    assert _options({"simulation": defaults, "world_timeout_s": None}) == "all at their defaults"
     assert dict(differing(changed, defaults)) == {
         "check": "static instead of one-by-one",
         "thresholds.tilt_deg": "5.0 instead of 20.0",
@@ -360,6 +366,17 @@ def test_histograms_count_every_world_once() -> None:
     counts = re.findall(r": (\d+) (\w+)</title>", "".join(map(str, frame.marks)))
     assert sum(int(count) for count, name in counts if name == "stable") == 4
     assert sum(int(count) for count, name in counts if name == "unstable") == 2
+
+
+@pytest.mark.parametrize(("highest", "spans"), [(0, ["0"]), (2, ["0", "2"]), (59, ["0 to 2", "57 to 59"])])
+def test_counts_have_bars_of_their_own(highest: int, spans: list[str]) -> None:
+    frame = Frame("t", Scale(-0.5, highest + 0.5, counts=True), Scale(0, 1), "x", "y")
+    values = pd.Series([0.0, float(highest)])
+    histogram(frame, values, pd.Series(["unstable"] * 2), ["unstable"])
+    drawn = "".join(map(str, frame.marks))
+    assert re.findall(r"<title>(.*?): \d+ unstable</title>", drawn) == spans
+    assert sum(int(count) for count in re.findall(r": (\d+) unstable<", drawn)) == 2
+    assert all(float(label) == int(label) for _, label in frame.x.ticks())
 
 
 def test_groups_are_about_equal_and_tear_no_ties_apart() -> None:

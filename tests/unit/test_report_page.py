@@ -156,7 +156,7 @@ def test_keys_move_and_open(open_page: OpenPage, html: str) -> None:
 
 
 def test_markup_is_text(open_page: OpenPage, tmp_path: Path) -> None:
-    plans = write_plans(tmp_path / "plans.json", [MARKUP, "🧀" * 40, "x" * 200, "two\nlines, \u202eand more"])
+    plans = write_plans(tmp_path / "plans.json", [MARKUP, "🧀" * 40, "x" * 200, "two\nlines, \u202eand more", "-5"])
     named = [replace(plan, articles=(MARKUP + "y" * 150,) * plan.n_boxes) for plan in plans]
     run = write_run(tmp_path / ("z" * 120), named, [fallen(plan) for plan in named])
     opened = opened_report(open_page, report_page(open_runs([run], [tmp_path])), fragment=urlencode({"plan": MARKUP}))
@@ -165,6 +165,8 @@ def test_markup_is_text(open_page: OpenPage, tmp_path: Path) -> None:
     assert opened.page.locator("img").count() == 0
     assert f"petmjx show '{MARKUP}'" in opened.page.locator("#plan").inner_text()
     assert "two\\nlines, \\u202eand more" in shown(opened)
+    dashed = opened_report(open_page, report_page(open_runs([run], [tmp_path])), fragment="plan=-5")
+    assert "petmjx show --html story.html -- -5 " in dashed.page.locator("#plan").inner_text()
     phone = opened_report(open_page, report_page(open_runs([run], [tmp_path])), width=400)
     assert phone.page.evaluate("document.documentElement.scrollWidth") <= 400
     assert (opened.errors, opened.requests) == ([], [])
@@ -205,6 +207,8 @@ def test_it_fits_a_phone(open_page: OpenPage, html: str, dark: bool) -> None:
     opened = opened_report(open_page, html, width=400, dark=dark, fragment="plan=plan-3")
     opened.until("document.querySelectorAll('.card3d canvas').length === 1")
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= 400
+    opened.page.locator("table.rows tbody tr[data-at='1']").click()
+    opened.until("Math.abs(document.querySelector('#plan').getBoundingClientRect().top) < 40")  # seen, and not below
     background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (background == "rgb(255, 255, 255)") is not dark
 

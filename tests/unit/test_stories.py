@@ -74,6 +74,7 @@ def test_stories_of_a_sweep_have_placement_and_drive(searched: bool, plan_file: 
         played = petmjx.tell("tower", run, variant=variant)
         story = petmjx.tell("tower", run, variant=variant, interval_s=0.1, details=False)
         assert_tells(story, run)
+        assert story.name == played.name == f"tower, variant {variant}"
         assert_equal(played.history, story.history)
         assert (story.drive is None) == (variant == 0)
         if variant:
@@ -137,7 +138,8 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     refused("run: plan nothing is not among its 2 plans", "nothing", run)
     refused("run: plan tower came from .*plans.json, which is not there", "tower", run)
     assert petmjx.tell("tower", run, plans=moved).outcome.verdict is Verdict.STABLE
-    refused("x.toml: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)
+    refused("swept: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)
+    refused("run: plan tower has no variant 1", "tower", run, plans=moved, variant=1)
     refused("schedule: the options of a run's story are those of the run", "tower", run, schedule="fixed")
     refused("variant and plans belong to the story of a run", "tower", moved, variant=1)
     refused("plan none is not among the 2 plans read", "none", moved)

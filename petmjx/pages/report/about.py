@@ -68,6 +68,8 @@ def _options(config: Mapping[str, Any]) -> Content:
     if not isinstance(simulation, Mapping):
         return "unknown (written by petmjx before 0.2)"
     changed = dict(differing(simulation, Simulation().model_dump(mode="json")))
+    limit = "world_timeout_s"  # an option of the run, but one that makes verdicts
+    changed |= differing({limit: config.get(limit)}, {limit: None})
     if not changed:
         return "all at their defaults"
     items = [element("li", element("code", name), f" {was}") for name, was in changed.items()]

@@ -47,6 +47,14 @@ def between(low: float, high: float) -> str:
     return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
+def _span(low: float, high: float, counts: bool) -> str:
+    """What a bin holds: "0.5 to 1", of counts "3" or "3 to 5"."""
+    if not counts:
+        return f"{three_digits(low)} to {three_digits(high)}"
+    first, last = math.ceil(low), math.floor(high)
+    return f"{first:,}" if first == last else f"{first:,} to {last:,}"
+
+
 def histogram(frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str]) -> None:
     """Bars of how many worlds have a value, one class upon the other. Sets the frame's y scale.
 
@@ -64,11 +72,11 @@ def histogram(frame: Frame, values: pd.Series, classes: pd.Series, order: Sequen
     }
     highest = max(float(np.sum(list(counts.values()), axis=0).max(initial=0.0)), 1.0)
     frame.y = Scale(0.0, 1.05 * highest, counts=True)
-    below: FloatArray = np.zeros(BINS)
+    below: FloatArray = np.zeros(len(edges) - 1)
     for name, count in counts.items():
         for at in np.flatnonzero(count):
             (left, right), (low, high) = frame.at(edges[at : at + 2], [below[at], below[at] + count[at]])
-            span = f"{three_digits(float(edges[at]))} to {three_digits(float(edges[at + 1]))}"
+            span = _span(float(edges[at]), float(edges[at + 1]), frame.x.counts)
             frame.add(
                 element(
                     "rect",

@@ -89,6 +89,8 @@ def distributions(run: ReportRun) -> Markup:
     worlds = run.worlds
     if worlds.empty:
         return NOTHING
+    if (worlds["verdict"] == Verdict.INVALID.value).all():
+        return element("p", f"No {run.what} was simulated validly: there is nothing to draw.", class_="hint")
     limits = thresholds_of(run.info)
     sizes = [size for size in SIZES if size.of(worlds).nunique() > 1]
     alone = [

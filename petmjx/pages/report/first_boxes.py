@@ -14,6 +14,7 @@ from petmjx.pages.report.svg import WIDTH, Frame, Scale, figure
 from petmjx.pages.report.verdicts import ORDER, link
 from petmjx.results.compare import KEY
 from petmjx.text import counted
+from petmjx.verdict import Verdict
 
 MOST_ARTICLES: Final = 12
 
@@ -22,7 +23,8 @@ def first_boxes(run: ReportRun) -> Markup:
     """Charts of the boxes that first crossed a threshold."""
     falls = run.worlds[run.worlds["culprit"].notna()]
     if falls.empty:
-        return NOTHING if run.worlds.empty else element("p", "No box crossed a threshold.", class_="hint")
+        unknown = (run.worlds["verdict"] == Verdict.INVALID.value).all()
+        return NOTHING if unknown else element("p", "No box crossed a threshold.", class_="hint")
     place = 100 * falls["culprit"].astype("float64") / (falls["n_boxes"] - 1).clip(lower=1)
     along = Frame(
         "Place in the packing order of the box that goes first", Scale(0, 100), Scale(0, 1), "", f"{run.what}s"
@@ -32,7 +34,7 @@ def first_boxes(run: ReportRun) -> Markup:
     number = Frame(
         "Number of the box that goes first", Scale(0, 1), Scale(0, 1), "number in the order, from 0", f"{run.what}s"
     )
-    number.x = Scale.over(falls["culprit"].astype("float64"), zero=True)
+    number.x = Scale(-0.5, float(falls["culprit"].max()) + 0.5, counts=True)
     histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)
     return joined(
         element("p", f"In {counted(len(falls), run.what)} a box crossed a threshold first."),

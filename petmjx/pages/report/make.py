@@ -23,7 +23,7 @@ from petmjx.pages.report.runs import Kind, ReportRun, open_runs
 from petmjx.pages.report.swept import sweep_answers
 from petmjx.pages.report.verdicts import headline, verdict_table
 from petmjx.results.compare import thresholds_of
-from petmjx.results.files import write_text
+from petmjx.results.files import why_unwritable, write_text
 from petmjx.results.reader import RunResults
 from petmjx.text import counted, one_line, printable
 from petmjx.units import MM_PER_M
@@ -54,21 +54,24 @@ def report(
         The file's path.
 
     Raises:
-        InputError: a folder without a run, a damaged run, plans that cannot be read, or ``out`` is there already.
+        InputError: a folder without a run, a damaged run, plans that cannot be read, ``out`` is there already, or its
+            folder is not, or is not writable.
         PetmjxError: the page cannot be written.
     """
     path = Path(out)
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file for the report")
+        raise InputError(f"{printable(str(path))}: is a folder; name a file for the report")
     if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already; name another file, or overwrite it")
+        raise InputError(f"{printable(str(path))}: exists already; name another file, or overwrite it")
+    if why := why_unwritable(path):  # now, and not after the work of a large report
+        raise InputError(f"{printable(str(path))}: cannot be written: {printable(why)}")
     given = [runs] if isinstance(runs, str | Path | RunResults) else list(runs)
     files = [plans] if isinstance(plans, str | Path) else list(plans)
     text = report_page(open_runs(given, [Path(file) for file in files]))
     try:
         write_text(text, path)
     except OSError as error:
-        raise PetmjxError(f"{path}: cannot be written: {one_line(error)}") from error
+        raise PetmjxError(f"{printable(str(path))}: cannot be written: {one_line(error)}") from error
     return path
 
 

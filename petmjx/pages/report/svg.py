@@ -73,7 +73,13 @@ class Scale:
         return np.asarray((clipped - self.low) / (self.high - self.low))
 
     def edges(self, bins: int) -> FloatArray:
-        """(bins + 1,) edges of bins that look equally wide."""
+        """(bins + 1,) edges of bins that look equally wide; of counts at most so many, each with as many counts.
+
+        A scale of counts begins half a unit below one, so that each lies within a bin. Its last bin may end beyond it.
+        """
+        if self.counts:
+            wide = math.ceil((self.high - self.low) / bins)
+            return self.low + wide * np.arange(math.ceil((self.high - self.low) / wide) + 1.0)
         if self.log:
             return np.geomspace(self.low, self.high, bins + 1)
         return np.linspace(self.low, self.high, bins + 1)

@@ -90,7 +90,9 @@ export class PlanView {
 
   howToSeeItMove(id, variant, row) {
     const one = this.rows.column("variant") ? ` --variant ${variant}` : "";
-    const command = `petmjx show ${quoted(id)} ${this.runOf(row).folder}${one} --html story.html`;
+    const [named, options] = [`${quoted(id)} ${this.runOf(row).folder}`, `${one} --html story.html`];
+    // After -- an id that begins with a dash is no option.
+    const command = `petmjx show${id.startsWith("-") ? `${options} -- ${named}` : ` ${named}${options}`}`;
     const line = make("p", { class: "hint" }, "To see it move: ", make("code", {}, command));
     if (this.rows.arrays.replay[row] < 0) {
       const run = make("code", {}, `petmjx ${this.runOf(row).command} … --record failed`);
@@ -102,5 +104,5 @@ export class PlanView {
 
 // As a shell takes it.
 function quoted(text) {
-  return /^[\w@%+=:,./-]+$/.test(text) && !text.startsWith("-") ? text : `'${text.replaceAll("'", `'"'"'`)}'`;
+  return /^[\w@%+=:,./-]+$/.test(text) ? text : `'${text.replaceAll("'", `'"'"'`)}'`;
 }

@@ -15,11 +15,16 @@ async function start() {
 
   const filters = new Filters(byId("filters"), rows, (next) => apply(next));
   const table = new Table(byId("table"), rows, {
-    onOpen: (row) => apply(opened(state, row)),
+    onOpen: async (row) => {
+      apply(opened(state, row));
+      await drawn;
+      if (isBelow(byId("plan"), byId("table"))) byId("plan").scrollIntoView(); // on a narrow screen
+    },
     onSort: (key) => apply(sorted(state, key)),
   });
   const plan = new PlanView(byId("plan"), info, rows, () => apply(closed(state)));
   let shown = -1;
+  let drawn = null; // resolves once the plan that is looked at is there
 
   function apply(next) {
     state = next;
@@ -37,7 +42,7 @@ async function start() {
     byId("plans").classList.toggle("open", row >= 0);
     table.open(row);
     if (row < 0) plan.close();
-    else plan.show(row);
+    else drawn = plan.show(row);
   }
 
   function rowOf(asked) {
@@ -63,6 +68,10 @@ async function start() {
   show();
   if (state.toString()) byId("plans").scrollIntoView();
   document.documentElement.dataset.ready = "true";
+}
+
+function isBelow(one, other) {
+  return one.getBoundingClientRect().top >= other.getBoundingClientRect().bottom;
 }
 
 function closed(from) {
