@@ -167,7 +167,11 @@ def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """Orders that all packers pack in the same way, if there are any."""
     compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
     same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
-    return [f"{counted(same, 'plan')} of {len(compared):,} are the same in all runs"] if same else []
+    return (
+        [f"{counted(same, 'plan')} of {len(compared):,} {'is' if same == 1 else 'are'} the same in all runs"]
+        if same
+        else []
+    )
 
 
 def _differing(a: Any, b: Any) -> list[str]:
