@@ -211,7 +211,10 @@ def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
         if known and missing:
             verb = "is" if len(missing) == 1 else "are"
             plans = counted(len(missing), "plan")
-            notes.append(f"{plans} {verb} not in the run or invalid there, so {column} is empty ({_named(missing)})")
+            notes.append(
+                f"{plans} {verb} not in the run or invalid there, so {column} is empty, "
+                f"which counts as not stable in the rating ({_named(missing)})"
+            )
     return notes
 
 

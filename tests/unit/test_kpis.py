@@ -246,7 +246,11 @@ def test_runs_that_do_not_fit(runs: dict[str, Path]) -> None:
         rate({"stands": tower(3)}, run=runs["static"])
     found = rate({"stands": tower(2), "new": tower(1)}, run=runs["static"])
     assert found.plans.set_index("plan_id")["kpi_6"].isna().to_dict() == {"stands": False, "new": True}
-    assert "1 plan is not in the run or invalid there, so kpi_6 is empty (new)" in found.notes
+    assert (
+        "1 plan is not in the run or invalid there, so kpi_6 is empty, which counts as not stable in the rating (new)"
+        in found.notes
+    )
+    assert found.summary["rating"] == 2 / 3
     with pytest.raises(petmjx.InputError, match="no such folder"):
         rate({"stands": tower(2)}, run="nowhere")
 
