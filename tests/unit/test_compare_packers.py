@@ -211,6 +211,7 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path) -> None:
     assert list(compare_packers([a, same]).runs) == [str(a), str(same)]
     for runs, text in (
         ([a], "at least two runs"),
+        (str(a), "at least two runs"),
         ([a, a], "given twice"),
         ([a, swept], "is a sweep; packers are compared by scores"),
         ([a, tmp_path / "none"], "no such folder"),
