@@ -178,6 +178,13 @@ def test_plans_summarise_their_boxes() -> None:
     assert results.boxes["force_balance"].isna().tolist()[-3:] == [False, False, True]
 
 
+def test_an_output_that_is_no_folder_is_refused_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        with pytest.raises(petmjx.InputError, match=r"cannot be written: .*file is not a folder"):
+            petmjx.criteria([], out=out)
+
+
 def test_tables_are_written_whole_with_units(tmp_path: Path) -> None:
     out = tmp_path / "out"
     results = petmjx.criteria(PLANS, out=out)
