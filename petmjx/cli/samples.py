@@ -81,13 +81,15 @@ def samples(
         "workers": workers or cpu_threads(),
         "on_left_out": left_out.append,
     }
-    with progress(n if orders is None else None) as bar:
-        if orders is None:
-            write_samples(out, n, loose_share=loose_share, progress=count, **how)
-        else:
-            write_plans(out, pack_orders(orders, on_bad_order=bad.append, **how), progress=count)
-    for error in bad:
-        typer.echo(f"skipped: {printable(str(error))}", err=True)
+    try:
+        with progress(n if orders is None else None) as bar:
+            if orders is None:
+                write_samples(out, n, loose_share=loose_share, progress=count, **how)
+            else:
+                write_plans(out, pack_orders(orders, on_bad_order=bad.append, **how), progress=count)
+    finally:  # they say why there may be no plan to write
+        for error in bad:
+            typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]
     for order in shown:
         print(order)

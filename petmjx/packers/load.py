@@ -37,6 +37,8 @@ def opened(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
     Raises:
         InputError: fewer than two runs, two of one name, or a folder without a run.
     """
+    if isinstance(runs, str | Path | RunResults):
+        runs = [runs]  # a text is also a sequence, of its letters
     named = runs if isinstance(runs, Mapping) else None
     found = [run if isinstance(run, RunResults) else load_run(run) for run in (named.values() if named else runs)]
     if len(found) < 2:

@@ -82,12 +82,14 @@ def kpis(
         orders: BED-BPP's orders file. An order belongs to the plan with its id.
         run: folders of runs of these plans. The verdicts are those of the first one; ``kpi_6`` is BED-BPP's rule on the
             first one with check ``static``.
-        assume_stable: take all plans as stable: ``kpi_6`` is 1.
+        assume_stable: take all plans as stable: ``kpi_6`` is 1. Without runs only.
         strict: raise at the first unusable plan or order, instead of leaving it out.
 
     Raises:
         InputError: no usable plan or order, or a run of other plans.
     """
+    if assume_stable and run:
+        raise InputError("give either runs or assume_stable (--assume-stable): a run says itself which plans stand")
     read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
     by_id = {plan.plan_id: plan for plan in read.plans}
     skipped = [str(each) for each in read.skipped]
@@ -206,8 +208,8 @@ def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()
         if known and missing:
             verb = "is" if len(missing) == 1 else "are"
-            unknown = f"{counted(len(missing), 'plan')} {verb} not in the run or invalid there"
-            notes.append(f"{unknown}, so {column} is empty ({first_names(missing)})")
+            unknown = f"{counted(len(missing), 'plan')} {verb} not in the run or invalid there, so {column} is empty"
+            notes.append(f"{unknown}, which counts as not stable in the rating ({first_names(missing)})")
     return notes
 
 

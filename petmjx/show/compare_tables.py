@@ -38,11 +38,13 @@ def comparison_tables(found: Comparison, max_rows: int = 40) -> Iterator[Rendera
             yield line(
                 f"each has a margin within ±{three_digits(found.flips_within)} of a threshold in one of the runs"
             )
-    for what, differences in (("worlds", found.worlds), ("boxes", found.boxes)):
-        for table in _differences_tables(what, differences):
-            yield ""
-            yield table
-    yield line(f"%: |b - a| / max(a, {FORCE_FLOOR_N:g} N)", style="dim")
+    several = (("worlds", found.worlds), ("boxes", found.boxes))
+    tables = [table for what, differences in several for table in _differences_tables(what, differences)]
+    for table in tables:
+        yield ""
+        yield table
+    if tables:
+        yield line(f"%: |b - a| / max(a, {FORCE_FLOOR_N:g} N)", style="dim")
 
 
 def _confusion_table(found: Comparison) -> FittedTable:

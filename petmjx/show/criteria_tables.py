@@ -72,6 +72,12 @@ def _says_table(results: CriteriaResults) -> FittedTable:
 
 
 def _judged_table(judged: pd.DataFrame) -> FittedTable:
+    first = judged.iloc[0]
+    known = counted(int(first["n_plans"]), "plan")
+    stand, fall = (first[f"accepted_{what}"] + first[f"refused_{what}"] for what in ("stands", "falls"))
+    alike = (
+        "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"
+    )
     table = FittedTable(
         Column("criterion", "left"),
         Column("accepted\nstand", spare=1),
@@ -82,7 +88,7 @@ def _judged_table(judged: pd.DataFrame) -> FittedTable:
         Column("recall", "left", spare=4),
         Column("MCC", "left"),
         Column("same\nfirst box", spare=3),
-        title=f"judged by physics on {counted(int(judged['n_plans'].max()), 'plan')}",
+        title=f"judged by physics on {known}{alike}",
         caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
         "95 % intervals",
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import pandas as pd
 from rich.console import RenderableType
 from rich.text import Text
 
@@ -49,7 +50,7 @@ def _plans_table(found: Kpis) -> FittedTable:
             f"{row['n_boxes']:,} of {row['n_ordered']:,}",
             *(number(row[name], ".3f") for name in ("kpi_1", "kpi_2", "kpi_3", "kpi_4", "kpi_5")),
             number(row["kpi_6"], ".0f"),
-            Text(row["verdict"] or "-"),
+            Text("-" if pd.isna(row["verdict"]) else row["verdict"]),
             number(row["eval_score_pal_ratio"], ".3f"),
             number(row["eval_score_height"], ".3f"),
             number(row["n_pal_items"], ".0f"),

@@ -25,7 +25,8 @@ def load_tables(found: Loads, out: str | None = None) -> Iterator[RenderableType
         yield line(f"note: {note}", style="yellow")
     over, unknown = found.plans["overloaded"].sum(), found.plans["overloaded"].isna().sum()
     boxes = counted(int(found.plans["n_overloaded"].sum()), "box", "boxes")
-    yield line(f"{over:,} of {counted(len(found.plans), 'plan')} overloaded ({boxes}), {unknown:,} not known")
+    what = counted(len(found.plans), "world" if (found.plans["variant"] > 0).any() else "plan")
+    yield line(f"{over:,} of {what} overloaded ({boxes}), {unknown:,} not known")
     if out is not None:
         yield line(f"loads in {out}")
 

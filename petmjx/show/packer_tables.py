@@ -25,6 +25,8 @@ def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[Rende
     for note in found.notes:
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(found)
+    if not found.packers["n"].any():
+        return  # a note says why
     yield ""
     yield _packers_table(found)
     if KPIS[0] in found.packers:
@@ -32,9 +34,10 @@ def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[Rende
         yield _kpis_table(found)
     yield ""
     yield _pairs_table(found)
-    if found.packers["size"].nunique() > 2:
+    sized = found.packers[(found.packers["size"] != ALL_SIZES) & (found.packers["n"] > 0)]
+    if sized["size"].nunique() > 1:
         yield ""
-        yield _sizes_table(found)
+        yield _sizes_table(found, sized)
     if len(found.reasons):
         yield ""
         yield _reasons_table(found.reasons)
@@ -120,8 +123,7 @@ def _pairs_table(found: PackerComparison) -> FittedTable:
     return table
 
 
-def _sizes_table(found: PackerComparison) -> FittedTable:
-    sized = found.packers[found.packers["size"] != ALL_SIZES]
+def _sizes_table(found: PackerComparison, sized: pd.DataFrame) -> FittedTable:
     left_out = _left_out(found)
     table = FittedTable(
         Column("boxes of\nthe order", "left"),

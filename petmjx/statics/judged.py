@@ -92,7 +92,8 @@ def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray
 def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Precision, recall and MCC of (…, 4) counts.
 
-    A share of nothing is NaN. Where a criterion, or physics, says the same of all plans, MCC is 0: it tells nothing.
+    A share of nothing is NaN. Where a criterion says the same of all plans, MCC is 0: it tells nothing. Where physics
+    does, MCC is NaN: there is nothing to tell.
     """
     hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -100,6 +101,7 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
         # root by root: the product of all four is beyond the whole numbers that float64 holds
         below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
         mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
+    mcc = np.where((hit + miss == 0) | (false + right == 0), np.nan, mcc)
     return precision, recall, mcc
 
 
@@ -126,12 +128,13 @@ def best_thresholds(
         published = 1.0 if criterion.name == "support_100" else 0.0
         number = both[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
         threshold, found = best_threshold(number[first_half], stands[first_half])
-        accepted = number[~first_half] >= threshold
+        # without a threshold there is nothing to judge
+        judged = ~first_half if np.isfinite(threshold) else np.zeros_like(first_half)
         as_published = confusion(both[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
         row: dict[str, object] = {"criterion": criterion.name, "number": criterion.number, "unit": criterion.unit}
         row |= {"threshold": threshold, "published": published}
         row |= {"n_found_on": int(first_half.sum()), "mcc_found_on": found, "n_plans": int((~first_half).sum())}
-        row |= scored(accepted, stands[~first_half], seed)
+        row |= scored(number[judged] >= threshold, stands[judged], seed)
         rows.append(row | {"mcc_published": float(scores(as_published)[2])})
     return pd.DataFrame(rows)
 
@@ -146,8 +149,8 @@ def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
 def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float, float]:
     """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. NaN numbers are never accepted.
 
-    It is halfway between the two numbers that it separates; of equals the middle one is taken. Infinite thresholds,
-    which accept all or none, have an MCC of 0. NaN where there are fewer than two different numbers.
+    It is halfway between the two numbers that it separates; of equals the middle one is taken. The threshold is NaN
+    where none tells anything (MCC > 0): numbers are equal, all plans stand or all fall, or larger numbers fall.
     """
     known = ~np.isnan(number)
     values, owner = np.unique(number[known], return_inverse=True)
@@ -160,6 +163,8 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
+    if not mcc.max() > 0:  # NaN, too
+        return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])
     return float((values[cut] + values[cut + 1]) / 2), float(mcc[cut])

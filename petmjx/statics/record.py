@@ -88,10 +88,13 @@ class CriteriaResults:
 
 
 def check_free(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that holds criteria already, unless they may be replaced.
+    """Refuse, before minutes of work, a folder that holds criteria already and may not be replaced, or a file.
 
     Raises:
-        InputError: it does.
+        InputError: it is one of these.
     """
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not existing.is_dir():
+        raise InputError(f"{folder}: cannot be written: {existing} is not a folder")
     if (folder / INFO_FILE).exists() and not overwrite:
         raise InputError(f"{folder}: holds criteria already; name another folder with --out, or pass --overwrite")

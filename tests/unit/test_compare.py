@@ -17,6 +17,7 @@ from petmjx.results.compare import FORCE_FLOOR_N, compare_runs, thresholds_of
 from petmjx.results.reader import load_run
 from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter
+from petmjx.show.compare_tables import comparison_tables
 from petmjx.verdict import Outcome, Reason, Verdict
 
 FLOAT32 = 1e-6
@@ -160,6 +161,8 @@ def test_nothing_in_common(tmp_path: Path, outcomes: dict[str, Outcome]) -> None
     assert result.to_dict()["agreement"] is None
     assert (result.worlds.n == 0).all()
     assert "no world is in both runs" in result.notes
+    lines = [str(each) for each in comparison_tables(result)]
+    assert not any("max(a" in each for each in lines)  # what % means is told below tables only
 
 
 def test_notes_on_what_does_not_fit(tmp_path: Path) -> None:

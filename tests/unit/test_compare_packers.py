@@ -121,7 +121,9 @@ def test_no_common_order(tmp_path: Path) -> None:
     assert "no order has a valid verdict from every packer" in found.notes
     assert only(found.pairs, size=ALL_SIZES)["n"] == 0
     assert json.dumps(found.to_dict(), allow_nan=False)
-    assert "0 orders compared" in printed(found, 80)
+    text = printed(found, 80)
+    assert "2 of 2 orders are not compared: a 1 missing, b 1 missing" in text
+    assert "McNemar" not in text
 
 
 def test_three_packers_are_corrected_by_holm(tmp_path: Path) -> None:
@@ -170,6 +172,21 @@ def test_sizes_are_those_of_the_largest_plan(tmp_path: Path) -> None:
     assert set(found.packers["size"]) == {ALL_SIZES, "21 to 40"}
 
 
+def test_sizes_without_a_compared_order_are_not_shown(tmp_path: Path) -> None:
+    tall, large = plans.make_plan("t", 25), plans.make_plan("l", 45)
+    both = {"x": stands(), "t": make_outcome(n=25)}
+    a = write(tmp_path / "a", both | {"l": make_outcome(n=45)}, {"t": tall, "l": large})
+    text = printed(compare_packers([a, write(tmp_path / "b", both, {"t": tall})]), 80)
+    assert "1 to 20" in text
+    assert "21 to 40" in text
+    assert "41 to 60" not in text
+
+
+def test_one_plan_that_is_the_same(tmp_path: Path) -> None:
+    found = compare_packers([write(tmp_path / name, {"x": stands()}) for name in "ab"])
+    assert found.notes == ("1 plan of 1 is the same in all runs",)
+
+
 def test_doubts_are_notes(tmp_path: Path) -> None:
     other = {**CONFIG["simulation"], "check": "static"}  # type: ignore[dict-item]
     a = write(tmp_path / "a", {"x": stands()})
@@ -195,6 +212,7 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path) -> None:
     assert list(compare_packers([a, same]).runs) == [str(a), str(same)]
     for runs, text in (
         ([a], "at least two runs"),
+        (str(a), "at least two runs"),
         ([a, a], "given twice"),
         ([a, swept], "is a sweep; packers are compared by scores"),
         ([a, tmp_path / "none"], "no such folder"),

@@ -54,6 +54,27 @@ def test_a_criterion_that_says_the_same_of_all_plans_tells_nothing() -> None:
     assert (recall, mcc) == (0, 0)
 
 
+@pytest.mark.parametrize("cells", [[7, 0, 3, 0], [0, 7, 0, 3], [7, 0, 0, 0]])
+def test_plans_that_all_stand_or_all_fall_tell_nothing_of_a_criterion(cells: list[int]) -> None:
+    assert np.isnan(scores(np.array(cells))[2])
+
+
+@pytest.mark.parametrize("stands", [[True] * 4, [False] * 4, [True, True, False, False]])
+def test_no_threshold_where_none_tells_anything(stands: list[bool]) -> None:
+    """All stand, all fall, or those with the larger numbers fall."""
+    threshold, found = best_threshold(np.arange(4.0), np.array(stands))
+    assert np.isnan(threshold)
+    assert found == 0
+
+
+def test_without_a_threshold_nothing_is_judged() -> None:
+    results = petmjx.criteria([make_plan(f"p{k}", stack(2, overhang_mm=10.0 * k)) for k in range(8)], only=("centre",))
+    physics = worlds(**{f"p{k}": "stable" for k in range(8)})
+    (row,) = best_thresholds(results.plans, physics, results.criteria).to_dict("records")
+    assert np.isnan([row["threshold"], row["mcc"], row["precision"], row["recall"], row["mcc_published"]]).all()
+    assert row["accepted_stands"] == row["refused_stands"] == 0
+
+
 def test_intervals_are_those_of_plans_drawn_with_replacement() -> None:
     accepted, stands = random_answers()
     row = scored(accepted, stands, seed=1)
@@ -155,6 +176,13 @@ def test_plans_summarise_their_boxes() -> None:
         assert results.plans[f"{criterion.name}_slack"].tolist() == pytest.approx(least.tolist())
     assert results.plans["centre_first"].tolist() == [pd.NA, pd.NA, 1, 1]
     assert results.boxes["force_balance"].isna().tolist()[-3:] == [False, False, True]
+
+
+def test_an_output_that_is_no_folder_is_refused_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        with pytest.raises(petmjx.InputError, match=r"cannot be written: .*file is not a folder"):
+            petmjx.criteria([], out=out)
 
 
 def test_tables_are_written_whole_with_units(tmp_path: Path) -> None:

@@ -238,9 +238,23 @@ def test_runs_that_do_not_fit(runs: dict[str, Path]) -> None:
         rate({"stands": tower(3)}, run=runs["static"])
     found = rate({"stands": tower(2), "new": tower(1)}, run=runs["static"])
     assert found.plans.set_index("plan_id")["kpi_6"].isna().to_dict() == {"stands": False, "new": True}
-    assert "1 plan is not in the run or invalid there, so kpi_6 is empty (new)" in found.notes
+    assert (
+        "1 plan is not in the run or invalid there, so kpi_6 is empty, which counts as not stable in the rating (new)"
+        in found.notes
+    )
+    assert found.summary["rating"] == 2 / 3
     with pytest.raises(petmjx.InputError, match="no such folder"):
         rate({"stands": tower(2)}, run="nowhere")
+
+
+def test_the_command_with_a_run_of_some_plans_only(runs: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    plans = {"stands": tower(2), "new": tower(1)}
+    write(Path("some.json"), plans)
+    write(Path("orders.json"), {name: order_for(plan) for name, plan in plans.items()})
+    assert run("kpis", "some.json", "--orders", "orders.json", "--run", str(runs["static"])) == 0
+    rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line}
+    assert "stable" in rows["stands"]
+    assert rows["new"].count("-") >= 2
 
 
 def test_ten_millimetres_along_z(runs: dict[str, Path]) -> None:
@@ -302,6 +316,7 @@ def test_the_command(columns: str, capsys: pytest.CaptureFixture[str], monkeypat
             "leaderboard name doe: must be SURNAME_ALGORITHM_TASK or DATE_SURNAME_ALGORITHM_TASK",
         ),
         (["--run", "nowhere"], "nowhere: no such folder"),
+        (["--run", "nowhere", "--assume-stable"], "give either runs or assume_stable (--assume-stable)"),
     ],
 )
 def test_the_command_refuses(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from support.plan_files import placement, tower
 
 import petmjx
 from petmjx.results.articles import Strength, read_articles
+from petmjx.show.load_tables import load_tables
 from petmjx.units import STANDARD_GRAVITY
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -210,6 +212,14 @@ def test_the_command(
     plans = {row["plan_id"]: row for row in json.loads(capsys.readouterr().out)["plans"]}
     assert plans["three"]["overloaded"] is True
     assert plans["falls"]["overloaded"] is None
+
+
+def test_worlds_with_errors_are_not_called_plans(results: petmjx.RunResults) -> None:
+    table("milk,,10,,,")
+    found = petmjx.loads(results, "articles.csv")
+    again = replace(found, plans=pd.concat([found.plans, found.plans.assign(variant=1)], ignore_index=True))
+    again = replace(again, boxes=pd.concat([found.boxes, found.boxes.assign(variant=1)], ignore_index=True))
+    assert "2 of 6 worlds overloaded (2 boxes), 4 not known" in [str(each) for each in load_tables(again)]
 
 
 def test_the_command_refuses(capsys: pytest.CaptureFixture[str]) -> None:

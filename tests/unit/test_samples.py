@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.command_line import write
+from support.command_line import run, write
 from support.plan_files import order
 
 from petmjx.errors import InputError
@@ -250,6 +250,16 @@ def test_a_bad_item_is_named_and_the_other_orders_are_packed(
     skipped: list[InputError] = []
     assert [plan_id for plan_id, _ in pack_orders(path, on_bad_order=skipped.append)] == ["good"]
     assert len(skipped) == 1
+
+
+def test_without_a_usable_order_no_file_is_touched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    orders = write(tmp_path / "orders.json", {"bad": order(id=None)})
+    (tmp_path / "plans.json").write_text("kept")
+    assert run("samples", "--orders", str(orders), "-o", str(tmp_path / "plans.json")) == 2
+    skipped, error = capsys.readouterr().err.splitlines()
+    assert skipped.startswith(f"skipped: {orders}: order bad, item 2: id")
+    assert error == f"petmjx: {tmp_path / 'plans.json'}: there is no plan to write"
+    assert (tmp_path / "plans.json").read_text() == "kept"
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -140,13 +141,20 @@ def write_plans(
     """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
     The bytes depend only on the plans (no time stamp in the gzip header).
+
+    Raises:
+        InputError: there is no plan, or the file cannot be written.
     """
     path = Path(path)
+    coming = iter(plans)
+    first = next(coming, None)  # before the file is opened, which empties it
+    if first is None:
+        raise InputError(f"{printable(str(path))}: there is no plan to write")
     try:
         with ExitStack() as stack:
             out = _open_text(path, stack)
             out.write("{")
-            for count, (plan_id, placements) in enumerate(plans, start=1):
+            for count, (plan_id, placements) in enumerate(chain([first], coming), start=1):
                 lines = ",\n".join("  " + json.dumps(placement, ensure_ascii=False) for placement in placements)
                 separator = "," if count > 1 else ""
                 out.write(f"{separator}\n{json.dumps(plan_id)}: [\n{lines}\n]")
