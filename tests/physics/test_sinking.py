@@ -148,7 +148,7 @@ def test_looking_for_it_costs_next_to_nothing() -> None:
     boxes = [((200, 200, 200), (200 * (k % 4), 200 * (k // 4 % 4), 200 * (k // 16)), 5.0) for k in range(60)]
     scene = build_scene(make_plan(boxes=boxes), Simulation())
     outcome = simulate(boxes, Simulation())
-    begin = time.perf_counter()
+    begin = time.process_time()
     for _ in range(100):
         note_sinking(outcome, scene, Simulation())
-    assert (time.perf_counter() - begin) / 100 < 0.002
+    assert (time.process_time() - begin) / 100 < 0.002
