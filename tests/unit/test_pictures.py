@@ -291,7 +291,7 @@ def test_the_documents_have_the_pictures_that_the_script_makes(repository: Path)
     script = runpy.run_path(str(repository / "docs" / "pictures.py"))
     there = {path.name for path in (repository / "docs" / "pictures").iterdir()}
     assert there == set(script["files"]())
-    documents = [repository / "README.md", repository / "docs" / "seeing.md"]
+    documents = [repository / "README.md", *(repository / "docs").glob("*.md")]
     text = "".join(document.read_text(encoding="utf-8") for document in documents)
     assert [name for name in there if f"pictures/{name})" not in text] == []
     assert (repository / "docs" / "pictures" / "collapse.png").stat().st_size < 150_000
