@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import secrets
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +17,7 @@ from petmjx.pictures.poses import moments
 from petmjx.results.files import why_unwritable
 from petmjx.story import Story
 from petmjx.text import one_line, printable
+from petmjx.whole import whole_file
 
 Progress = Callable[[int, int], None]
 """Called with the frames of a film that are done, and all of them."""
@@ -57,7 +56,7 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
     paths = [Path(file) for file in files]
     check_files(paths)
     for path in paths:
-        with _replacing(path) as temporary:
+        with whole_file(path) as temporary:
             _WRITERS[kind_of(path)](story, temporary, look, progress)
     return paths
 
@@ -180,20 +179,3 @@ _WRITERS: Final = {
     "html": _write_page,
     "rrd": _write_recording,
 }
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """A hidden file beside ``path`` with its ending, which takes its place when the body has ended.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    temporary = path.with_name(f".{secrets.token_hex(16)}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{printable(str(path))}: cannot be written: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import gzip
 import os
-import secrets
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,11 +15,11 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.text import printable
+from petmjx.whole import whole_file
 
 _PLANS_AT_A_TIME: Final = 1_000
 """Of which a table is in memory: about 43,000 rows."""
@@ -49,26 +48,6 @@ def save_plans(plans: Iterable[Plan], path: str | os.PathLike[str]) -> None:
         raise InputError(f"{printable(str(file))}: there is no plan to write")
     with whole_file(file) as temporary:
         write(chosen, temporary)
-
-
-@contextmanager
-def whole_file(file: Path) -> Iterator[Path]:
-    """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    temporary = file.with_name(f".{secrets.token_hex(8)}.{file.name}")
-    try:
-        yield temporary
-        os.replace(temporary, file)
-    except OSError as error:
-        raise InputError(f"{printable(str(file))}: cannot be written: {reason(error)}") from error
-    except InputError as error:  # of what was written, which names the hidden path
-        raise InputError(str(error).replace(str(temporary), str(file))) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:

@@ -19,8 +19,9 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
-from petmjx.plans.write import as_placements, whole_file
+from petmjx.plans.write import as_placements
 from petmjx.text import counted, printable, shown
+from petmjx.whole import whole_file
 
 _PART: Final = re.compile(r"[^\W_][^\W_.+-]*(?:[.+-][^\W_.+-]+)*")
 _TASK: Final = re.compile(r"offline-?3dbp|o3dbp(?:-(\d{1,4})-(\d{1,4}))?", re.IGNORECASE)
