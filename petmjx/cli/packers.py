@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from petmjx.cli.console import results_console
 from petmjx.cli.runs import brief, default_folder, remove_empty, run_watched
 from petmjx.errors import InputError
 from petmjx.text import printable
+
+if TYPE_CHECKING:
+    from petmjx.api import Watcher
+    from petmjx.results.reader import RunResults
 
 
 def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool) -> None:
@@ -20,7 +25,6 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
         plans: name of each packer → its plans.
         options: as for ``petmjx.score``; ``out`` holds the folders.
     """
-    from petmjx import api
     from petmjx.packers.compare import compare_packers
     from petmjx.packers.load import check_names
     from petmjx.show.layout import line, print_each
@@ -38,10 +42,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
     try:
         for name, path in plans.items():
             given = options if parent is None else options | {"out": Path(parent) / name}
-            results[name] = run_watched(
-                lambda watcher, asked, path=path: api.score(path, watcher=watcher, **asked),  # type: ignore[misc]
-                given,
-            )
+            results[name] = run_watched(partial(_score, path), given)
             if not as_json:
                 print_each([line(f"packer {name}"), *run_tables(results[name]), ""], console)
     finally:
@@ -54,3 +55,9 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
         print(json.dumps({"runs": runs, "compared": tables}, indent=2, allow_nan=False))
     elif compared is not None:
         print_each(packer_tables(compared), console)
+
+
+def _score(plans: str, watcher: Watcher, options: Mapping[str, Any]) -> RunResults:
+    from petmjx import api
+
+    return api.score(plans, watcher=watcher, **options)
