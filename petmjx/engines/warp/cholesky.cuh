@@ -169,7 +169,7 @@ inline CUDA_CALLABLE void factor_row(
         float v[16];
         #pragma unroll
         for (int p = 0; p < 16; ++p) v[p] = own[p * B];
-        __syncwarp();
+        wait_for_warp();
         float update = 0.0f;
         #pragma unroll
         for (int i = 0; i < 8; ++i) {
@@ -255,7 +255,7 @@ inline CUDA_CALLABLE void update_and_go_on(
     update_below(system, shared, K, copied, first, items, stride);
 #if defined(__CUDA_ARCH__)
     if (!ahead) return;
-    __syncwarp();
+    wait_for_warp();
 #endif
     if (K + 1 < system.panels) factor_diagonal(system, shared, K + 1, thread);
 }

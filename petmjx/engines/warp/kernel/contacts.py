@@ -264,11 +264,14 @@ def link_blocks(state: State, work: Workspace, at: Lane) -> None:
             other = work.first[lane, pair] - 1 - at.held
             if end > begin and other >= 0:
                 low = wp.min(low, block_position(state, at, other))
-        begin = work.contact_of[lane, work.pair_of[lane, geom]]
-        for slot in range(begin, work.contact_of[lane, work.pair_of[lane, geom + 1]]):
-            work.links[lane, link] = 2 * slot
-            link += 1
-            low = wp.min(low, block_position(state, at, work.blocks[lane, slot, 1]))
+        for pair in range(work.pair_of[lane, geom], work.pair_of[lane, geom + 1]):
+            begin = work.contact_of[lane, pair]
+            end = work.contact_of[lane, pair + 1]
+            for slot in range(begin, end):
+                work.links[lane, link] = 2 * slot
+                link += 1
+            if end > begin:
+                low = wp.min(low, block_position(state, at, work.second[lane, pair] - 1 - at.held))
         work.position[lane, block] = position
         work.lowest[lane, position] = low
     wait_for_all()
