@@ -33,15 +33,21 @@ RESIDUALS = np.array(
 """(n, 3) accelerations of a contact beyond what it asks for: normal and tangents, m/s²."""
 
 
-@wp.func_native("petmjx::respond(pyramidal, slack, j.data, contact.data, push.data, bend.data);")
+@wp.func_native("petmjx::respond(pyramidal, slack, j.data, contact.data, anew, drag.data, push.data, bend.data);")
 def _respond(
     pyramidal: int,
     slack: wp.float64,
     j: wp.array[wp.float64],
     contact: wp.array[float],
+    anew: bool,
+    drag: wp.array[float],
     push: wp.array[wp.float64],
     bend: wp.array[wp.float64],
 ) -> None: ...
+
+
+@wp.func_native("petmjx::follow(j.data, v.data, drag.data);")
+def _follow(j: wp.array[wp.float64], v: wp.array[wp.float64], drag: wp.array[float]) -> None: ...
 
 
 @wp.func_native(
@@ -65,10 +71,16 @@ def one_contact(
     slack: wp.float64,
     j: wp.array[wp.float64],
     contact: wp.array[float],
+    anew: bool,
+    drag: wp.array[float],
     push: wp.array[wp.float64],
     bend: wp.array[wp.float64],
 ) -> None:
-    _respond(pyramidal, slack, j, contact, push, bend)
+    _respond(pyramidal, slack, j, contact, anew, drag, push, bend)
+
+
+def one_follow(j: wp.array[wp.float64], v: wp.array[wp.float64], drag: wp.array[float]) -> None:
+    _follow(j, v, drag)
 
 
 def along_a_line(
@@ -105,10 +117,14 @@ def numbers() -> wp.array[float]:
     return wp.array(contact, dtype=float, device="cpu")
 
 
-def force_and_curvature(kernel: Any, j: np.ndarray, pyramidal: int, impratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) force and (3, 3) curvature."""
+def force_and_curvature(
+    kernel: Any, j: np.ndarray, pyramidal: int, impratio: float, drag: Any = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) force and (3, 3) curvature, with this drag of a contact that slides, or with that of the residual."""
     push, bend = wp.zeros(3, dtype=wp.float64, device="cpu"), wp.zeros(6, dtype=wp.float64, device="cpu")
-    wp.launch(kernel, dim=1, inputs=[pyramidal, impratio**-0.5, doubles(j), numbers(), push, bend], device="cpu")
+    share = wp.array([0.0, 0.0] if drag is None else drag, dtype=float, device="cpu")
+    inputs = [pyramidal, impratio**-0.5, doubles(j), numbers(), drag is None, share, push, bend]
+    wp.launch(kernel, dim=1, inputs=inputs, device="cpu")
     upper = np.zeros((3, 3))
     upper[np.triu_indices(3)] = bend.numpy()
     return push.numpy(), upper + np.triu(upper, 1).T
@@ -151,5 +167,41 @@ def test_along_a_line_the_cost_has_the_slope_and_the_curvature_of_its_force(
                 along = doubles([0.0, 0.0])
                 inputs = [pyramidal, impratio**-0.5, doubles(start), doubles(direction), length, numbers(), along]
                 wp.launch(line, dim=1, inputs=inputs, device="cpu")
-                expected = [-force @ direction, direction @ curvature @ direction]
-                np.testing.assert_allclose(along.numpy(), expected, rtol=1e-9, atol=1e-9 * STIFFNESS)
+                first, second = along.numpy()
+                assert first == pytest.approx(-force @ direction, rel=1e-9, abs=1e-9 * STIFFNESS)
+                # the curvature's drag is single precision
+                assert second == pytest.approx(direction @ curvature @ direction, rel=1e-6, abs=1e-6 * STIFFNESS)
+
+
+def test_a_drag_of_its_own_makes_the_curvature_across_no_less_round(kernel: Any) -> None:
+    """From that of a norm (none along the direction of sliding) to that of a bowl, and never less than none."""
+    slides = RESIDUALS[4]
+    ahead = slides[1:] / np.linalg.norm(slides[1:])
+    force, exact = force_and_curvature(kernel, slides, 0, 20.0)
+    _, same = force_and_curvature(kernel, slides, 0, 20.0, ahead)
+    np.testing.assert_allclose(same, exact, rtol=1e-5)
+    _, round_ = force_and_curvature(kernel, slides, 0, 20.0, [0.0, 0.0])
+    across = np.linalg.norm(force[1:]) / np.linalg.norm(slides[1:])
+    np.testing.assert_allclose((round_ - exact)[1:, 1:], across * np.outer(ahead, ahead), rtol=1e-5, atol=1e-9)
+    for angle in np.linspace(0, 2 * np.pi, 9):
+        for length in (0.3, 1.0):
+            _, curvature = force_and_curvature(
+                kernel, slides, 0, 20.0, length * np.array([np.cos(angle), np.sin(angle)])
+            )
+            assert np.linalg.eigvalsh(curvature).min() >= -1e-6 * np.abs(curvature).max()
+
+
+def test_a_drag_follows_the_linear_model_and_stays_within_the_cone() -> None:
+    """By |j|·drag = j of the tangents: a step that ends the sliding does not change it, and after none it is ahead."""
+    kernel = compiled(one_follow)
+
+    def after(v: list[float], drag: list[float]) -> np.ndarray:
+        found = wp.array(drag, dtype=float, device="cpu")
+        wp.launch(kernel, dim=1, inputs=[doubles([-0.1, 3.0, 4.0]), doubles(v), found], device="cpu")
+        return found.numpy()
+
+    np.testing.assert_allclose(after([0.0, 0.0, 0.0], [0.1, -0.2]), [0.6, 0.8], rtol=1e-6)
+    np.testing.assert_allclose(after([5.0, -3.0, -4.0], [0.1, -0.2]), [0.1, -0.2], rtol=1e-6)
+    aside = after([0.0, -400.0, 300.0], [0.0, 0.0])
+    assert np.linalg.norm(aside) == pytest.approx(1.0)
+    np.testing.assert_allclose(aside, [-0.8, 0.6], atol=0.02)

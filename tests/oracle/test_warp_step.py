@@ -58,9 +58,11 @@ SAME_FORCE = 0.01
 SAME_FORCE_N = 0.2
 """What the accelerations' tolerance makes of boxes of up to 10 kg."""
 
-OTHER_ITERATIONS, OTHER_SHARE = 4, 1.0
+MORE_ITERATIONS = 4
 """A bound on what is left to gain replaces MuJoCo's two tests, and a factor in single precision costs an iteration or
-two where contacts are stiff; in a heap that needs 20 to 80, either side may need twice as many."""
+two where contacts are stiff. Where much slides it needs fewer than MuJoCo, and its forces of friction are unknowns of
+their own for that: SLIDING_SHARE of them in steps in which MuJoCo needs more than MANY."""
+MANY, SLIDING_SHARE = 15, 0.8
 
 
 @pytest.fixture(autouse=True)
@@ -117,7 +119,7 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
     scene = build_scene(make_plan(name, boxes), Simulation(physics=preset))
     model, data = exact(scene, physics)
     step = OneStep(scene, preset)
-    compared = 0
+    compared, many = 0, np.zeros(2)
     for at in range(max(steps) + 1):
         found = step(data) if at in steps else None
         mujoco.mj_step(model, data)
@@ -136,8 +138,11 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
         forces = top_forces(data, scene.n_boxes, physics.cone is Cone.PYRAMIDAL)
         np.testing.assert_allclose(found.force, forces, rtol=SAME_FORCE, atol=SAME_FORCE_N, err_msg=where)
         iterations = int(data.solver_niter[0])
-        assert abs(found.iterations - iterations) <= max(OTHER_ITERATIONS, OTHER_SHARE * iterations), where
+        assert found.iterations <= iterations + MORE_ITERATIONS, where
+        if physics.cone is Cone.ELLIPTIC and iterations > MANY:
+            many += np.array([found.iterations, iterations])
     assert compared >= len(steps) // 2
+    assert many[0] <= SLIDING_SHARE * many[1]
 
 
 @pytest.mark.parametrize(

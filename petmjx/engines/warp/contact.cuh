@@ -10,6 +10,10 @@
 
 namespace petmjx {
 
+const double TINY = 1e-30;  // instead of zero as a divisor
+
+inline CUDA_CALLABLE double larger(double x, double y) { return x > y ? x : y; }
+
 // A contact's numbers are read four at a time: neighbouring threads read different contacts, and each such access costs
 // a GPU as much as one to a single number.
 
@@ -57,8 +61,11 @@ inline CUDA_CALLABLE void relative(const float* contact, const int* block, const
 // Force (3,) and curvature (6: the upper triangle, row by row) of a contact's cost at residual j = J·a − r, in its
 // frame. The formulas are those of mj_constraintUpdate (MuJoCo, engine_core_constraint.c); both tangents have the same
 // friction here. `slack`: 1 / √impratio, which makes the rows of an elliptic cone's tangents impratio times as stiff.
+//
+// `drag` (2,) is the share of the friction that there can be, against its direction: an unknown of its own for a contact
+// that slides, |drag| ≤ 1, and a result for others. newton.py says why. With `anew` it is what the residual says.
 inline CUDA_CALLABLE void respond(
-    int pyramidal, double slack, const double* j, const float* contact, double* push, double* bend
+    int pyramidal, double slack, const double* j, const float* contact, bool anew, float* drag, double* push, double* bend
 ) {
     float last[4];
     load_four(last, contact + 28);
@@ -82,12 +89,18 @@ inline CUDA_CALLABLE void respond(
     const double tangent = sqrt(j[1] * j[1] + j[2] * j[2]);
     const double m = mu * slack;
     const double N = m * j[0], T = mu * tangent;
-    if (N >= m * T) return;
+    if (N >= m * T) {
+        drag[0] = drag[1] = 0.0f;
+        return;
+    }
     if (m * N + T <= 0.0) {
         const double Dt = D / (slack * slack);
         push[0] = -D * j[0];
         push[1] = -Dt * j[1];
         push[2] = -Dt * j[2];
+        const double most = larger(mu * push[0], TINY);
+        drag[0] = (float)(-push[1] / most);
+        drag[1] = (float)(-push[2] / most);
         bend[0] = D;
         bend[3] = bend[5] = Dt;
         return;
@@ -97,13 +110,25 @@ inline CUDA_CALLABLE void respond(
     push[0] = -Dm * gap * m;
     push[1] = -push[0] * mu * x;
     push[2] = -push[0] * mu * y;
-    const double along = Dm * m * m * mu * mu, across = -Dm * gap * m * mu / tangent;
+    if (anew) drag[0] = (float)x, drag[1] = (float)y;
+    const double along = Dm * m * m * mu * mu, across = -Dm * gap * m * mu / tangent, u = drag[0], v = drag[1];
     bend[0] = Dm * m * m;
     bend[1] = -Dm * m * m * mu * x;
     bend[2] = -Dm * m * m * mu * y;
-    bend[3] = along * x * x + across * y * y;
-    bend[4] = (along - across) * x * y;
-    bend[5] = along * y * y + across * x * x;
+    bend[3] = along * x * x + across * (1.0 - u * x);
+    bend[4] = along * x * y - 0.5 * across * (u * y + v * x);
+    bend[5] = along * y * y + across * (1.0 - v * y);
+}
+
+// What `drag` is after a whole step of Newton's method that changes the residual j by v. Contacts that do not slide have
+// no use for it.
+inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) {
+    const double tangent = larger(sqrt(j[1] * j[1] + j[2] * j[2]), TINY);
+    const double x = j[1] / tangent, y = j[2] / tangent, change = x * v[1] + y * v[2];
+    const double one = x + (v[1] - drag[0] * change) / tangent, two = y + (v[2] - drag[1] * change) / tangent;
+    const double most = larger(sqrt(one * one + two * two), 1.0);
+    drag[0] = (float)(one / most);
+    drag[1] = (float)(two / most);
 }
 
 // Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v: what

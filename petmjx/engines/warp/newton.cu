@@ -25,10 +25,14 @@ struct World {
     double* jv;            // (contact, 3) J·step
     double* f;             // (contact, 3)
     float* curve;          // (contact, 6)
+    float* drag;           // (contact, 2)
     int* pair;             // (pair,) first contact of each pair of moving bodies
 };
 
 const int ROW = 32;  // numbers of a contact
+
+// The line search ends where the cost's derivative is at most this share of what it was. Smaller shares save no iteration.
+const double ENOUGH_SLOPE = 0.1;
 
 // Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
 inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
@@ -201,6 +205,7 @@ inline CUDA_CALLABLE void newton(
     world.jv = work.slope.data + at * room * 3;
     world.f = work.force.data + at * room * 3;
     world.curve = work.curvature.data + at * room * 6;
+    world.drag = work.drag.data + at * room * 2;
     world.pair = work.pair_begin.data + at * room;
     const int* low = work.lowest.data + at * work.lowest.shape[1];
     const int contacts = world.contacts, bodies = world.bodies, n = world.n;
@@ -252,7 +257,9 @@ inline CUDA_CALLABLE void newton(
     for (int iteration = 0;; ++iteration) {
         for (int k = thread; k < contacts; k += threads) {
             double push[3], bend[6];
-            respond(pyramidal, model.slack, jar + 3 * k, row + ROW * k, push, bend);
+            respond(
+                pyramidal, model.slack, jar + 3 * k, row + ROW * k, iteration == 0, world.drag + 2 * k, push, bend
+            );
             for (int i = 0; i < 3; ++i) world.f[3 * k + i] = push[i];
             for (int i = 0; i < 6; ++i) world.curve[6 * k + i] = (float)bend[i];
         }
@@ -279,7 +286,7 @@ inline CUDA_CALLABLE void newton(
         const double start = along[0];
         if (!(start < 0.0)) break;
         for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
-        double length = 1.0, shortest = 0.0, longest = -1.0, first = start;
+        double length = 1.0, shortest = 0.0, longest = 1.0, first = start;
         for (int trial = 0; trial < model.trials; ++trial) {
             double cost[2] = {0.0, 0.0};
             for (int k = thread; k < contacts; k += threads)
@@ -287,15 +294,18 @@ inline CUDA_CALLABLE void newton(
             sum_over_block(thread, threads, partial, cost);
             first = cost[0] + along[1] + length * along[2];
             const double second = cost[1] + along[2];
-            if (fabs(first) <= 0.01 * -start || trial + 1 == model.trials) break;
+            // No step is longer than Newton's, though the cost may decrease further on where contacts open.
+            if (first <= ENOUGH_SLOPE * -start && (length == 1.0 || first >= ENOUGH_SLOPE * start)) break;
+            if (trial + 1 == model.trials) break;
             if (first < 0.0) shortest = length; else longest = length;
-            double next = length - first / second;
-            if (!(next > shortest)) next = longest > 0.0 ? 0.5 * (shortest + longest) : 2.0 * length;
-            if (longest > 0.0 && !(next < longest)) next = 0.5 * (shortest + longest);
-            length = next;
+            length -= first / second;
+            if (!(length > shortest && length < longest)) length = 0.5 * (shortest + longest);
         }
         for (int i = thread; i < n; i += threads) a[i] += length * step[i];
-        for (int i = thread; i < 3 * contacts; i += threads) jar[i] += length * jv[i];
+        for (int k = thread; k < contacts; k += threads) {
+            follow(jar + 3 * k, jv + 3 * k, world.drag + 2 * k);
+            for (int i = 3 * k; i < 3 * k + 3; ++i) jar[i] += length * jv[i];
+        }
         wait_for_all();
         // The decrease of the cost is about the length × the mean of the two derivatives.
         last = !(-0.5 * length * (start + first) > enough);

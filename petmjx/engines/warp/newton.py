@@ -5,7 +5,7 @@ without contacts, r the reference accelerations of the contacts, and s the cost 
 "Computation", section "Constraint model"). Newton's direction solves H·x = gradient with H = M + Jᵀ·s″·J; a line
 search follows.
 
-Three things make it fast:
+Four things make it fast:
 
 - A contact touches two bodies. So J is kept as 27 numbers per contact, and a product with J costs that much.
 - H is block-sparse, and boxes are numbered from the bottom up, so H has a narrow envelope: a column is zero
@@ -13,6 +13,15 @@ Three things make it fast:
   runs within the envelope, in panels of 16 rows; each thread has a column.
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This says before each
   factorisation whether it can help. At rest it seldom can.
+
+- Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm, μ·p·|j|. Its curvature
+  μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to that of sticking within a tiny step, so that line searches end
+  at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and more while a pallet slides. So j/|j| in it is
+  replaced by a vector w, |w| ≤ 1, that follows |j|·w = j linearised (Chan, Golub and Mulet, "A nonlinear primal-dual
+  method for total variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient
+  primal-dual interior-point method for minimizing a sum of Euclidean norms", the same, 22, 2000). The minimum is the
+  same, and each direction descends. Iterations are nearly halved while a pallet slides, and a line search takes a
+  quarter of the evaluations.
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a

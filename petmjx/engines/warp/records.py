@@ -162,6 +162,7 @@ class Workspace:
     curvature: Annotated[wp.array3d[float], "lane slot 6"]
     inertia: Annotated[wp.array2d[float], "lane dof"]  # diagonal of the inertia matrix
     smooth: Annotated[wp.array2d[float], "lane dof"]  # accelerations without contacts
+    drag: Annotated[wp.array3d[float], "lane slot 2"]  # of a contact: contact.cuh
     place: Annotated[wp.array2d[wp.vec3], "lane geom"]  # centres
     turn: Annotated[wp.array2d[wp.mat33], "lane geom"]
     reach: Annotated[wp.array2d[wp.vec3], "lane geom"]  # half extents of the box around a geom, along x, y, z
