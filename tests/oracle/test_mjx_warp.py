@@ -32,10 +32,10 @@ from support.plans import make_scene
 from support.worlds import boxes_by_plan, make_plan, simulate
 
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp.engine import MAX_BOXES, MjxWarpEngine
-from petmjx.engines.warp.march import Shape
-from petmjx.engines.warp.records import lane_bytes
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.records import MAX_BOXES, lane_bytes
 from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.shape import Shape
 
 SAME_PLACE_M = 1e-3
 """Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
@@ -174,8 +174,8 @@ def test_alone_and_in_any_order_as_in_company(crowd: dict[str, Outcome]) -> None
 
 @pytest.mark.slow
 def test_any_number_of_lanes_gives_the_same(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    here = Shape.here()
-    monkeypatch.setattr(Shape, "here", lambda: replace(here, lanes=3))
+    here = Shape.here
+    monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), lanes=3))
     assert_equal_worlds(simulate(engine(slice_ns=20_000_000), tiny_scenes(), SHORT), crowd)
 
 
@@ -276,14 +276,14 @@ def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bo
     that were tried."""
     tried = []
 
-    def rollout(run: Any, n_boxes: int, pairs: int, room: int, lanes: int, slice_ns: int) -> Rollout:
+    def rollout(run: Any, n_boxes: int, pairs: int, room: int, shape: Shape, lanes: int, slice_ns: int) -> Rollout:
         tried.append(lanes)
         if not holds(lanes, room):
             raise out_of_memory()
-        return Rollout(run, n_boxes, pairs, room, lanes, slice_ns)
+        return Rollout(run, n_boxes, pairs, room, shape, lanes, slice_ns)
 
-    here = Shape.here()
-    monkeypatch.setattr(Shape, "here", lambda: replace(here, lanes=256))
+    here = Shape.here
+    monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), lanes=256))
     monkeypatch.setattr(mjx_warp, "Rollout", rollout)
     return tried
 
@@ -391,10 +391,9 @@ def test_one_program_a_shape() -> None:
     some = list(tiny_scenes().values())
     for scenes in (some[:4], some[1:], some[:3]):
         run_all(fresh, [Job(scene) for scene in scenes], SHORT)
-    assert fresh._kept is not None
-    rollout = fresh._kept[1]
+    ((_, rollout),) = fresh._kept.values()
     run_all(fresh, [Job(scene, pushes("force", 1.0)) for scene in some[1:3]], SHORT)
-    assert fresh._kept[1] is rollout
+    assert [each for _, each in fresh._kept.values()] == [rollout]
     assert len(rollout._programs) == 2, "of up to four worlds, and of two with a profile"
 
 
@@ -508,7 +507,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     some["large"] = make_scene(120)
     alone = simulate(MjxWarpEngine(), some, SHORT)
     crowded = MjxWarpEngine()
-    lanes, room = Shape.here().lanes, 120 + mjx_warp.MORE_BOXES
+    lanes, room = Shape.here(120).lanes, 120 + mjx_warp.MORE_BOXES
     whole = lanes * lane_bytes(120, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
     left = TABLES_BYTES + whole // 2
     ballast = []
@@ -519,7 +518,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     tried = []
 
     def rollout(*given: Any) -> Rollout:
-        tried.append(given[4])
+        tried.append(given[5])
         return Rollout(*given)
 
     monkeypatch.setattr(mjx_warp, "Rollout", rollout)

@@ -209,6 +209,6 @@ def compare(outcome: Outcome, twin: Outcome) -> None:
 def test_room_is_next_to_nothing_where_no_world_is_recorded() -> None:
     engine = warp_engine()
     run_all(engine, piles()[:1], SIM)
-    rollout = engine._kept[1]
+    ((_, rollout),) = engine._kept.values()
     assert len(rollout.frames["of"]) == 1
     assert int(rollout.frames["used"][0]) == 0

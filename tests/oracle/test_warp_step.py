@@ -26,10 +26,10 @@ from support.plans import Box
 from support.worlds import make_plan
 
 from petmjx.engines.batch.setup import set_up_warp
-from petmjx.engines.warp import march, newton
-from petmjx.engines.warp.march import Shape
+from petmjx.engines.warp import newton, shape
 from petmjx.engines.warp.records import PANEL
 from petmjx.engines.warp.rollout import friction_damping
+from petmjx.engines.warp.shape import Shape
 
 set_up_warp()
 
@@ -179,7 +179,7 @@ def test_compiler_errors_name_the_line_of_the_file() -> None:
 
 def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     def digest() -> bytes:
-        return march.kernel.__wrapped__(Shape.here()).module.get_module_hash(1)
+        return shape.kernel.__wrapped__(Shape.here(1)).module.get_module_hash(1)
 
     plain = digest()
     assert digest() == plain
@@ -194,11 +194,11 @@ def test_shared_memory_of_any_size_gives_the_same_to_the_last_bit(monkeypatch: p
     scene = build_scene(make_plan("heap", heap()), Simulation())
     model, data = exact(scene, PHYSICS["pallet"])
     mujoco.mj_step(model, data, HEAP_STEPS[-1])
-    here = Shape.here()
+    here = Shape.here(scene.n_boxes)
     small, large = replace(here, near_words=PANEL**2), replace(here, near_words=136 * PANEL**2)
     found = []
-    for shape in (small, here if wp.get_device().is_cuda else large):
-        monkeypatch.setattr(Shape, "here", lambda shape=shape: shape)
+    for one in (small, here if wp.get_device().is_cuda else large):
+        monkeypatch.setattr(Shape, "here", lambda _, one=one: one)
         found.append(OneStep(scene, "pallet")(data))
     for name, values in vars(found[0]).items():
         np.testing.assert_array_equal(getattr(found[1], name), values, err_msg=name)

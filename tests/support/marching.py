@@ -15,6 +15,7 @@ from petmjx.engines.batch.engine import Group, Run
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
 from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.shape import Shape
 from petmjx.units import FloatArray
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -44,8 +45,10 @@ class OneStep:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), {"": [scene.n_boxes]}, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)], 0)
-        room = scene.n_boxes + MORE_BOXES
-        self.rollout = Rollout(run, scene.n_boxes, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room, lanes=1, slice_ns=0)
+        room, shape = scene.n_boxes + MORE_BOXES, Shape.here(scene.n_boxes)
+        self.rollout = Rollout(
+            run, scene.n_boxes, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room, shape, lanes=1, slice_ns=0
+        )
         self.fresh = jax.tree.map(np.asarray, self.group.table)
 
     def __call__(self, data: mujoco.MjData) -> Stepped:

@@ -22,7 +22,7 @@ from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.stage import Queue, Stage, Stepper
-from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, upload_worlds
+from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, upload_worlds, uploaded
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
@@ -209,10 +209,10 @@ class MjxEngine(ABC):
                 if job.drive is None and not job.keep_state:
                     n = job.scene.n_boxes
                     ends[row] = timetable.static_end if static else timetable.one_by_one_end[n]
-        fresh = fresh_state(worlds, all_placed=static, ends=jnp.asarray(ends), rest_steps=timetable.rest_steps)
+        fresh = fresh_state(worlds, all_placed=static, ends=uploaded(ends), rest_steps=timetable.rest_steps)
         table = started_states(jobs, fresh)
         recorder = Recorder(jobs, sim.physics.timestep_s)
-        return Group(run, jobs, first_job, worlds, table, jnp.asarray(profiles), recorder)
+        return Group(run, jobs, first_job, worlds, table, uploaded(profiles), recorder)
 
     def _run_stages(
         self,

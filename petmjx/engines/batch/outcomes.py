@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
-from petmjx.engines.batch.state import State, Status, Worlds, take_rows
+from petmjx.engines.batch.state import State, Status, Worlds, take_rows, uploaded
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
@@ -68,7 +68,7 @@ def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation)
     for first in range(0, len(rows), PICKED):
         some = rows[first : first + PICKED]
         padded = np.resize(some, PICKED).astype(np.int32)
-        batches.append(_picked(table, worlds, jnp.asarray(padded), sim))
+        batches.append(_picked(table, worlds, uploaded(padded), sim))
     return batches
 
 
@@ -146,15 +146,15 @@ def _outcomes(
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
     """A group's first states: fresh ones, and for jobs that start from a kept state that one.
 
-    Each distinct kept state goes to the device once and is forked there into all the worlds that start from it.
+    Kept states are on the host, and are forked there (see ``upload_worlds``).
     """
     starts: list[Any] = list({id(job.start): job.start for job in jobs if job.start is not None}.values())
     if not starts:
         return fresh
     row_of = {id(start): row for row, start in enumerate(starts)}
     spare = [0] * (len(fresh.step) - len(jobs))
-    source = jnp.asarray([row_of.get(id(job.start), 0) for job in jobs] + spare)
-    forked = jnp.asarray([job.start is not None for job in jobs] + spare, bool)
+    source = np.array([row_of.get(id(job.start), 0) for job in jobs] + spare)
+    forked = np.array([job.start is not None for job in jobs] + spare, bool)
 
     def fork(new: jax.Array, *kept: Any) -> jax.Array:
         stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)
@@ -163,8 +163,10 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
                 stacked[row][tuple(slice(0, n) for n in np.shape(values))] = values
             else:
                 stacked[row] = values
-        spread = jnp.asarray(stacked)[source]
-        return jnp.where(forked.reshape(-1, *[1] * (new.ndim - 1)), spread, new)
+        spread = stacked[source]
+        if not forked.all():
+            spread[~forked] = np.asarray(new)[~forked]
+        return uploaded(spread)
 
     forked_states: State = jax.tree.map(fork, fresh, *starts)
     return forked_states._replace(steps_done=fresh.steps_done)

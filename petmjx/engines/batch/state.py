@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
 
 from petmjx.config import SOFT_START_STEPS
 from petmjx.world.job import Job
@@ -167,11 +168,15 @@ def take_rows(record: Record, rows: Int[Array, " lane"]) -> Record:
     return taken
 
 
-def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], timestep_s: float) -> Worlds:
-    """Constants of a group of jobs as device arrays.
+def uploaded(values: NDArray[Any]) -> jax.Array:
+    """An array on the device. (``jnp.asarray`` would compile a program for each shape.)"""
+    array: jax.Array = jax.device_put(values)
+    return array
 
-    Jobs that share a scene (the variants of a profile sweep) share its upload: scenes go to the device once
-    and are fanned out there.
+
+def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], timestep_s: float) -> Worlds:
+    """Constants of a group of jobs as device arrays. Everything is made on the host: on a device each operation of each
+    shape would first have to be compiled.
 
     Args:
         rows: at least one a job; those beyond repeat the first job's scene and are never run.
@@ -189,14 +194,14 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
         half[row, :k], mass[row, :k], target[row, :k] = scene.half_size, scene.mass, scene.target
         start[row, :k, :3], start[row, :k, 3:] = scene.start_pos, scene.start_quat
     spare = rows - len(jobs)
-    fan_out = jnp.asarray([row_of[id(job.scene)] for job in jobs] + [0] * spare)
+    fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
 
     def spread(values: Any, dtype: Any = np.float32) -> jax.Array:
-        return jnp.asarray(np.asarray(values, dtype))[fan_out]
+        return uploaded(np.asarray(values, dtype)[fan_out])
 
     def each(value: Callable[[Job], Any], dtype: Any) -> jax.Array:
         values = np.array([value(job) for job in jobs], dtype)
-        return jnp.asarray(np.concatenate([values, np.repeat(values[:1], spare, axis=0)]))
+        return uploaded(np.concatenate([values, np.repeat(values[:1], spare, axis=0)]))
 
     def drive_steps(job: Job) -> int:
         if job.drive is None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import warp
 from numpy.typing import NDArray
@@ -17,13 +16,14 @@ from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine,
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
-from petmjx.engines.batch.state import Status
+from petmjx.engines.batch.state import Status, uploaded
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
 from petmjx.engines.cost import MEASURED
 from petmjx.engines.warp.frames import hand_over, pick_frames
-from petmjx.engines.warp.march import SLICE_NS, Shape
-from petmjx.engines.warp.newton import MAX_DOFS
+from petmjx.engines.warp.march import SLICE_NS
+from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.engines.warp.stock import StockStepper
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
@@ -49,9 +49,6 @@ STOCK_LANES = 2048
 STOCK_LINE_SEARCH = 20
 """Most iterations of its line search; MuJoCo's are 50."""
 
-MAX_BOXES = MAX_DOFS // 6 - 1
-"""Boxes of the largest plan: the carrier is a body, too."""
-
 MORE_BOXES = 2
 """The carrier, and one that small plans need more."""
 
@@ -61,6 +58,7 @@ class RolloutKey:
     """What compiled programs and buffers depend on."""
 
     sim: Simulation
+    shape: Shape
     n_boxes: int
     growth: int
     table_steps: int
@@ -99,7 +97,7 @@ class MjxWarpEngine(MjxEngine):
         set_up_warp()
         super().__init__(lanes, group_size=group_size, **options)
         self.slice_ns = slice_ns
-        self._kept: tuple[RolloutKey, Rollout] | None = None
+        self._kept: dict[Shape, tuple[RolloutKey, Rollout]] = {}
 
     def release(self) -> None:
         """Drop the CUDA graphs that Warp captured of MJX's own step: each one keeps the workspace of its solver."""
@@ -107,9 +105,9 @@ class MjxWarpEngine(MjxEngine):
 
     def _drop(self) -> None:
         """Free the memory of the programs that are kept."""
-        if self._kept is not None:
-            self._kept[1].close()
-            self._kept = None
+        for _, rollout in self._kept.values():
+            rollout.close()
+        self._kept.clear()
 
     def default_lanes(self, capacity: int) -> int:
         return STOCK_LANES
@@ -145,10 +143,20 @@ class MjxWarpEngine(MjxEngine):
             self._drop()
             yield from super()._run_group(run, jobs, first_job)
             return
+        # lanes of one size after the other, those for the largest worlds first
+        most_boxes = np.array([size_for(job.scene.n_boxes).most_boxes for job in jobs])
+        for most in sorted(set(most_boxes.tolist()), reverse=True):
+            alike = np.flatnonzero(most_boxes == most)
+            for outcome in self._run_alike(run, [jobs[row] for row in alike.tolist()]):
+                outcome.job = first_job + int(alike[outcome.job])
+                yield outcome
+
+    def _run_alike(self, run: Run, jobs: Sequence[Job]) -> Iterator[Outcome]:
+        """Worlds of one size; outcomes count them from 0."""
         answered = np.zeros(len(jobs), bool)
         try:
-            for outcome in self._march(run, jobs, first_job):
-                answered[outcome.job - first_job] = True
+            for outcome in self._march(run, jobs):
+                answered[outcome.job] = True
                 yield outcome
         except Exception as error:
             if not is_out_of_memory(error):
@@ -156,22 +164,24 @@ class MjxWarpEngine(MjxEngine):
         # if memory ran out, the states of all worlds are lost with it: the others again, half of them at a time
         for part in np.array_split(np.flatnonzero(~answered), 2):
             if len(jobs) == len(part) == 1:
-                yield from self._march(run, jobs, first_job, simulate=False)
+                yield from self._march(run, jobs, simulate=False)
             elif len(part):
                 run.progress.message = f"out of device memory, again with {len(part)} worlds at a time"
-                for outcome in self._run_group(run, [jobs[row] for row in part.tolist()], 0):
-                    outcome.job = first_job + int(part[outcome.job])
+                for outcome in self._run_alike(run, [jobs[row] for row in part.tolist()]):
+                    outcome.job = int(part[outcome.job])
                     yield outcome
 
-    def _march(self, run: Run, jobs: Sequence[Job], first_job: int, *, simulate: bool = True) -> Iterator[Outcome]:
+    def _march(self, run: Run, jobs: Sequence[Job], *, simulate: bool = True) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
         worlds that ended in the one before. With ``simulate`` off all worlds are given up, since memory has run out."""
-        group = self._load_group(run, jobs, first_job)
-        spare = np.arange(len(group.table.status)) >= len(jobs)
-        group.table = group.table._replace(status=jnp.where(spare, Status.FINISHED, group.table.status))
+        widest = round_up(max(job.scene.n_boxes for job in jobs))
+        group = self._load_group(replace(run, capacities={"": [widest]}), jobs, 0)
+        status = np.array(group.table.status)
+        status[len(jobs) :] = Status.FINISHED  # rows to spare
+        group.table = group.table._replace(status=uploaded(status))
         costs = MEASURED.of_jobs(jobs, run.sim)
-        queue = np.concatenate([np.argsort(-costs, kind="stable"), np.flatnonzero(spare)])
-        order = jnp.asarray(queue, jnp.int32)
+        queue = np.concatenate([np.argsort(-costs, kind="stable"), np.arange(len(jobs), len(status))])
+        order = uploaded(queue.astype(np.int32))
         emitted = np.zeros(len(jobs), bool)
         rollout = self._rollout(group) if simulate else None
         try:
@@ -193,7 +203,7 @@ class MjxWarpEngine(MjxEngine):
                     rollout.start(group, order)
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim, group.recorder)
+                yield from outcomes(rows, picked, jobs, 0, run.timetable, run.sim, group.recorder)
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
@@ -219,26 +229,33 @@ class MjxWarpEngine(MjxEngine):
         run = group.run
         n_boxes = group.table.pose.shape[1]
         growth = self._growth.get((run.sim.physics.cone, 0), 1)
-        key = RolloutKey(run.sim, n_boxes, growth, len(run.timetable.clock), len(run.timetable.settled_nominally))
-        if self._kept is not None and self._kept[0] == key:
-            return self._kept[1]
-        self._drop()
+        shape = Shape.here(n_boxes)
+        key = RolloutKey(
+            run.sim, shape, n_boxes, growth, len(run.timetable.clock), len(run.timetable.settled_nominally)
+        )
+        if shape in self._kept and self._kept[shape][0] == key:
+            return self._kept[shape][1]
+        if shape in self._kept:
+            self._kept.pop(shape)[1].close()
         boxes = growth * (n_boxes + MORE_BOXES)
-        most = Shape.here().lanes
-        lanes = min(self.lanes or most, most)
+        lanes = min(self.lanes or shape.lanes, shape.lanes)
         fewest = min(MIN_LANES, lanes)
         while lanes >= fewest:
             try:
-                rollout = Rollout(run, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes, lanes, self.slice_ns)
+                rollout = Rollout(
+                    run, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes, shape, lanes, self.slice_ns
+                )
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
-                lanes //= 2
+                if not self._kept:
+                    lanes //= 2
+                self._drop()
                 self.stages.clear()
                 self._warm.clear()
                 self.release()
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
-                self._kept = (key, rollout)
+                self._kept[shape] = (key, rollout)
                 return rollout
         return None

@@ -35,12 +35,15 @@ from __future__ import annotations
 import re
 from importlib import resources
 
-from petmjx.engines.warp.records import MAX_PANELS, PANEL
-
-MAX_DOFS = MAX_PANELS * PANEL
-"""Rows of the largest system."""
+MOST_PANELS = "PETMJX_MOST_PANELS"
+"""The name that stands for the panels of a kernel's largest system: its shared memory has room for as many."""
 
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
+
+
+def text_for(panels: int) -> str:
+    """The solver's C++ for systems of up to so many panels."""
+    return f"#define {MOST_PANELS} {panels}\n" + source("newton.cu")
 
 
 def source(name: str, included: set[str] | None = None) -> str:

@@ -21,8 +21,8 @@ import warp as wp
 PANEL = 16
 """Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
 
-MAX_PANELS = 193
-"""Panels of the largest system: 513 boxes and the carrier. Shared memory limits it: it holds the right-hand side."""
+MAX_BOXES = 512
+"""Boxes of the largest world. Shared memory limits it: it holds the solver's right-hand side."""
 
 ROW_WORDS = 32
 """Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness of a row
@@ -229,6 +229,11 @@ class Lane:
     held: int  # 1 if the carrier is held fast: its body is then no block
 
 
+def most_panels(n_boxes: int) -> int:
+    """Panels of the system of a world with so many boxes and a carrier that moves."""
+    return -(-6 * (n_boxes + 1) // PANEL)
+
+
 def axes(lanes: int, n_boxes: int, pairs: int, room: int) -> dict[str, int]:
     """Sizes of the axes of a lane.
 
@@ -238,7 +243,7 @@ def axes(lanes: int, n_boxes: int, pairs: int, room: int) -> dict[str, int]:
         room: most contacts of a world.
     """
     n_blocks = n_boxes + 1
-    panels = -(-6 * n_blocks // PANEL)
+    panels = most_panels(n_boxes)
     return {
         "lane": lanes,
         "box": n_boxes,

@@ -20,6 +20,7 @@ from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.sinking import MOST_IMPEDANCE
 from petmjx.engines.warp.frames import room_for
 from petmjx.engines.warp.march import SLICE_NS, March
+from petmjx.engines.warp.shape import Shape
 
 TOLERANCE = 1e-8
 """MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
@@ -91,12 +92,15 @@ class Rollout:
 
     Args:
         pairs, room: most pairs of near geoms, and contacts, of a world.
+        shape: of lanes.
         lanes: worlds at the same time, at most.
         slice_ns: time of a call of the kernel, ns.
     """
 
-    def __init__(self, run: Run, n_boxes: int, pairs: int, room: int, lanes: int, slice_ns: int = SLICE_NS) -> None:
-        self.march = March(constants(run.sim, run.timetable, pairs, room), n_boxes, lanes, slice_ns)
+    def __init__(
+        self, run: Run, n_boxes: int, pairs: int, room: int, shape: Shape, lanes: int, slice_ns: int = SLICE_NS
+    ) -> None:
+        self.march = March(constants(run.sim, run.timetable, pairs, room), n_boxes, shape, lanes, slice_ns)
         self.rules = Rules(run.sim, run.timetable, n_boxes, driven=True)
         self.workspace = self.march.workspace().block_until_ready()
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))

@@ -6,11 +6,12 @@ from typing import Any
 
 import warp as wp
 
-from petmjx.engines.warp.records import MAX_PANELS, PANEL, ROW_WORDS, Model, Workspace
+from petmjx.engines.warp.newton import MOST_PANELS
+from petmjx.engines.warp.records import PANEL, ROW_WORDS, Model, Workspace
 
 
 @wp.func_native(
-    f"petmjx::newton<{MAX_PANELS}, {PANEL}, {ROW_WORDS}>"
+    f"petmjx::newton<{MOST_PANELS}, {PANEL}, {ROW_WORDS}>"
     "(lane, thread, threads, model, work, near.data.ptr, near_words);"
 )
 def newton(lane: int, thread: int, threads: int, model: Model, work: Workspace, near: Any, near_words: int) -> None:
