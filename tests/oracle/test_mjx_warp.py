@@ -32,6 +32,7 @@ from support.plans import make_scene
 from support.worlds import boxes_by_plan, make_plan, simulate
 
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import shape
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.records import MAX_BOXES, lane_bytes
 from petmjx.engines.warp.rollout import Rollout
@@ -182,6 +183,26 @@ def test_any_number_of_lanes_gives_the_same(monkeypatch: pytest.MonkeyPatch, cro
 @pytest.mark.slow
 def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
     assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_worlds_of_each_size_have_lanes_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """Large ones come first, and outcomes are those of their jobs."""
+    monkeypatch.setattr(shape, "SIZES", (replace(shape.SIZES[0], most_boxes=1), shape.SIZES[1]))
+    some, sizes = engine(), []
+    march = some._march
+
+    def watched(run: Any, jobs: list[Job]) -> Any:
+        sizes.append([job.scene.n_boxes for job in jobs])
+        return march(run, jobs)
+
+    monkeypatch.setattr(some, "_march", watched)
+    assert_equal_worlds(simulate(some, tiny_scenes(), SHORT), crowd)
+    large, small = sizes
+    assert min(large) > 1
+    assert set(small) == {1}
 
 
 # ---------------------------------------------------------------------- what goes wrong
@@ -517,9 +538,10 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     assert free < left + (1 << 22)
     tried = []
 
-    def rollout(*given: Any) -> Rollout:
-        tried.append(given[5])
-        return Rollout(*given)
+    def rollout(run: Any, n_boxes: int, pairs: int, room: int, shape: Shape, wanted: int, slice_ns: int) -> Rollout:
+        if n_boxes == 120:
+            tried.append(wanted)
+        return Rollout(run, n_boxes, pairs, room, shape, wanted, slice_ns)
 
     monkeypatch.setattr(mjx_warp, "Rollout", rollout)
     found = simulate(crowded, some, SHORT)

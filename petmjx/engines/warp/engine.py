@@ -161,6 +161,7 @@ class MjxWarpEngine(MjxEngine):
         except Exception as error:
             if not is_out_of_memory(error):
                 raise
+            self._drop()
         # if memory ran out, the states of all worlds are lost with it: the others again, half of them at a time
         for part in np.array_split(np.flatnonzero(~answered), 2):
             if len(jobs) == len(part) == 1:

@@ -172,10 +172,11 @@ inline CUDA_CALLABLE void hessian(const World& world, const System& system, int 
 
 // Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
-// sizes on the Python side. `near`: shared memory for `near_words` numbers, where the Hessian goes if it fits.
+// sizes on the Python side. `limit`: most iterations. `near`: shared memory for `near_words` numbers, where the Hessian
+// goes if it fits.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    int lane, int thread, int threads, const Model& model, const Workspace& work, float* near, int near_words
+    int lane, int thread, int threads, int limit, const Model& model, const Workspace& work, float* near, int near_words
 ) {
     static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;
@@ -264,7 +265,7 @@ inline CUDA_CALLABLE void newton(
             for (int i = 0; i < 6; ++i) world.curve[6 * k + i] = (float)bend[i];
         }
         wait_for_all();
-        if (last || iteration >= model.limit) break;
+        if (last || iteration >= limit) break;
         double bound[1] = {gradient(world, rhs, thread, threads)};
         sum_over_block(thread, threads, partial, bound);
         // Since H ≥ M, the cost can decrease by at most this.

@@ -104,7 +104,8 @@ def advance(
     if step % RENEWED_EVERY == 0:
         renew_order(state, work, at, n_pairs)
     link_blocks(state, work, at)
-    newton(at.lane, at.thread, at.threads, model, work, near, near_words)
+    limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
+    newton(at.lane, at.thread, at.threads, limit, model, work, near, near_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
     after_step(model, tables, state, work, at, astray)

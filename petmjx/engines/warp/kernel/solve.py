@@ -12,12 +12,14 @@ from petmjx.engines.warp.records import PANEL, ROW_WORDS, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{MOST_PANELS}, {PANEL}, {ROW_WORDS}>"
-    "(lane, thread, threads, model, work, near.data.ptr, near_words);"
+    "(lane, thread, threads, limit, model, work, near.data.ptr, near_words);"
 )
-def newton(lane: int, thread: int, threads: int, model: Model, work: Workspace, near: Any, near_words: int) -> None:
-    """Accelerations and contact forces of a lane's world.
+def newton(
+    lane: int, thread: int, threads: int, limit: int, model: Model, work: Workspace, near: Any, near_words: int
+) -> None:
+    """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
 
-    Reads the model's limits, the accelerations to start from, and rows and links of contacts. Writes ``acceleration``
+    Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration``
     and ``force`` (of each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as
     scratch, and ``near``, a tile in shared memory, for the Hessian if it fits.
     """
