@@ -122,10 +122,10 @@ class Costs:
     cpu_landing_s: float = 1e-5
     cpu_shaken_s: float = 4.5e-7
     jax_step_s: float = 1.1e-5
-    gpu_step_s: float = 1.45e-7
+    gpu_step_s: float = 1.28e-7
     full_lanes: int = 264
-    tail_lanes: int = 1600
-    gpu_start_s: float = 16.0
+    tail_lanes: int = 800
+    gpu_start_s: float = 17.0
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
         """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
@@ -175,10 +175,10 @@ class Costs:
 
 
 MEASURED = Costs()
-"""Devices: fitted to generated plans with 43 boxes on average, adaptive, on one H200 (benchmarks/results/h200-0.2.md).
-Measured there: mjx-warp compiles for 16 s (0.5 s with a kernel kept from an earlier run) and runs 7.5 s for 500 plans,
-9.4 s for 2,000 and 30 s for 10,003. Not fitted to other sizes or devices: 63 plans of 156 boxes on average took 116 s,
-and are estimated at 196 s.
+"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two. Measured there:
+mjx-warp compiles for 15 to 20 s (0.5 s with a kernel kept from an earlier run) and runs 5.7 s for 500 generated plans,
+6.8 s for 2,000 and 25 s for 10,003, adaptive (estimated: 3, 6.5 and 25 s); 16 s for 2,000 with the schedule fixed (16);
+67 s for 63 plans of 156 boxes on average and 78 s for 630 of them (89, 149). Not fitted to other devices.
 
 CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
 16 to 241 boxes and 110 generated ones, box by box, both schedules; static checks of 8 to 12 generated plans and 4 to 9

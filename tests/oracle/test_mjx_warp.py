@@ -453,6 +453,18 @@ def test_drives_as_in_c_and_forks_as_whole_runs(kind: str) -> None:
 
 
 @pytest.mark.slow
+def test_a_state_goes_on_in_a_narrower_table_than_it_came_from() -> None:
+    """As in a sweep whose largest plan does not stand."""
+    scenes = [tiny("hand-one-box"), make_scene(9)]
+    drive, alone = pushes("force", 0.5), run_all(shared_engine(), [Job(scenes[0], keep_state=True)], SHORT)[0]
+    kept, _ = run_all(shared_engine(), [Job(scene, keep_state=True) for scene in scenes], SHORT)
+    crowded, single = (
+        run_all(shared_engine(), [Job(scenes[0], drive, start=o.state)], SHORT)[0] for o in (kept, alone)
+    )
+    assert_same(crowded, single)
+
+
+@pytest.mark.slow
 def test_a_world_that_fell_skips_its_drive_and_so_do_its_forks() -> None:
     scene = tiny("hand-falls-off")
     sim = SHORT.changed(settle_s=1.0)

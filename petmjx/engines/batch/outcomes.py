@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
-from petmjx.engines.batch.state import State, Status, Worlds, take_rows, uploaded
+from petmjx.engines.batch.state import State, Status, Worlds, narrow, take_rows, uploaded
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
@@ -136,7 +136,8 @@ def _outcomes(
             flags=flags,
             boxes=boxes,
             solver=sim.solver.value,
-            state=jax.tree.map(lambda a, i=i: np.array(a[i]), host) if job.keep_state else None,
+            # without other worlds' columns: what starts from it may be in a narrower table
+            state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
             history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
             if job.record
             else None,
