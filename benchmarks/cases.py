@@ -83,7 +83,10 @@ _DECLARED: tuple[Case, ...] = (
     _w("W-adaptive", "adaptive schedule"),
     _w("W-adaptive-reference", "adaptive, physics reference", physics="reference"),
     _w("W-fixed", "fixed schedule", schedule="fixed"),
-    *(Case(f"scale-{n}", "scale", f"{n} plans, adaptive: time a plan", count=n) for n in (500, 1000, 2000, 4000, 8000, 10_003)),
+    *(
+        Case(f"scale-{n}", "scale", f"{n} plans, adaptive: time a plan", count=n)
+        for n in (500, 1000, 2000, 4000, 8000, 10_003)
+    ),
     Case("plain-loop", "plain", f"plain Python loop over plans of W, {_LOOPS[Way.LOOP_AIR]}", Way.LOOP_AIR,
          only=PLAIN_LOOP),
     Case("plain-loop-floor", "plain", f"plain Python loop over plans of W, {_LOOPS[Way.LOOP_FLOOR]}", Way.LOOP_FLOOR,
