@@ -140,11 +140,7 @@ def _option(run: RunResults, name: str) -> Any:
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
     """Reasons to doubt the comparison, a line each."""
-    found = [
-        f"{shown(name)} is not finished ({run.info.get('status', 'unknown')})"
-        for name, run in runs.items()
-        if run.info.get("status") != "finished"
-    ]
+    found = [f"{shown(name)} is not finished ({run.unfinished})" for name, run in runs.items() if run.unfinished]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
     first, *others = settings
     for name in others:

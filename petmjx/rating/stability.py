@@ -32,7 +32,7 @@ class Stability:
         verdicts: petmjx's verdict in words.
         stable: whether that is ``stable``.
         their_rule: by BED-BPP's rule.
-        notes: which run would say more.
+        notes: runs that are not finished, and which run would say more.
     """
 
     verdicts: Mapping[str, str] = field(default_factory=dict)
@@ -67,7 +67,7 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
         _check_same(run, plans)
     static = next((run for run in runs if _check(run) == Check.STATIC), None)
     verdicts = _verdicts(runs[0])
-    notes = []
+    notes = [f"{run.path} is not finished ({run.unfinished})" for run in runs if run.unfinished]
     if static is None:
         notes.append(
             f"kpi_6 needs a run with check static, and {runs[0].path} has {_check(runs[0])}: "

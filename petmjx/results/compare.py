@@ -242,9 +242,7 @@ def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes
 def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequence[str]) -> list[str]:
     """Reasons to doubt the comparison."""
     notes = [
-        f"{name} is not finished ({run.info.get('status', 'unknown')})"
-        for name, run in (("a", run_a), ("b", run_b))
-        if run.info.get("status") != "finished"
+        f"{name} is not finished ({run.unfinished})" for name, run in (("a", run_a), ("b", run_b)) if run.unfinished
     ]
     if both.empty:
         notes.append("no world is in both runs")

@@ -55,7 +55,7 @@ class Loads:
         run: the run's folder.
         boxes: a row a box of each world: ``load_share`` and what it is made of.
         plans: a row a world: ``overloaded``, and the box that bears most of its strength.
-        notes: a line on articles without strength.
+        notes: a line on a run that is not finished, and one on articles without strength.
     """
 
     run: Path
@@ -99,7 +99,8 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
     boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
     boxes["rest_top_force_n"] = boxes["rest_top_force_n"].astype("float64")
     boxes["load_share"] = boxes["rest_top_force_n"] / boxes["strength_n"]
-    return Loads(results.path, boxes, _of_worlds(results, boxes), tuple(_notes(missing)))
+    notes = [f"the run is not finished ({results.unfinished})"] if results.unfinished else []
+    return Loads(results.path, boxes, _of_worlds(results, boxes), (*notes, *_notes(missing)))
 
 
 def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:

@@ -27,6 +27,9 @@ from petmjx.verdict import Verdict
 MOST_RUN_FILE_BYTES: Final = 1 << 30
 """A million lines about skipped plans take 200 MB."""
 
+FINISHED: Final = "finished"
+"""The status of a run that came to its end."""
+
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
@@ -45,8 +48,14 @@ class RunResults:
         config = self.info.get("config", {})
         what = "world" if config.get("command") == "sweep" or "sweep" in config else "plan"
         verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
-        status = self.info.get("status", "unknown")
+        status = self.unfinished or FINISHED
         return f"RunResults({self.path}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
+
+    @property
+    def unfinished(self) -> str | None:
+        """How the run ended if not at its end, such as ``interrupted``: then worlds are missing. Else None."""
+        status = str(self.info.get("status", "unknown"))
+        return None if status == FINISHED else status
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
@@ -119,7 +128,7 @@ def load_run(path: str | Path) -> RunResults:
     expected = info.get("counts", {}).get("worlds")
     if isinstance(expected, int):
         found = sum(_rows(file) for file in part_files(folder, "worlds"))
-        if found != expected and info.get("status") == "finished":
+        if found != expected and info.get("status") == FINISHED:
             raise InputError(
                 f"{folder}: {counted(found, 'world')} on disk, though the run finished with {expected:,}: parts were "
                 "taken away or added"

@@ -92,8 +92,8 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
         shard = run.info.get("identity", {}).get("shard")
         if shard is None:
             raise InputError(f"{run.path}: not a shard (made without --shard)")
-        if run.info.get("status") != "finished":
-            raise InputError(f"{run.path}: not finished ({run.info.get('status')}); go on with it by --resume first")
+        if run.unfinished:
+            raise InputError(f"{run.path}: not finished ({run.unfinished}); go on with it by --resume first")
         number, total = (int(part) for part in shard.split("/"))
         of.add(total)
         if len(of) > 1:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.command_line import only_line, run
+from support.runs import leave_unfinished
 
 pytest.importorskip("scipy")
 pytest.importorskip("shapely")
@@ -38,6 +39,12 @@ def test_tables_fit_the_terminal(
     assert sorted(file.name for file in Path("out").glob("*.parquet")) == [
         *("boxes.parquet", "judged.parquet", "plans.parquet", "thresholds.parquet")
     ]
+
+
+def test_a_run_that_is_not_finished_is_told(physics: str, capsys: pytest.CaptureFixture[str]) -> None:
+    leave_unfinished(Path(physics))
+    assert run("criteria", "--limit", "10", "--run", physics, "--only", "centre", *ONE) == 0
+    assert "the run is not finished (interrupted)" in capsys.readouterr().out
 
 
 def test_json_has_all_that_the_tables_have(physics: str, capsys: pytest.CaptureFixture[str]) -> None:

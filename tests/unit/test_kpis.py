@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.command_line import only_line, run, write
 from support.plan_files import order_for, placement, tower
+from support.runs import leave_unfinished
 
 import petmjx
 from petmjx.plans.read import load_plans
@@ -231,6 +232,11 @@ def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
         "kpi_6 needs a run with check static, and one-by-one has one-by-one: "
         "petmjx score PLANS --check static --out DIR, then --run DIR too",
     )
+
+
+def test_a_run_that_is_not_finished_is_told(runs: dict[str, Path]) -> None:
+    leave_unfinished(runs["static"])
+    assert rate({"stands": tower(2)}, run=runs["static"]).notes == ("static is not finished (interrupted)",)
 
 
 def test_runs_that_do_not_fit(runs: dict[str, Path]) -> None:

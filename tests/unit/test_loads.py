@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.command_line import only_line, run, write
 from support.plan_files import placement, tower
+from support.runs import leave_unfinished
 
 import petmjx
 from petmjx.results.articles import Strength, read_articles
@@ -157,6 +158,12 @@ def test_shares_of_a_tower(results: petmjx.RunResults) -> None:
     assert plans["verdict"].to_dict() == {"three": "stable", "one": "stable", "falls": "unstable"}
     assert found.notes == ("1 article of 1 box has no strength: jam",)
     assert repr(found) == "Loads(3 worlds, 1 overloaded)"
+
+
+def test_a_run_that_is_not_finished_is_told(results: petmjx.RunResults) -> None:
+    leave_unfinished(results.path)
+    found = petmjx.loads(results.path, table("donut-00101843,,200,,,", "jam,,200,,,", "milk,,200,,,"))
+    assert found.notes == ("the run is not finished (interrupted)",)
 
 
 def test_mckee_takes_the_sizes_of_the_plan(results: petmjx.RunResults) -> None:
