@@ -39,8 +39,9 @@ from petmjx.world.scene import build_scene
 STACK_LANES = 2048
 """Default number of copies that fill an MJX engine."""
 
-LARGE_STACK, LARGE_STACK_LANES = 100, 528
-"""The same of stacks of as many boxes and more, on multiprocessors that have one of them each: four times an H200's."""
+LARGE_STACK, LARGE_STACK_LANES = 97, 528
+"""The same of stacks of as many boxes and more on mjx-warp, which has one of them a multiprocessor: four for each of an
+H200's."""
 
 LOOP_SECONDS = 60.0
 """Default time after which a plain loop begins no further plan, s."""
@@ -181,7 +182,8 @@ class Bench:
         engine, start_s = self._engine(case, engine_name)
         threads, sim = _threads(engine), case.sim
         if case.boxes:
-            filling = LARGE_STACK_LANES if case.boxes >= LARGE_STACK else STACK_LANES
+            large = engine.name == "mjx-warp" and case.boxes >= LARGE_STACK
+            filling = LARGE_STACK_LANES if large else STACK_LANES
             copies = case.count or (4 * threads if threads else self.lanes or filling)
             jobs = [Job(build_scene(self._stack(case.boxes), sim))] * copies
         else:

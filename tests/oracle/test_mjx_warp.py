@@ -31,12 +31,14 @@ from support.fake_stepper import assert_same, run_all
 from support.plans import make_scene
 from support.worlds import boxes_by_plan, make_plan, simulate
 
+from petmjx.engines.batch.template import MAX_ITERATIONS
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import rollout as rollouts
 from petmjx.engines.warp import shape
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.records import MAX_BOXES, lane_bytes
+from petmjx.engines.warp.records import MAX_BOXES, lane_bytes, most_panels
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape
+from petmjx.engines.warp.shape import Shape, size_for
 
 SAME_PLACE_M = 1e-3
 """Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
@@ -185,24 +187,61 @@ def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
     assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
 
 
+def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
+    """Lanes of two sizes also for tiny worlds, with as many threads each."""
+    small, large = shape.SIZES
+    alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
+    monkeypatch.setattr(shape, "SIZES", alike)
+    here = Shape.here
+
+    def sized(n_boxes: int) -> Shape:
+        return replace(here(n_boxes), panels=most_panels(size_for(n_boxes).most_boxes))
+
+    monkeypatch.setattr(Shape, "here", sized)
+
+
 @pytest.mark.slow
-def test_worlds_of_each_size_have_lanes_of_their_own(
-    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
-) -> None:
-    """Large ones come first, and outcomes are those of their jobs."""
-    monkeypatch.setattr(shape, "SIZES", (replace(shape.SIZES[0], most_boxes=1), shape.SIZES[1]))
-    some, sizes = engine(), []
+def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large ones come first, in tables as wide as the run's largest; outcomes are those of their jobs."""
+    scenes = {**tiny_scenes(), "five": make_scene(5), "nine": make_scene(9)}
+    alike = simulate(engine(), scenes, SHORT)
+    sizes_apart(monkeypatch, 4)
+    some, sizes = engine(group_size=4), []
     march = some._march
 
     def watched(run: Any, jobs: list[Job]) -> Any:
-        sizes.append([job.scene.n_boxes for job in jobs])
+        sizes.append(sorted(job.scene.n_boxes for job in jobs))
         return march(run, jobs)
 
     monkeypatch.setattr(some, "_march", watched)
-    assert_equal_worlds(simulate(some, tiny_scenes(), SHORT), crowd)
-    large, small = sizes
-    assert min(large) > 1
-    assert set(small) == {1}
+    assert_equal_worlds(simulate(some, scenes, SHORT), alike)
+    assert all(max(group) <= 4 or min(group) > 4 for group in sizes)
+    assert [5, 9] in sizes or [group for group in sizes if min(group) > 4] == [[5], [9]]
+    assert len(some._kept) == 2
+    assert {rollout.march.sizes["box"] for _, rollout in some._kept.values()} == {4, 12}
+
+
+@pytest.mark.slow
+def test_lanes_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    """Memory for the lanes of one size at a time: with the other size's gone as many fit as were wanted."""
+    held: list[Rollout] = []
+    tried = []
+
+    def rollout(run: Any, n_boxes: int, pairs: int, room: int, of: Shape, lanes: int, slice_ns: int) -> Rollout:
+        tried.append((n_boxes, lanes))
+        if any(not other.workspace.is_deleted() for other in held):
+            raise out_of_memory()
+        held.append(Rollout(run, n_boxes, pairs, room, of, lanes, slice_ns))
+        return held[-1]
+
+    sizes_apart(monkeypatch, 4)
+    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    scenes = {**tiny_scenes(("hand-one-box",)), "five": make_scene(5)}
+    found = simulate(engine(), scenes, SHORT)
+    assert_same(found["hand-one-box"], crowd["hand-one-box"])
+    assert found["five"].reason is not Reason.OUT_OF_MEMORY
+    assert [n_boxes for n_boxes, _ in tried] == [8, 4, 4]
+    assert len({lanes for _, lanes in tried}) == 1
 
 
 # ---------------------------------------------------------------------- what goes wrong
@@ -232,7 +271,7 @@ def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> 
     small = engine()
     found = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (found.verdict, found.reason) == (Verdict.INVALID, Reason.OVERFLOW)
-    assert list(small._growth.values()) == [MAX_GROWTH]
+    assert list(small._room.values()) == [MAX_GROWTH]
 
 
 MARKED = "hand-bridge"
@@ -243,8 +282,8 @@ def poisoned(monkeypatch: pytest.MonkeyPatch, poison: Callable[[Group, int], Gro
     """Put what is no number into the tables of jobs with the most boxes."""
     plain = MjxWarpEngine._load_group
 
-    def load(self: MjxWarpEngine, run: Any, jobs: Sequence[Job], first_job: int) -> Group:
-        group = plain(self, run, jobs, first_job)
+    def load(self: MjxWarpEngine, run: Any, jobs: Sequence[Job]) -> Group:
+        group = plain(self, run, jobs)
         return poison(group, int(np.argmax([job.scene.n_boxes for job in jobs])))
 
     monkeypatch.setattr(MjxWarpEngine, "_load_group", load)
@@ -450,6 +489,22 @@ def test_drives_as_in_c_and_forks_as_whole_runs(kind: str) -> None:
         assert (whole.n_steps, whole.sim_time_s) == (twin.n_steps, twin.sim_time_s)
         np.testing.assert_allclose(whole.boxes.max_sway_m, twin.boxes.max_sway_m, rtol=0.01, atol=SAME_SWAY_M)
     assert twins[0].boxes.max_sway_m.max() > 2e-3
+
+
+@pytest.mark.slow
+def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which placements do not feel, and which the user's own replaces."""
+    jobs = [Job(tiny("hand-bridge"), pushes("force", LEVELS["force"])), Job(tiny("hand-bridge"))]
+
+    def found(driven: int, **options: Any) -> list[Outcome]:
+        monkeypatch.setattr(rollouts, "DRIVEN_ITERATIONS", driven)
+        return run_all(engine(), jobs, SHORT.changed(**options))
+
+    few, many, wanted = found(1), found(MAX_ITERATIONS), found(1, solver_iterations=MAX_ITERATIONS)
+    assert not np.array_equal(few[0].boxes.max_sway_m, many[0].boxes.max_sway_m)
+    assert_same(few[1], many[1])
+    for one, other in zip(wanted, many, strict=True):
+        assert_same(one, other)
 
 
 @pytest.mark.slow

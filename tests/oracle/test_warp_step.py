@@ -25,9 +25,10 @@ from support.marching import OneStep
 from support.plans import Box
 from support.worlds import make_plan
 
+from petmjx.engines.batch.capacities import GRANULE
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton, shape
-from petmjx.engines.warp.records import PANEL
+from petmjx.engines.warp.records import MAX_BOXES, PANEL
 from petmjx.engines.warp.rollout import friction_damping
 from petmjx.engines.warp.shape import Shape
 
@@ -143,6 +144,7 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
             many += np.array([found.iterations, iterations])
     assert compared >= len(steps) // 2
     assert many[0] <= SLIDING_SHARE * many[1]
+    assert (many[1] > 0) == ((preset, name) == ("pallet", "heap"))
 
 
 @pytest.mark.parametrize(
@@ -157,6 +159,19 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
 )
 def test_damping_of_friction_as_mujoco_has_it(changes: dict[str, Any], damping: float) -> None:
     assert friction_damping(PHYSICS["pallet"].changed(**changes)) == pytest.approx(damping)
+
+
+def test_sizes_of_lanes_fit_tables_and_blocks() -> None:
+    """A table's width must say which lanes its worlds have; C++ has room for the sums of 8 warps."""
+    most = [size.most_boxes for size in shape.SIZES]
+    assert most == sorted(most)
+    assert most[-1] == MAX_BOXES
+    assert all(boxes % GRANULE == 0 for boxes in most)
+    assert all(size.threads % 32 == 0 and 64 <= size.threads <= 256 for size in shape.SIZES)
+    assert [shape.size_for(n).most_boxes for n in (1, most[0], most[0] + 1, MAX_BOXES)] == [
+        *most[:1] * 2,
+        *most[1:] * 2,
+    ]
 
 
 def test_compiler_errors_name_the_line_of_the_file() -> None:

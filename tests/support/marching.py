@@ -44,7 +44,7 @@ class OneStep:
     def __init__(self, scene: Scene, physics: str) -> None:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), {"": [scene.n_boxes]}, Progress())
-        self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)], 0)
+        self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         room, shape = scene.n_boxes + MORE_BOXES, Shape.here(scene.n_boxes)
         self.rollout = Rollout(
             run, scene.n_boxes, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room, shape, lanes=1, slice_ns=0

@@ -56,8 +56,8 @@ class StageKey:
 class Run:
     """One run: what its groups have in common.
 
-    ``capacities``: of the placement stages ("") and of the stages of each kind of drive. ``lane_limit``: most lanes,
-    lowered when device memory runs out.
+    ``capacities``: of the placement stages ("") and of the stages of each kind of drive, or by another key of the
+    engine's own. ``lane_limit``: most lanes, lowered when device memory runs out.
     """
 
     sim: Simulation
@@ -73,7 +73,6 @@ class Group:
 
     run: Run
     jobs: Sequence[Job]
-    first_job: int
     worlds: Worlds
     table: State
     profiles: jax.Array
@@ -177,7 +176,7 @@ class MjxEngine(ABC):
         }
 
     def _run_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
-        group = self._load_group(run, jobs, first_job)
+        group = self._load_group(run, jobs)
         emitted = np.zeros(len(jobs), bool)
 
         def finished() -> Iterator[Outcome]:
@@ -191,7 +190,7 @@ class MjxEngine(ABC):
             mine = np.array([not kind or (job.drive is not None and job.drive.excitation.kind == kind) for job in jobs])
             yield from self._run_stages(group, run.capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
 
-    def _load_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Group:
+    def _load_group(self, run: Run, jobs: Sequence[Job]) -> Group:
         sim, timetable = run.sim, run.timetable
         width = max(max(capacities) for capacities in run.capacities.values())
         excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
@@ -212,7 +211,7 @@ class MjxEngine(ABC):
         fresh = fresh_state(worlds, all_placed=static, ends=uploaded(ends), rest_steps=timetable.rest_steps)
         table = started_states(jobs, fresh)
         recorder = Recorder(jobs, sim.physics.timestep_s)
-        return Group(run, jobs, first_job, worlds, table, uploaded(profiles), recorder)
+        return Group(run, jobs, worlds, table, uploaded(profiles), recorder)
 
     def _run_stages(
         self,

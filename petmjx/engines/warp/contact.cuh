@@ -62,10 +62,12 @@ inline CUDA_CALLABLE void relative(const float* contact, const int* block, const
 // frame. The formulas are those of mj_constraintUpdate (MuJoCo, engine_core_constraint.c); both tangents have the same
 // friction here. `slack`: 1 / √impratio, which makes the rows of an elliptic cone's tangents impratio times as stiff.
 //
-// `drag` (2,) is the share of the friction that there can be, against its direction: an unknown of its own for a contact
-// that slides, |drag| ≤ 1, and a result for others. newton.py says why. With `anew` it is what the residual says.
+// `drag` (2,) is the share of the friction that there can be, against its direction: an unknown of its own for a
+// contact that slides, |drag| ≤ 1, and a result for others. newton.py says why. With `anew` it is what the residual
+// says. Pyramidal cones have none.
 inline CUDA_CALLABLE void respond(
-    int pyramidal, double slack, const double* j, const float* contact, bool anew, float* drag, double* push, double* bend
+    int pyramidal, double slack, const double* j, const float* contact, bool anew,
+    float* drag, double* push, double* bend
 ) {
     float last[4];
     load_four(last, contact + 28);
@@ -120,8 +122,8 @@ inline CUDA_CALLABLE void respond(
     bend[5] = along * y * y + across * (1.0 - v * y);
 }
 
-// What `drag` is after a whole step of Newton's method that changes the residual j by v. Contacts that do not slide have
-// no use for it.
+// What `drag` is after a whole step of Newton's method that changes the residual j by v. Where the contact does not
+// slide after it, `respond` replaces it.
 inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) {
     const double tangent = larger(sqrt(j[1] * j[1] + j[2] * j[2]), TINY);
     const double x = j[1] / tangent, y = j[2] / tangent, change = x * v[1] + y * v[2];

@@ -10,7 +10,7 @@ import numpy as np
 import warp
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation, Solver
+from petmjx.config import Cone, Simulation, Solver
 from petmjx.engines.batch.capacities import round_up
 from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine, Run, is_out_of_memory
 from petmjx.engines.batch.outcomes import outcomes, pick
@@ -58,11 +58,15 @@ class RolloutKey:
     """What compiled programs and buffers depend on."""
 
     sim: Simulation
-    shape: Shape
     n_boxes: int
     growth: int
     table_steps: int
     table_boxes: int
+
+
+def _kind(job: Job) -> str:
+    """The size of the lanes for a job, as a key of ``Run.capacities``: the most boxes that they have room for."""
+    return str(size_for(job.scene.n_boxes).most_boxes)
 
 
 class MjxWarpEngine(MjxEngine):
@@ -98,6 +102,8 @@ class MjxWarpEngine(MjxEngine):
         super().__init__(lanes, group_size=group_size, **options)
         self.slice_ns = slice_ns
         self._kept: dict[Shape, tuple[RolloutKey, Rollout]] = {}
+        self._room: dict[tuple[Cone, Shape], int] = {}
+        """How much larger than usual buffers have to be."""
 
     def release(self) -> None:
         """Drop the CUDA graphs that Warp captured of MJX's own step: each one keeps the workspace of its solver."""
@@ -136,7 +142,11 @@ class MjxWarpEngine(MjxEngine):
                 f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
                 "choose the engine mujoco"
             )
-        return {"": [round_up(largest)]}
+        widest: dict[str, int] = {}
+        for job in jobs:
+            kind = _kind(job)
+            widest[kind] = max(widest.get(kind, 0), round_up(job.scene.n_boxes))
+        return {kind: [width] for kind, width in widest.items()}
 
     def _run_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
         if run.sim.solver is not Solver.NEWTON:
@@ -144,9 +154,11 @@ class MjxWarpEngine(MjxEngine):
             yield from super()._run_group(run, jobs, first_job)
             return
         # lanes of one size after the other, those for the largest worlds first
-        most_boxes = np.array([size_for(job.scene.n_boxes).most_boxes for job in jobs])
-        for most in sorted(set(most_boxes.tolist()), reverse=True):
-            alike = np.flatnonzero(most_boxes == most)
+        kinds = np.array([_kind(job) for job in jobs])
+        for kind in sorted(run.capacities, key=int, reverse=True):
+            alike = np.flatnonzero(kinds == kind)
+            if not len(alike):
+                continue
             for outcome in self._run_alike(run, [jobs[row] for row in alike.tolist()]):
                 outcome.job = first_job + int(alike[outcome.job])
                 yield outcome
@@ -175,8 +187,7 @@ class MjxWarpEngine(MjxEngine):
     def _march(self, run: Run, jobs: Sequence[Job], *, simulate: bool = True) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
         worlds that ended in the one before. With ``simulate`` off all worlds are given up, since memory has run out."""
-        widest = round_up(max(job.scene.n_boxes for job in jobs))
-        group = self._load_group(replace(run, capacities={"": [widest]}), jobs, 0)
+        group = self._load_group(replace(run, capacities={"": run.capacities[_kind(jobs[0])]}), jobs)
         status = np.array(group.table.status)
         status[len(jobs) :] = Status.FINISHED  # rows to spare
         group.table = group.table._replace(status=uploaded(status))
@@ -211,12 +222,12 @@ class MjxWarpEngine(MjxEngine):
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
         """Larger buffers for worlds that are stopped since they need them; at ``MAX_GROWTH`` they are given up."""
-        key = (group.run.sim.physics.cone, 0)
-        growth = self._growth.get(key, 1)
+        key = (group.run.sim.physics.cone, Shape.here(group.table.pose.shape[1]))
+        growth = self._room.get(key, 1)
         if growth >= MAX_GROWTH:
             group.give_up(rows, Flag.NONE)
             return self._rollout(group)
-        self._growth[key] = growth = 2 * growth
+        self._room[key] = growth = 2 * growth
         group.run.progress.message = f"{len(rows)} worlds overflowed their buffers, on with {growth}× as large ones"
         group.retry(rows)
         group.table = group.table._replace(status=group.table.status.at[rows].set(Status.RUNNING))
@@ -229,11 +240,9 @@ class MjxWarpEngine(MjxEngine):
         """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit."""
         run = group.run
         n_boxes = group.table.pose.shape[1]
-        growth = self._growth.get((run.sim.physics.cone, 0), 1)
         shape = Shape.here(n_boxes)
-        key = RolloutKey(
-            run.sim, shape, n_boxes, growth, len(run.timetable.clock), len(run.timetable.settled_nominally)
-        )
+        growth = self._room.get((run.sim.physics.cone, shape), 1)
+        key = RolloutKey(run.sim, n_boxes, growth, len(run.timetable.clock), len(run.timetable.settled_nominally))
         if shape in self._kept and self._kept[shape][0] == key:
             return self._kept[shape][1]
         if shape in self._kept:
@@ -251,7 +260,7 @@ class MjxWarpEngine(MjxEngine):
                     raise
                 if not self._kept:
                     lanes //= 2
-                self._drop()
+                self._drop()  # lanes of other sizes may be what takes the memory: once more without them
                 self.stages.clear()
                 self._warm.clear()
                 self.release()

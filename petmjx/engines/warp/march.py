@@ -1,4 +1,4 @@
-"""The kernel of mjx-warp, in which every world goes at its own pace, and the JAX call that launches it.
+"""The JAX call that launches the kernel of mjx-warp, in which every world goes at its own pace.
 
 A thread block is a lane. It takes a world from the queue, steps it to its end (or until its drive begins, or until the
 call's time is over), and takes the next one. Nothing is done in lockstep: a world costs what its own boxes cost, and a

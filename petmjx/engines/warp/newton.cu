@@ -1,4 +1,4 @@
-// The constraint solver of mjx-warp for the world of a lane: MuJoCo's Newton method. newton.py explains it.
+// The constraint solver of mjx-warp for the world of a lane: Newton's method, as newton.py explains it.
 //
 // Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it.
 
@@ -31,7 +31,8 @@ struct World {
 
 const int ROW = 32;  // numbers of a contact
 
-// The line search ends where the cost's derivative is at most this share of what it was. Smaller shares save no iteration.
+// The line search ends where the cost's derivative is at most this share of what it was, or at Newton's step if the cost
+// still decreases there. Smaller shares save no iteration.
 const double ENOUGH_SLOPE = 0.1;
 
 // Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
@@ -303,8 +304,9 @@ inline CUDA_CALLABLE void newton(
             if (!(length > shortest && length < longest)) length = 0.5 * (shortest + longest);
         }
         for (int i = thread; i < n; i += threads) a[i] += length * step[i];
+        // Drags take the whole step, also where accelerations take a part of it: 20 iterations then, and else 25.
         for (int k = thread; k < contacts; k += threads) {
-            follow(jar + 3 * k, jv + 3 * k, world.drag + 2 * k);
+            if (!pyramidal) follow(jar + 3 * k, jv + 3 * k, world.drag + 2 * k);
             for (int i = 3 * k; i < 3 * k + 3; ++i) jar[i] += length * jv[i];
         }
         wait_for_all();

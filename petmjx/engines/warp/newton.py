@@ -35,15 +35,15 @@ from __future__ import annotations
 import re
 from importlib import resources
 
-MOST_PANELS = "PETMJX_MOST_PANELS"
-"""The name that stands for the panels of a kernel's largest system: its shared memory has room for as many."""
+PANELS_MACRO = "PETMJX_MOST_PANELS"
+"""What C++ calls the panels of a kernel's largest system: its shared memory has room for as many."""
 
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
 def text_for(panels: int) -> str:
     """The solver's C++ for systems of up to so many panels."""
-    return f"#define {MOST_PANELS} {panels}\n" + source("newton.cu")
+    return f"#define {PANELS_MACRO} {panels}\n" + source("newton.cu")
 
 
 def source(name: str, included: set[str] | None = None) -> str:

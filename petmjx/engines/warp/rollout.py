@@ -23,12 +23,12 @@ from petmjx.engines.warp.march import SLICE_NS, March
 from petmjx.engines.warp.shape import Shape
 
 TOLERANCE = 1e-8
-"""MuJoCo's default. It is reached, in as many iterations as on C MuJoCo, since forces and residuals are double."""
+"""MuJoCo's default. It can be reached, since forces and residuals are double precision."""
 
 DRIVEN_ITERATIONS = 12
 """Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20 and more for the last
 digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,598 have the verdict of ``mujoco``, which takes as many as it
-needs, and 1,597 without this limit; of 6,400 worlds it changes 3 (benchmarks/results/h200-0.2.md)."""
+needs, and 1,597 without this limit (benchmarks/results/h200-0.2.md)."""
 
 
 def friction_damping(physics: Physics) -> float:
@@ -146,7 +146,7 @@ class Rollout:
         sums = {"seconds": time.perf_counter() - self.began, "steps": steps, "iterations": iterations}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
-        extra["march lanes"] = self.march.sizes["lane"]
+        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.sizes["lane"])
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
         return status
 

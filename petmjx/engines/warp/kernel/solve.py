@@ -6,12 +6,12 @@ from typing import Any
 
 import warp as wp
 
-from petmjx.engines.warp.newton import MOST_PANELS
+from petmjx.engines.warp.newton import PANELS_MACRO
 from petmjx.engines.warp.records import PANEL, ROW_WORDS, Model, Workspace
 
 
 @wp.func_native(
-    f"petmjx::newton<{MOST_PANELS}, {PANEL}, {ROW_WORDS}>"
+    f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {ROW_WORDS}>"
     "(lane, thread, threads, limit, model, work, near.data.ptr, near_words);"
 )
 def newton(
@@ -19,7 +19,7 @@ def newton(
 ) -> None:
     """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
 
-    Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration``
-    and ``force`` (of each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as
-    scratch, and ``near``, a tile in shared memory, for the Hessian if it fits.
+    Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of
+    each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as scratch, and
+    ``near``, a tile in shared memory, for the Hessian if it fits.
     """
