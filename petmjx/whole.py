@@ -17,17 +17,24 @@ from petmjx.text import printable
 def whole_file(file: Path) -> Iterator[Path]:
     """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
 
+    Of a link it is the file that it leads to. What is there and no file, such as a FIFO or ``/dev/stdout``, is written
+    to directly.
+
     Raises:
         InputError: it cannot be written.
     """
-    temporary = file.with_name(f".{secrets.token_hex(8)}.{file.name}")
+    target = file.resolve() if file.is_symlink() else file
+    direct = target.exists() and not target.is_file()
+    temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
         yield temporary
-        os.replace(temporary, file)
+        if not direct:
+            os.replace(temporary, target)
     except OSError as error:
         raise InputError(f"{printable(str(file))}: cannot be written: {reason(error)}") from error
     except InputError as error:  # of what was written, which names the hidden path
         raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        if not direct:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)

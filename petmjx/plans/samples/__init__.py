@@ -23,7 +23,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, Order, draw_order, stream
@@ -31,6 +30,7 @@ from petmjx.plans.samples.packer import PackRules, Placed
 from petmjx.plans.samples.packers import BASELINE, packer_named
 from petmjx.plans.samples.parallel import in_order
 from petmjx.text import counted, printable, shown
+from petmjx.whole import whole_file
 
 Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
@@ -140,29 +140,26 @@ def write_plans(
 ) -> None:
     """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The bytes depend only on the plans (no time stamp in the gzip header).
+    The file appears when it is whole. The bytes depend only on the plans (no time stamp in the gzip header).
 
     Raises:
         InputError: there is no plan, or the file cannot be written.
     """
     path = Path(path)
     coming = iter(plans)
-    first = next(coming, None)  # before the file is opened, which empties it
+    first = next(coming, None)
     if first is None:
         raise InputError(f"{printable(str(path))}: there is no plan to write")
-    try:
-        with ExitStack() as stack:
-            out = _open_text(path, stack)
-            out.write("{")
-            for count, (plan_id, placements) in enumerate(chain([first], coming), start=1):
-                lines = ",\n".join("  " + json.dumps(placement, ensure_ascii=False) for placement in placements)
-                separator = "," if count > 1 else ""
-                out.write(f"{separator}\n{json.dumps(plan_id)}: [\n{lines}\n]")
-                if progress is not None:
-                    progress(count)
-            out.write("\n}\n")
-    except OSError as error:
-        raise InputError(f"{printable(str(path))}: cannot be written: {reason(error)}") from error
+    with whole_file(path) as temporary, ExitStack() as stack:
+        out = _open_text(temporary, stack)
+        out.write("{")
+        for count, (plan_id, placements) in enumerate(chain([first], coming), start=1):
+            lines = ",\n".join("  " + json.dumps(placement, ensure_ascii=False) for placement in placements)
+            separator = "," if count > 1 else ""
+            out.write(f"{separator}\n{json.dumps(plan_id)}: [\n{lines}\n]")
+            if progress is not None:
+                progress(count)
+        out.write("\n}\n")
 
 
 def pack_orders(
