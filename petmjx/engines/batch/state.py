@@ -169,7 +169,10 @@ def take_rows(record: Record, rows: Int[Array, " lane"]) -> Record:
 
 
 def uploaded(values: NDArray[Any]) -> jax.Array:
-    """An array on the device. (``jnp.asarray`` would compile a program for each shape.)"""
+    """An array on the device. On a CPU it may share the memory of ``values``, which must not change any more.
+
+    ``jnp.asarray`` would compile a program for each shape.
+    """
     array: jax.Array = jax.device_put(values)
     return array
 
