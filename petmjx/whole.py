@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
@@ -38,3 +40,8 @@ def whole_file(file: Path) -> Iterator[Path]:
         if not direct:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+
+def gzipped(stream: IO[bytes]) -> gzip.GzipFile:
+    """A stream that packs into another one, without a name or a time: its bytes depend on what is written alone."""
+    return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

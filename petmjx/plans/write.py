@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
@@ -19,7 +18,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.text import printable
-from petmjx.whole import whole_file
+from petmjx.whole import gzipped, whole_file
 
 _PLANS_AT_A_TIME: Final = 1_000
 """Of which a table is in memory: about 43,000 rows."""
@@ -46,8 +45,7 @@ def save_plans(plans: Iterable[Plan], path: str | os.PathLike[str]) -> None:
     write = _writer_for(file)
     if not chosen:
         raise InputError(f"{printable(str(file))}: there is no plan to write")
-    with whole_file(file) as temporary:
-        write(chosen, temporary)
+    write(chosen, file)
 
 
 def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:
@@ -97,11 +95,10 @@ def _write_json(plans: Sequence[Plan], file: Path) -> None:
 
 def _write_csv(plans: Sequence[Plan], file: Path) -> None:
     columns = _Columns.of(plans)
-    with ExitStack() as stack:
-        stream: Any = stack.enter_context(file.open("wb"))
+    with whole_file(file) as temporary, ExitStack() as stack:
+        stream: Any = stack.enter_context(temporary.open("wb"))
         if file.suffix.lower() == ".gz":
-            # neither a name nor a time: the bytes depend on the plans alone
-            stream = stack.enter_context(gzip.GzipFile("", "wb", compresslevel=6, fileobj=stream, mtime=0))
+            stream = stack.enter_context(gzipped(stream))
         with pa_csv.CSVWriter(stream, columns.schema) as writer:
             for table in columns.tables(plans):
                 writer.write_table(table)
@@ -109,7 +106,11 @@ def _write_csv(plans: Sequence[Plan], file: Path) -> None:
 
 def _write_parquet(plans: Sequence[Plan], file: Path) -> None:
     columns = _Columns.of(plans)
-    with file.open("wb") as stream, pq.ParquetWriter(stream, columns.schema, compression="zstd") as writer:
+    with (
+        whole_file(file) as temporary,
+        temporary.open("wb") as stream,
+        pq.ParquetWriter(stream, columns.schema, compression="zstd") as writer,
+    ):
         for table in columns.tables(plans):
             writer.write_table(table)
 

@@ -21,7 +21,6 @@ from petmjx.plans.samples import Placement, write_plans
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.write import as_placements
 from petmjx.text import counted, printable, shown
-from petmjx.whole import whole_file
 
 _PART: Final = re.compile(r"[^\W_][^\W_.+-]*(?:[.+-][^\W_.+-]+)*")
 _TASK: Final = re.compile(r"offline-?3dbp|o3dbp(?:-(\d{1,4})-(\d{1,4}))?", re.IGNORECASE)
@@ -126,8 +125,7 @@ def write_submission(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{printable(str(folder))}: cannot be made: {error.strerror or error}") from error
-    with whole_file(file) as temporary:
-        write_plans(temporary, written)
+    write_plans(file, written)
     return file
 
 

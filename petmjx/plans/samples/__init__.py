@@ -8,7 +8,6 @@ of ``n = 1000``.
 
 from __future__ import annotations
 
-import gzip
 import io
 import json
 from collections import Counter
@@ -30,7 +29,7 @@ from petmjx.plans.samples.packer import PackRules, Placed
 from petmjx.plans.samples.packers import BASELINE, packer_named
 from petmjx.plans.samples.parallel import in_order
 from petmjx.text import counted, printable, shown
-from petmjx.whole import whole_file
+from petmjx.whole import gzipped, whole_file
 
 Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
@@ -257,7 +256,7 @@ def _open_text(path: Path, stack: ExitStack) -> IO[str]:
     if path.suffix != ".gz":
         return stack.enter_context(path.open("w", encoding="utf-8", newline="\n"))
     raw = stack.enter_context(path.open("wb"))
-    packed = stack.enter_context(gzip.GzipFile(filename="", mode="wb", fileobj=raw, compresslevel=6, mtime=0))
+    packed = stack.enter_context(gzipped(raw))
     return stack.enter_context(io.TextIOWrapper(packed, encoding="utf-8", newline="\n"))
 
 
