@@ -140,7 +140,7 @@ def _option(run: RunResults, name: str) -> Any:
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
     """Reasons to doubt the comparison, a line each."""
-    found = [f"{shown(name)} is not finished ({run.unfinished})" for name, run in runs.items() if run.unfinished]
+    found = [line for name, run in runs.items() for line in run.doubts(shown(name))]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
     first, *others = settings
     for name in others:

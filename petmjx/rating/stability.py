@@ -67,7 +67,7 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
         _check_same(run, plans)
     static = next((run for run in runs if _check(run) == Check.STATIC), None)
     verdicts = _verdicts(runs[0])
-    notes = [f"{run.path} is not finished ({run.unfinished})" for run in runs if run.unfinished]
+    notes = [line for run in runs for line in run.doubts(str(run.path))]
     if static is None:
         notes.append(
             f"kpi_6 needs a run with check static, and {runs[0].path} has {_check(runs[0])}: "

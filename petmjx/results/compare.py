@@ -241,9 +241,7 @@ def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes
 
 def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequence[str]) -> list[str]:
     """Reasons to doubt the comparison."""
-    notes = [
-        f"{name} is not finished ({run.unfinished})" for name, run in (("a", run_a), ("b", run_b)) if run.unfinished
-    ]
+    notes = run_a.doubts("a") + run_b.doubts("b")
     if both.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):

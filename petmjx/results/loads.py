@@ -99,8 +99,8 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
     boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
     boxes["rest_top_force_n"] = boxes["rest_top_force_n"].astype("float64")
     boxes["load_share"] = boxes["rest_top_force_n"] / boxes["strength_n"]
-    notes = [f"the run is not finished ({results.unfinished})"] if results.unfinished else []
-    return Loads(results.path, boxes, _of_worlds(results, boxes), (*notes, *_notes(missing)))
+    notes = (*results.doubts("the run"), *_notes(missing))
+    return Loads(results.path, boxes, _of_worlds(results, boxes), notes)
 
 
 def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:

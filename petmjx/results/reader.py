@@ -57,6 +57,10 @@ class RunResults:
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
 
+    def doubts(self, name: str) -> list[str]:
+        """A line if the run is not finished, which is called ``name`` there; else none."""
+        return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
+
     @cached_property
     def worlds(self) -> pd.DataFrame:
         """One row per world. ``culprit`` is a nullable integer; other missing numbers are NaN."""

@@ -31,8 +31,8 @@ def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterato
     yield _says_table(results)
     if results.judged is not None:
         yield ""
-        if results.info["unfinished"]:
-            yield line(f"the run is not finished ({results.info['unfinished']}): not all plans judge", style="yellow")
+        for doubt in results.info["doubts"]:
+            yield line(f"note: {doubt}", style="yellow")
         yield _judged_table(results.judged)
     if results.thresholds is not None and len(results.thresholds):
         yield ""

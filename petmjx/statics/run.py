@@ -80,7 +80,7 @@ def criteria(
         "criteria": [criterion.name for criterion in asked],
         "options": chosen.model_dump(exclude={"only"}),
         "run": None if physics is None else str(physics.path),
-        "unfinished": None if physics is None else physics.unfinished,
+        "doubts": [] if physics is None else physics.doubts("the run"),
         "n_plans": len(found.plans),
         "n_boxes": sum(plan.n_boxes for plan in found.plans),
         "skipped": [skipped.message for skipped in found.skipped],

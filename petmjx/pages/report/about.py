@@ -8,7 +8,7 @@ from typing import Any, Final
 from petmjx.config import Simulation
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined
 from petmjx.pages.report.runs import Kind, ReportRun
-from petmjx.results.reader import told_apart
+from petmjx.results.reader import FINISHED, told_apart
 from petmjx.text import counted, duration, three_digits
 
 MOST_LINES: Final = 20
@@ -33,12 +33,13 @@ def _facts(run: ReportRun) -> Iterator[tuple[str, Content]]:
     config = info.get("config", {})
     yield "folder", str(run.results.path)
     yield "command", _command(run)
-    status = str(info.get("status", "unknown"))
+    unfinished = run.results.unfinished
+    status = unfinished or FINISHED
     expected, done = info.get("expected_worlds"), info.get("counts", {}).get("worlds", 0)
     missing = (
         f"; {counted(expected - done, run.what)} not simulated" if expected is not None and expected > done else ""
     )
-    bad = status != "finished" or bool(missing)
+    bad = unfinished or missing
     yield "status", element("strong", status + missing, class_="warn") if bad else status
     yield "started", str(info.get("started", "")).replace("T", " ").replace("+00:00", " UTC")
     seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
