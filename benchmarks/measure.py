@@ -39,9 +39,10 @@ from petmjx.world.scene import build_scene
 STACK_LANES = 2048
 """Default number of copies that fill an MJX engine."""
 
-LARGE_STACK, LARGE_STACK_LANES = 97, 528
-"""The same of stacks of as many boxes and more on mjx-warp, which has one of them a multiprocessor: four for each of an
-H200's."""
+MJX_WARP = "mjx-warp"
+
+LARGE_STACK_LANES = 528
+"""The same of stacks that have a multiprocessor each on mjx-warp: four for each of an H200's."""
 
 LOOP_SECONDS = 60.0
 """Default time after which a plain loop begins no further plan, s."""
@@ -182,9 +183,7 @@ class Bench:
         engine, start_s = self._engine(case, engine_name)
         threads, sim = _threads(engine), case.sim
         if case.boxes:
-            large = engine.name == "mjx-warp" and case.boxes >= LARGE_STACK
-            filling = LARGE_STACK_LANES if large else STACK_LANES
-            copies = case.count or (4 * threads if threads else self.lanes or filling)
+            copies = case.count or (4 * threads if threads else self.lanes or _filling(engine.name, case.boxes))
             jobs = [Job(build_scene(self._stack(case.boxes), sim))] * copies
         else:
             jobs = [Job(build_scene(plan, sim)) for plan in self._plans(case)]
@@ -352,6 +351,16 @@ def bricks(n_boxes: int) -> Plan:
         articles=("brick",) * n_boxes,
         sequence=number,
     )
+
+
+def _filling(engine: str, boxes: int) -> int:
+    """Copies of a stack that fill an MJX engine."""
+    if engine == MJX_WARP:
+        from petmjx.engines.warp.shape import size_for
+
+        if size_for(boxes).together == 1:
+            return LARGE_STACK_LANES
+    return STACK_LANES
 
 
 def _threads(engine: Engine) -> int | None:

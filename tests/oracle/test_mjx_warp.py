@@ -16,7 +16,7 @@ import pytest
 
 import petmjx
 from petmjx.config import Carrier, Check, Schedule, Simulation
-from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group
+from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, Run
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
 from petmjx.plans.read import load_plans
@@ -187,6 +187,20 @@ def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
     assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
 
 
+def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, int], None]) -> list[Rollout]:
+    """Before programs and buffers are made ``look`` sees box columns, most contacts and lanes, and may raise. Returns a
+    list of what is made."""
+    made: list[Rollout] = []
+
+    def rollout(run: Run, n_boxes: int, pairs: int, room: int, shape: Shape, lanes: int, slice_ns: int) -> Rollout:
+        look(n_boxes, room, lanes)
+        made.append(Rollout(run, n_boxes, pairs, room, shape, lanes, slice_ns))
+        return made[-1]
+
+    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    return made
+
+
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
     """Lanes of two sizes also for tiny worlds, with as many threads each."""
     small, large = shape.SIZES
@@ -216,7 +230,7 @@ def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(some, "_march", watched)
     assert_equal_worlds(simulate(some, scenes, SHORT), alike)
     assert all(max(group) <= 4 or min(group) > 4 for group in sizes)
-    assert [5, 9] in sizes or [group for group in sizes if min(group) > 4] == [[5], [9]]
+    assert [5, 9] in sizes
     assert len(some._kept) == 2
     assert {rollout.march.sizes["box"] for _, rollout in some._kept.values()} == {4, 12}
 
@@ -224,18 +238,15 @@ def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyP
 @pytest.mark.slow
 def test_lanes_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
     """Memory for the lanes of one size at a time: with the other size's gone as many fit as were wanted."""
-    held: list[Rollout] = []
     tried = []
 
-    def rollout(run: Any, n_boxes: int, pairs: int, room: int, of: Shape, lanes: int, slice_ns: int) -> Rollout:
+    def look(n_boxes: int, room: int, lanes: int) -> None:
         tried.append((n_boxes, lanes))
-        if any(not other.workspace.is_deleted() for other in held):
+        if any(not other.workspace.is_deleted() for other in made):
             raise out_of_memory()
-        held.append(Rollout(run, n_boxes, pairs, room, of, lanes, slice_ns))
-        return held[-1]
 
     sizes_apart(monkeypatch, 4)
-    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    made = watched_rollouts(monkeypatch, look)
     scenes = {**tiny_scenes(("hand-one-box",)), "five": make_scene(5)}
     found = simulate(engine(), scenes, SHORT)
     assert_same(found["hand-one-box"], crowd["hand-one-box"])
@@ -336,15 +347,14 @@ def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bo
     that were tried."""
     tried = []
 
-    def rollout(run: Any, n_boxes: int, pairs: int, room: int, shape: Shape, lanes: int, slice_ns: int) -> Rollout:
+    def look(n_boxes: int, room: int, lanes: int) -> None:
         tried.append(lanes)
         if not holds(lanes, room):
             raise out_of_memory()
-        return Rollout(run, n_boxes, pairs, room, shape, lanes, slice_ns)
 
     here = Shape.here
     monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), lanes=256))
-    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    watched_rollouts(monkeypatch, look)
     return tried
 
 
@@ -605,12 +615,11 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     assert free < left + (1 << 22)
     tried = []
 
-    def rollout(run: Any, n_boxes: int, pairs: int, room: int, shape: Shape, wanted: int, slice_ns: int) -> Rollout:
+    def look(n_boxes: int, room: int, wanted: int) -> None:
         if n_boxes == 120:
             tried.append(wanted)
-        return Rollout(run, n_boxes, pairs, room, shape, wanted, slice_ns)
 
-    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    watched_rollouts(monkeypatch, look)
     found = simulate(crowded, some, SHORT)
     del ballast
     assert tried[0] == lanes
