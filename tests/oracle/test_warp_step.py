@@ -61,8 +61,9 @@ SAME_FORCE_N = 0.2
 
 MORE_ITERATIONS = 4
 """A bound on what is left to gain replaces MuJoCo's two tests, and a factor in single precision costs an iteration or
-two where contacts are stiff. Where much slides it needs fewer than MuJoCo, and its forces of friction are unknowns of
-their own for that: SLIDING_SHARE of them in steps in which MuJoCo needs more than MANY."""
+two where contacts are stiff. In steps in which MuJoCo needs more than MANY much slides, and the number of iterations
+depends on the last digits (with another order of sums 29 became 31). Together they need fewer than MuJoCo's, since
+forces of friction are unknowns of their own for that: SLIDING_SHARE of them."""
 MANY, SLIDING_SHARE = 15, 0.8
 
 
@@ -139,9 +140,10 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
         forces = top_forces(data, scene.n_boxes, physics.cone is Cone.PYRAMIDAL)
         np.testing.assert_allclose(found.force, forces, rtol=SAME_FORCE, atol=SAME_FORCE_N, err_msg=where)
         iterations = int(data.solver_niter[0])
-        assert found.iterations <= iterations + MORE_ITERATIONS, where
         if physics.cone is Cone.ELLIPTIC and iterations > MANY:
             many += np.array([found.iterations, iterations])
+        else:
+            assert found.iterations <= iterations + MORE_ITERATIONS, where
     assert compared >= len(steps) // 2
     assert many[0] <= SLIDING_SHARE * many[1]
     assert (many[1] > 0) == ((preset, name) == ("pallet", "heap"))
@@ -184,7 +186,10 @@ def test_compiler_errors_name_the_line_of_the_file() -> None:
         else:
             seen.setdefault(name, []).append((number, line))
             number += 1
-    assert set(seen) == {"newton.cu", "block.cuh", "cholesky.cuh", "contact.cuh"}
+    headers = {
+        f"{name}.cuh" for name in ("block", "cholesky", "contact", "diagonal", "substitution", "system", "tiles")
+    }
+    assert set(seen) == headers | {"newton.cu"}
     for name, lines in seen.items():
         text = resources.files("petmjx.engines.warp").joinpath(name).read_text(encoding="utf-8")
         whole = [(n, line) for n, line in enumerate(text.splitlines(), 1) if not line.startswith("#include")]
@@ -205,15 +210,16 @@ def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.slow
 def test_shared_memory_of_any_size_gives_the_same_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The Hessian lies in it if it fits, and else a row of its panels, if that fits."""
+    """A row of the factor lies in it if it fits, and with it the Hessian, if that fits, too."""
     scene = build_scene(make_plan("heap", heap()), Simulation())
     model, data = exact(scene, PHYSICS["pallet"])
     mujoco.mj_step(model, data, HEAP_STEPS[-1])
     here = Shape.here(scene.n_boxes)
-    small, large = replace(here, near_words=PANEL**2), replace(here, near_words=136 * PANEL**2)
+    sizes = [replace(here, near_words=tiles * PANEL**2) for tiles in (1, 24, 136)]
     found = []
-    for one in (small, here if wp.get_device().is_cuda else large):
+    for one in (*sizes[:2], here if wp.get_device().is_cuda else sizes[2]):
         monkeypatch.setattr(Shape, "here", lambda _, one=one: one)
         found.append(OneStep(scene, "pallet")(data))
     for name, values in vars(found[0]).items():
-        np.testing.assert_array_equal(getattr(found[1], name), values, err_msg=name)
+        for other in found[1:]:
+            np.testing.assert_array_equal(getattr(other, name), values, err_msg=name)

@@ -18,11 +18,11 @@
 
 namespace petmjx {
 
-// Neighbouring threads that together sum over one body's contacts.
+// Threads of a warp; neighbouring threads that together sum over one body's contacts.
 #if defined(__CUDA_ARCH__)
-const int SHARE = 8;
+const int WARP = 32, SHARE = 8;
 #else
-const int SHARE = 1;
+const int WARP = 1, SHARE = 1;
 #endif
 
 inline CUDA_CALLABLE void wait_for_all() {
@@ -117,12 +117,28 @@ inline CUDA_CALLABLE void store_four(float* to, const float* from) {
 #endif
 }
 
+inline CUDA_CALLABLE void store_two(float* to, float one, float two) {
+#if defined(__CUDA_ARCH__)
+    *(float2*)(to) = make_float2(one, two);
+#else
+    to[0] = one, to[1] = two;
+#endif
+}
+
 // Increases a counter by one and returns its value before. Threads come in no fixed order.
 inline CUDA_CALLABLE int take_number(int& counter) {
 #if defined(__CUDA_ARCH__)
     return atomicAdd(&counter, 1);
 #else
     return counter++;
+#endif
+}
+
+inline CUDA_CALLABLE void take_larger(int& value, int other) {
+#if defined(__CUDA_ARCH__)
+    atomicMax(&value, other);
+#else
+    value = other > value ? other : value;
 #endif
 }
 

@@ -1,6 +1,7 @@
 // The constraint solver of mjx-warp for the world of a lane: Newton's method, as newton.py explains it.
 //
-// Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it.
+// Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it. Loops are not unrolled where they
+// could be: a GPU waits for instructions more than for results (docs/performance.md).
 
 #include "block.cuh"
 #include "cholesky.cuh"
@@ -38,10 +39,12 @@ const double ENOUGH_SLOPE = 0.1;
 // Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
 inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
     double bound = 0.0;
+    #pragma unroll 1
     for (int base = 0; base < world.bodies * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
         double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
         if (b < world.bodies) {
+            #pragma unroll 1
             for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
                 const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
                 float axes[9], arms[9];
@@ -74,12 +77,14 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
 
 // A body's diagonal block of the Hessian: 21 entries, summed over its contacts by SHARE threads.
 inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, int thread, int threads) {
+    #pragma unroll 1
     for (int base = 0; base < world.bodies * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
         float own[21];
         #pragma unroll
         for (int e = 0; e < 21; ++e) own[e] = 0.0f;
         if (b < world.bodies) {
+            #pragma unroll 1
             for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
                 const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
                 const float* s = world.curve + 6 * k;
@@ -123,6 +128,7 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
 // The block of two bodies that touch: one row per thread, summed over their contacts.
 inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, int pairs, int thread, int threads) {
     const int* block = world.block;
+    #pragma unroll 1
     for (int item = thread; item < 6 * pairs; item += threads) {
         const int p = item % 6;
         int k = world.pair[item / 6];
@@ -160,8 +166,10 @@ inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, 
 // H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles. Rows beyond its end: identity.
 inline CUDA_CALLABLE void hessian(const World& world, const System& system, int pairs, int thread, int threads) {
     const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    #pragma unroll 1
     for (int i = 4 * thread; i < system.base[system.panels]; i += 4 * threads) store_four(system.A + i, nothing);
     wait_for_all();
+    #pragma unroll 1
     for (int c = world.n + thread; c < system.panels * B; c += threads) {
         system.entry(c, c) = 1.0f;
         system.rhs[c] = 0.0f;
@@ -173,8 +181,8 @@ inline CUDA_CALLABLE void hessian(const World& world, const System& system, int 
 
 // Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
-// sizes on the Python side. `limit`: most iterations. `near`: shared memory for `near_words` numbers, where the Hessian
-// goes if it fits.
+// sizes on the Python side. `limit`: most iterations. `near`: shared memory for `near_words` numbers, where the strip and
+// the Hessian go if they fit.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
     int lane, int thread, int threads, int limit, const Model& model, const Workspace& work, float* near, int near_words
@@ -185,6 +193,7 @@ inline CUDA_CALLABLE void newton(
     PETMJX_SHARED int top[PANELS];
     PETMJX_SHARED int base[PANELS + 1];
     PETMJX_SHARED int pairs;
+    PETMJX_SHARED int widest;  // most panels that reach up to one
     PETMJX_SHARED double partial[3 * MOST_WARPS];
 
     const int pyramidal = model.pyramidal;
@@ -226,37 +235,51 @@ inline CUDA_CALLABLE void newton(
     if (thread == 0) work.iterations.data[at] = 0;
     if (bodies == 0) return;
     double trace[1] = {0.0};
+    #pragma unroll 1
     for (int i = thread; i < n; i += threads) {
         trace[0] += world.mass[i];
         if (world.begin_of[i / 6] == world.begin_of[i / 6 + 1]) a[i] = world.idle[i];
     }
+    #pragma unroll 1
     for (int K = thread; K < system.panels; K += threads) {
         int first = low[K * B / 6];
         const int last = (K * B + B - 1) / 6 < bodies - 1 ? (K * B + B - 1) / 6 : bodies - 1;
+        #pragma unroll 1
         for (int b = K * B / 6 + 1; b <= last; ++b) first = low[b] < first ? low[b] : first;
         top[K] = 6 * first / B;
         base[K] = (K + 1 - top[K]) * B * B;
     }
-    if (thread == 0) pairs = 0;
+    if (thread == 0) pairs = widest = 0;
     wait_for_all();
     prefix_sums(base, system.panels, thread);
+    #pragma unroll 1
+    for (int K = thread; K < system.panels; K += threads) {
+        int reaching = 0;
+        #pragma unroll 1
+        for (int J = K + 1; J < system.panels; ++J) reaching += top[J] <= K;
+        take_larger(widest, reaching);
+    }
     sum_over_block(thread, threads, partial, trace);
     const double enough = model.tolerance * trace[0];  // MuJoCo measures costs in units of the inertia's trace
-    const bool fits = base[system.panels] <= near_words;
-    system.A = fits ? near : work.hessian.data + at * work.hessian.shape[1];
-    system.strip = fits ? nullptr : near;
-    system.strip_columns = near_words / B / 4 * 4;
+    const int strip_words = widest * PARTS;
+    const bool strip_fits = strip_words <= near_words, fits = base[system.panels] + strip_words <= near_words;
+    system.strip = strip_fits ? near : work.strip.data + at * work.strip.shape[1];
+    system.A = fits ? near + strip_words : work.hessian.data + at * work.hessian.shape[1];
     // The first contact of each pair of moving bodies: the contacts of a pair follow one another.
+    #pragma unroll 1
     for (int k = thread; k < contacts; k += threads) {
         const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
         if (begins && block[2 * k] >= 0) world.pair[take_number(pairs)] = k;
     }
+    #pragma unroll 1
     for (int k = thread; k < contacts; k += threads) {
         relative(row + ROW * k, block + 2 * k, a, jar + 3 * k);
         for (int r = 0; r < 3; ++r) jar[3 * k + r] -= row[ROW * k + 27 + r];
     }
     bool last = false;
+    #pragma unroll 1
     for (int iteration = 0;; ++iteration) {
+        #pragma unroll 1
         for (int k = thread; k < contacts; k += threads) {
             double push[3], bend[6];
             respond(
@@ -277,6 +300,7 @@ inline CUDA_CALLABLE void newton(
 
         // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
         double along[3] = {0.0, 0.0, 0.0};
+        #pragma unroll 1
         for (int i = thread; i < n; i += threads) {
             const double s = -(double)rhs[6 * world.position[i / 6] + i % 6];
             step[i] = s;
@@ -287,10 +311,13 @@ inline CUDA_CALLABLE void newton(
         sum_over_block(thread, threads, partial, along);
         const double start = along[0];
         if (!(start < 0.0)) break;
+        #pragma unroll 1
         for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
         double length = 1.0, shortest = 0.0, longest = 1.0, first = start;
+        #pragma unroll 1
         for (int trial = 0; trial < model.trials; ++trial) {
             double cost[2] = {0.0, 0.0};
+            #pragma unroll 1
             for (int k = thread; k < contacts; k += threads)
                 respond_along(pyramidal, model.slack, jar + 3 * k, jv + 3 * k, length, row + ROW * k, cost);
             sum_over_block(thread, threads, partial, cost);
@@ -303,8 +330,10 @@ inline CUDA_CALLABLE void newton(
             length -= first / second;
             if (!(length > shortest && length < longest)) length = 0.5 * (shortest + longest);
         }
+        #pragma unroll 1
         for (int i = thread; i < n; i += threads) a[i] += length * step[i];
         // Drags take the whole step, also where accelerations take a part of it: 20 iterations then, and else 25.
+        #pragma unroll 1
         for (int k = thread; k < contacts; k += threads) {
             if (!pyramidal) follow(jar + 3 * k, jv + 3 * k, world.drag + 2 * k);
             for (int i = 3 * k; i < 3 * k + 3; ++i) jar[i] += length * jv[i];

@@ -159,6 +159,7 @@ class Workspace:
     force: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # of a contact, in its frame
     worst: Annotated[wp.array[wp.int64], "lane"]  # the largest excess and its box
     hessian: Annotated[wp.array2d[float], "lane entry"]  # its envelope, if shared memory has no room for it
+    strip: Annotated[wp.array2d[float], "lane part"]  # a row of its factor, if shared memory has no room for it
     rows: Annotated[wp.array3d[float], "lane slot row_word"]
     curvature: Annotated[wp.array3d[float], "lane slot 6"]
     inertia: Annotated[wp.array2d[float], "lane dof"]  # diagonal of the inertia matrix
@@ -254,6 +255,7 @@ def axes(lanes: int, n_boxes: int, pairs: int, room: int) -> dict[str, int]:
         "block_end": n_blocks + 1,
         "dof": 6 * n_blocks,
         "entry": panels * (panels + 1) // 2 * PANEL**2,
+        "part": panels * 2 * PANEL**2,
         "pair": pairs,
         "pair_end": pairs + 1,
         "slot": room,

@@ -60,7 +60,7 @@ def own_bytes(panels: int) -> int:
     The solver has a right-hand side of 16 numbers for each panel, four more of its lists, and what newton.cu and
     cholesky.cuh share in addition.
     """
-    return 4 * (PANEL + 4) * panels + (4 << 10)
+    return 4 * (PANEL + 4) * panels + (9 << 10)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,52 @@
+// The linear system of a step, H·x = g, in H's envelope.
+//
+// H's upper triangle is stored in whole tiles of 16 × 16: panel J's columns begin at row 16·top[J]. The factor is zero
+// above that. Panels follow one another, each one row by row, so that an envelope takes no more room than it needs and
+// fits into shared memory where it is small.
+
+#ifndef PETMJX_SYSTEM_CUH
+#define PETMJX_SYSTEM_CUH
+
+#include "tiles.cuh"
+
+namespace petmjx {
+
+// The columns of a body: six neighbours, which lie in one panel or in two.
+struct Columns {
+    float* one;
+    float* two;
+    int first;  // of the panel's columns
+
+    inline CUDA_CALLABLE float& entry(int row, int i) const {
+        const int column = first + i;
+        return (column < B ? one : two)[row * B + column % B];
+    }
+};
+
+struct System {
+    float* A;         // H, then its factor in its place: U's tiles, and on the diagonal their inverses
+    float* strip;     // room for both parts of the tiles of a panel's row
+    int panels;
+    const int* top;   // (panels,) first panel that each panel's columns reach up to
+    const int* base;  // (panels + 1,) where each panel's numbers begin
+    float* rhs;       // (16·panels,) g, then x in its place; NaN if H is not positive definite
+
+    // Entry (0, 16·J), if it were stored; the entry of row r and column 16·J + c is at r·16 + c.
+    inline CUDA_CALLABLE float* panel(int J) const { return A + base[J] - top[J] * B * B; }
+
+    inline CUDA_CALLABLE float* tile(int K, int J) const { return panel(J) + K * B * B; }
+
+    inline CUDA_CALLABLE float& entry(int row, int column) const {
+        return panel(column / B)[row * B + column % B];
+    }
+
+    inline CUDA_CALLABLE Columns columns(int body) const {
+        const int J = 6 * body / B, first = 6 * body % B;
+        float* one = panel(J);
+        return {one, first + 6 > B ? panel(J + 1) : one, first};
+    }
+};
+
+}  // namespace petmjx
+
+#endif
