@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -20,6 +19,8 @@ from petmjx.history import Record
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Excitation, Job
 
+pytestmark = pytest.mark.usefixtures("ranks_may_differ")
+
 RECORD = Record(0.05)
 EVERY = 25
 """Steps between two frames."""
@@ -34,13 +35,6 @@ SAME_PLACE_M = 1e-3
 SAME_FORCE = 0.05
 SMALL_FORCE_N = 5.0
 """Of impacts; a box weighs 49 N."""
-
-
-@pytest.fixture(autouse=True)
-def _ranks_may_differ() -> Iterator[None]:
-    """MJX broadcasts as NumPy does."""
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 @functools.cache

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from importlib import resources
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -33,6 +31,8 @@ from petmjx.engines.warp.rollout import friction_damping
 from petmjx.engines.warp.shape import Shape
 
 set_up_warp()
+
+pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 STEPS = (3, 26, 68, 80, 137, 155)
 """Steps into a run in which all boxes stand at once and the last one tips: landing, sliding, falling. Not those in
@@ -65,12 +65,6 @@ two where contacts are stiff. In steps in which MuJoCo needs more than MANY much
 depends on the last digits (with another order of sums 29 became 31). Together they need fewer than MuJoCo's, since
 forces of friction are unknowns of their own for that: SLIDING_SHARE of them."""
 MANY, SLIDING_SHARE = 15, 0.8
-
-
-@pytest.fixture(autouse=True)
-def _ranks_may_differ() -> Iterator[None]:
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 BRICKS: tuple[Box, ...] = (

@@ -1,0 +1,98 @@
+"""On mjx-warp results depend neither on other worlds nor on lanes, groups, slices of time, or what ran before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+from support.plans import make_scene
+from support.tiny_worlds import (
+    LONG_NS,
+    SHORT,
+    TINY,
+    assert_equal_worlds,
+    engine,
+    shared_engine,
+    sizes_apart,
+    tiny_scenes,
+)
+from support.worlds import simulate
+
+from petmjx.engines.warp.shape import Shape
+
+pytestmark = pytest.mark.usefixtures("ranks_may_differ")
+
+
+@pytest.fixture(scope="module")
+def crowd() -> dict[str, Outcome]:
+    """Tiny worlds, all in one slice of time."""
+    return simulate(engine(slice_ns=LONG_NS), tiny_scenes(), SHORT)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slice_ns", [0, 7_000_000])
+def test_slices_of_any_length_give_the_same(slice_ns: int, crowd: dict[str, Outcome]) -> None:
+    """On a CPU 7 ms are seven steps, since there each look at the clock takes a millisecond."""
+    some = ("hand-overhang-45", "hand-falls-off")
+    assert_equal_worlds(simulate(engine(slice_ns=slice_ns), tiny_scenes(some), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_alone_and_in_any_order_as_in_company(crowd: dict[str, Outcome]) -> None:
+    assert_equal_worlds(simulate(shared_engine(), tiny_scenes(TINY[::-1]), SHORT), crowd)
+    wide = make_scene(9)
+    mixed = {"nine boxes": wide, **tiny_scenes(("hand-bridge", "hand-falls-off"))}
+    found = simulate(shared_engine(), mixed, SHORT)
+    assert found.pop("nine boxes").n_boxes == 9
+    assert_equal_worlds(found, crowd)
+    for name in ("hand-one-box", "hand-bridge"):
+        assert_equal_worlds(simulate(shared_engine(), tiny_scenes((name,)), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_any_number_of_lanes_gives_the_same(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    here = Shape.here
+    monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), lanes=3))
+    assert_equal_worlds(simulate(engine(slice_ns=20_000_000), tiny_scenes(), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
+    assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large ones come first, in tables as wide as the run's largest; outcomes are those of their jobs."""
+    scenes = {**tiny_scenes(), "five": make_scene(5), "nine": make_scene(9)}
+    alike = simulate(engine(), scenes, SHORT)
+    sizes_apart(monkeypatch, 4)
+    some, sizes = engine(group_size=4), []
+    march = some._march
+
+    def watched(run: Any, jobs: list[Job]) -> Any:
+        sizes.append(sorted(job.scene.n_boxes for job in jobs))
+        return march(run, jobs)
+
+    monkeypatch.setattr(some, "_march", watched)
+    assert_equal_worlds(simulate(some, scenes, SHORT), alike)
+    assert all(max(group) <= 4 or min(group) > 4 for group in sizes)
+    assert [5, 9] in sizes
+    assert len(some._kept) == 2
+    assert {rollout.march.sizes["box"] for _, rollout in some._kept.values()} == {4, 12}
+
+
+@pytest.mark.slow
+def test_a_run_that_is_left_early_does_not_change_the_next(crowd: dict[str, Outcome]) -> None:
+    left = engine(slice_ns=100_000_000)
+    begun = left.run([Job(scene) for scene in tiny_scenes().values()], SHORT)
+    next(begun)
+    begun.close()
+    assert_equal_worlds(simulate(left, tiny_scenes(), SHORT), crowd)

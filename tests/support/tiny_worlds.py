@@ -1,0 +1,88 @@
+"""Tiny worlds for tests of mjx-warp on a CPU, where its kernel is slow, and what tests watch of its engine."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from petmjx.config import Simulation
+from petmjx.engines.batch.engine import Run
+from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import shape
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.records import most_panels
+from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.shape import Shape, size_for
+from petmjx.verdict import Outcome
+from petmjx.world.scene import Scene, build_scene
+from support.fake_stepper import assert_same
+from support.worlds import boxes_by_plan, make_plan
+
+TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "corner overhang of 30 %")
+
+SHORT = Simulation(interval_s=0.1, rest_window_s=0.1, settle_s=0.3)
+
+LONG_NS = 10**15
+"""A slice of time in which all worlds of a test end."""
+
+devices = pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=pytest.mark.gpu)])
+
+
+def tiny_scenes(names: Sequence[str] = TINY) -> dict[str, Scene]:
+    plans = boxes_by_plan()
+    return {name: build_scene(make_plan(name, plans[name]), Simulation()) for name in names}
+
+
+def tiny(name: str) -> Scene:
+    return tiny_scenes((name,))[name]
+
+
+def engine(**options: Any) -> MjxWarpEngine:
+    return MjxWarpEngine(16, allow_cpu=True, **options)
+
+
+@functools.cache
+def shared_engine() -> MjxWarpEngine:
+    return engine()
+
+
+def assert_equal_worlds(found: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
+    """To the last bit."""
+    for name, outcome in found.items():
+        assert_same(outcome, expected[name])
+        assert outcome.flags == expected[name].flags
+
+
+def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, int], None]) -> list[Rollout]:
+    """Before programs and buffers are made ``look`` sees box columns, most contacts and lanes, and may raise. Returns a
+    list of what is made."""
+    made: list[Rollout] = []
+
+    def rollout(run: Run, n_boxes: int, pairs: int, room: int, shape: Shape, lanes: int, slice_ns: int) -> Rollout:
+        look(n_boxes, room, lanes)
+        made.append(Rollout(run, n_boxes, pairs, room, shape, lanes, slice_ns))
+        return made[-1]
+
+    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    return made
+
+
+def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
+    """Lanes of two sizes also for tiny worlds, with as many threads each."""
+    small, large = shape.SIZES
+    alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
+    monkeypatch.setattr(shape, "SIZES", alike)
+    here = Shape.here
+
+    def sized(n_boxes: int) -> Shape:
+        return replace(here(n_boxes), panels=most_panels(size_for(n_boxes).most_boxes))
+
+    monkeypatch.setattr(Shape, "here", sized)
+
+
+def out_of_memory() -> RuntimeError:
+    return RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate 12884901888 bytes.")
