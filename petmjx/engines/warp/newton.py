@@ -8,9 +8,9 @@ search follows.
 Four things make it fast:
 
 - A contact touches two bodies. So J is kept as 27 numbers per contact, and a product with J costs that much.
-- H is block-sparse, and bodies are in order of their contacts (kernel/ordering.py), so H has a narrow envelope: a column
-  is zero above the rows of the first body that its body touches, and its factor fills in only below them. Cholesky
-  runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
+- H is block-sparse, and bodies are in order of their contacts (kernel/ordering.py), so H has a narrow envelope: a
+  column is zero above the rows of the first body that its body touches, and its factor fills in only below them.
+  Cholesky runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This says before each
   factorisation whether it can help. At rest it seldom can.
 
