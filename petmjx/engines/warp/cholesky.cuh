@@ -18,8 +18,8 @@ struct Factoring {
     Diagonal diagonal;
     alignas(16) float solved[B];  // the panel's part of y
     alignas(16) float solutions[MOST_WARPS * 3 * B];
-    int active[2][MOST];  // panels whose columns reach up to a panel: this one's, and the next one's
-    int active_count[2];
+    int reached[2][MOST];  // panels whose columns reach up to a panel: of this one, and of the next one
+    int reached_count[2];
 };
 
 // A diagonal tile takes the first warp as long as this many products.
@@ -32,7 +32,7 @@ const int FEW_PANELS = 40;
 // Lists the panels below panel K whose columns reach up to it. By one warp.
 template <int MOST>
 inline CUDA_CALLABLE void list_reaching(const System& system, Factoring<MOST>& shared, int K, int lane) {
-    int* list = shared.active[K & 1];
+    int* list = shared.reached[K & 1];
     int found = 0;
 #if defined(__CUDA_ARCH__)
     #pragma unroll 1
@@ -46,7 +46,7 @@ inline CUDA_CALLABLE void list_reaching(const System& system, Factoring<MOST>& s
     for (int J = K + 1; J < system.panels; ++J)
         if (system.top[J] <= K) list[found++] = J;
 #endif
-    if (lane == 0) shared.active_count[K & 1] = found;
+    if (lane == 0) shared.reached_count[K & 1] = found;
 }
 
 // Panel K's row of U, in its place and in the strip; a warp for each tile.
@@ -54,8 +54,8 @@ template <int MOST>
 inline CUDA_CALLABLE void factor_row(
     const System& system, const Factoring<MOST>& shared, int K, int warp, int warps, int lane
 ) {
-    const int* reached = shared.active[K & 1];
-    const int across = shared.active_count[K & 1];
+    const int* reached = shared.reached[K & 1];
+    const int across = shared.reached_count[K & 1];
     if (warp >= across) return;
     const Operand W[1] = {load_whole(shared.diagonal.W, PITCH, lane)};
     #pragma unroll 1
@@ -99,7 +99,7 @@ inline CUDA_CALLABLE void update_below(
     const System& system, const Factoring<MOST>& shared, int K, int first, int end, int lane
 ) {
     if (first >= end) return;
-    const int* reached = shared.active[K & 1];
+    const int* reached = shared.reached[K & 1];
     int right = (int)(0.5f * (sqrtf(8.0f * first + 1.0f) - 1.0f));  // rounding may make it one more or less
     if (right * (right + 1) / 2 > first) --right;
     if ((right + 1) * (right + 2) / 2 <= first) ++right;
@@ -122,9 +122,9 @@ template <int MOST>
 inline CUDA_CALLABLE void update_rhs(
     const System& system, const Factoring<MOST>& shared, int K, int first, int stride
 ) {
-    const int* reached = shared.active[K & 1];
+    const int* reached = shared.reached[K & 1];
     #pragma unroll 1
-    for (int c = first; c < shared.active_count[K & 1] * B; c += stride) {
+    for (int c = first; c < shared.reached_count[K & 1] * B; c += stride) {
         const int J = reached[c / B];
         system.rhs[J * B + c % B] -= dot(system.tile(K, J) + c % B, B, shared.solved);
     }
@@ -133,12 +133,12 @@ inline CUDA_CALLABLE void update_rhs(
 // Forward: H = UᵀU in place and y = U⁻ᵀ·g at the same time. Then backward.
 template <int MOST>
 inline CUDA_CALLABLE void factor_and_solve(const System& system, Factoring<MOST>& shared, int thread, int threads) {
-    const int lane = thread % WARP, warp = thread / WARP, warps = threads / WARP;
+    const int lane = thread % WARP, warp = thread / WARP, warps = threads / WARP;  // at most MOST_WARPS
     const int others = warps > 1 ? warps - 1 : 1, other = warps > 1 ? warp - 1 : 0;
     const bool few = MOST <= FEW_PANELS;
     #pragma unroll 1
     for (int K = -1; K < system.panels; ++K) {
-        const int across = K < 0 ? 0 : shared.active_count[K & 1], next = K + 1;
+        const int across = K < 0 ? 0 : shared.reached_count[K & 1], next = K + 1;
         const bool finds_next = warp == 0 && next < system.panels;
         Piece diagonal;
         if (finds_next) diagonal = load_piece(system.tile(next, next), B, lane);
@@ -147,7 +147,7 @@ inline CUDA_CALLABLE void factor_and_solve(const System& system, Factoring<MOST>
             factor_row(system, shared, K, warp, warps, lane);
             wait_for_all();
         }
-        const int reaches_next = across > 0 && shared.active[K & 1][0] == next ? 1 : 0;
+        const int reaches_next = across > 0 && shared.reached[K & 1][0] == next ? 1 : 0;
         if (finds_next) {
             if (reaches_next) {
                 const Operand row[1] = {load_parts(system.strip, lane)};

@@ -9,9 +9,9 @@
 namespace petmjx {
 
 struct Diagonal {
-    alignas(16) float D[B * PITCH];  // only its upper triangle is read
+    alignas(16) float D[B * PITCH];  // what is below its diagonal is not used
     alignas(16) float W[B * PITCH];
-    alignas(16) float rows[2][2 * B];  // two rows that are being eliminated; and the two before
+    alignas(16) float rows[2][2 * B];  // two rows that are being eliminated, and the two before; their ends are never set
 };
 
 #if defined(__CUDA_ARCH__)
@@ -33,8 +33,9 @@ inline __device__ float inverse_root(float x) {
 template <int SPREAD>
 inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* own, int lane) {
 #if defined(__CUDA_ARCH__)
-    // Each lane eliminates a column: one of D, or one of the identity, which becomes a row of W. Two rows at a time:
-    // x = (v₀ − b·y)/a and y = (a·v₁ − b·v₀)/(a·c − b²), of the pivots a b; b c, so that no division waits for another.
+    // Each lane eliminates a column: one of D, or one of the identity, which becomes a row of W. Two rows at a time, by
+    // the first and by the second less b/a of the first. Of the pivots a b; b c the second is (a·c − b²)/a then, so that
+    // no division waits for another. (Solving with the four at once would cancel where they are stiff together.)
     // Rows move up by two each time, so that the code can stand there once: what moves in behind the last one is not used.
     float v[B];
     #pragma unroll
@@ -49,14 +50,14 @@ inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* own, int lane) 
         for (int q = 0; q < B; q += 4) load_four(one + q, rows + q), load_four(two + q, rows + B + q);
         const float a = one[0], b = one[1], c = two[1];
         const float determinant = a * c - b * b, rest = a * v[1] - b * v[0], over_a = reciprocal(a);
-        const float y = rest * reciprocal(determinant), x = (v[0] - b * y) * over_a;
+        const float x = v[0] * over_a, y = rest * reciprocal(determinant), factor = b * over_a;
         if (lane >= B) {
             const float first = v[0] * inverse_root(a), second = rest * (over_a * inverse_root(determinant * over_a));
             store_two(tile.W + (lane - B) * PITCH + p, first, second);
             store_two(own + (lane - B) * B + p, first, second);
         }
         #pragma unroll
-        for (int q = 2; q < B; ++q) v[q - 2] = v[q] - (one[q] * x + two[q] * y);
+        for (int q = 2; q < B; ++q) v[q - 2] = v[q] - (one[q] * x + (two[q] - factor * one[q]) * y);
     }
 #else
     float* D = tile.D;

@@ -36,6 +36,8 @@ const int ROW = 32;  // numbers of a contact
 // still decreases there. Smaller shares save no iteration.
 const double ENOUGH_SLOPE = 0.1;
 
+const double INFINITE = 1e300;  // what a singular Hessian may make of a step: no NaN
+
 // Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
 inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
     double bound = 0.0;
@@ -189,7 +191,7 @@ inline CUDA_CALLABLE void newton(
 ) {
     static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;
-    PETMJX_SHARED float rhs[PANELS * B];
+    PETMJX_SHARED alignas(16) float rhs[PANELS * B];
     PETMJX_SHARED int top[PANELS];
     PETMJX_SHARED int base[PANELS + 1];
     PETMJX_SHARED int pairs;
@@ -310,7 +312,7 @@ inline CUDA_CALLABLE void newton(
         }
         sum_over_block(thread, threads, partial, along);
         const double start = along[0];
-        if (!(start < 0.0)) break;
+        if (!(start < 0.0 && start > -INFINITE)) break;
         #pragma unroll 1
         for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
         double length = 1.0, shortest = 0.0, longest = 1.0, first = start;

@@ -36,7 +36,8 @@ class Size:
         most_boxes: of a world.
         threads: of a lane: a multiple of 32, from 64 to 256.
         together: lanes that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
-        near_bytes: shared memory for a lane's Hessian, at most. What is left of 256 kB is cache.
+        near_bytes: shared memory for a row of a lane's factor and for its Hessian, if they fit. Of 256 kB a
+            multiprocessor has for all its lanes the rest is cache.
     """
 
     most_boxes: int
@@ -55,10 +56,10 @@ def size_for(n_boxes: int) -> Size:
 
 
 def own_bytes(panels: int) -> int:
-    """Shared memory that a lane takes beside the Hessian, and what the driver keeps for itself.
+    """Shared memory that a lane takes beside these, and what the driver keeps for itself.
 
-    The solver has a right-hand side of 16 numbers for each panel, four more of its lists, and what newton.cu and
-    cholesky.cuh share in addition.
+    The solver has a right-hand side of 16 numbers for each panel, four more of its lists, and what newton.cu,
+    cholesky.cuh and diagonal.cuh share in addition.
     """
     return 4 * (PANEL + 4) * panels + (9 << 10)
 
@@ -70,7 +71,7 @@ class Shape:
     Attributes:
         lanes: worlds at the same time.
         threads, together: as in ``Size``.
-        near_words: shared memory for a lane's Hessian, in numbers of four bytes.
+        near_words: shared memory for a row of a lane's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
     """
 

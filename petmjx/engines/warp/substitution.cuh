@@ -67,11 +67,12 @@ inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, in
         const float x = inverse.times(rhs + last * B, lane);
         if (lane < B) solved[lane] = x;
         wait_for_warp();
+        float its = 0.0f;
         if (first < last) {
             const float change = linked ? beside.times(solved, lane) : 0.0f;
             if (lane < B) right[lane] = rhs[first * B + lane] - change;
             wait_for_warp();
-            const float its = its_inverse.times(right, lane);
+            its = its_inverse.times(right, lane);
             if (lane < B) solved[B + lane] = its;
             wait_for_warp();
         }
@@ -82,7 +83,7 @@ inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, in
             #pragma unroll SPREAD
             for (int i = 0; i < 2; ++i) {
                 const int K = last - i;
-                if (K < 0 || j < system.top[K] * B) continue;
+                if (j < system.top[K] * B) continue;
                 const float* row = system.panel(K) + j * B;
                 #pragma unroll
                 for (int p = 0; p < B; p += 4) {
@@ -95,8 +96,8 @@ inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, in
             rhs[j] = (sums[0] + sums[1]) + (sums[2] + sums[3]);
         }
         wait_for_all();
-        const int K = first + thread / B;
-        if (K <= last) rhs[K * B + thread % B] = solved[(last - K) * B + thread % B];
+        if (thread < B) rhs[last * B + thread] = x;
+        else if (thread < 2 * B && first < last) rhs[first * B + thread - B] = its;
     }
 #else
     for (int K = system.panels - 1; K >= 0; --K) {

@@ -24,12 +24,13 @@ struct Columns {
 };
 
 struct System {
+    // A, strip and rhs begin at multiples of 16 bytes.
     float* A;         // H, then its factor in its place: U's tiles, and on the diagonal their inverses
     float* strip;     // room for both parts of the tiles of a panel's row
     int panels;
     const int* top;   // (panels,) first panel that each panel's columns reach up to
     const int* base;  // (panels + 1,) where each panel's numbers begin
-    float* rhs;       // (16·panels,) g, then x in its place; NaN if H is not positive definite
+    float* rhs;       // (16·panels,) g, then x in its place; NaN or infinite if H is not positive definite
 
     // Entry (0, 16·J), if it were stored; the entry of row r and column 16·J + c is at r·16 + c.
     inline CUDA_CALLABLE float* panel(int J) const { return A + base[J] - top[J] * B * B; }

@@ -1,10 +1,10 @@
 // Tiles of 16 × 16 numbers, and products of two of them. On a GPU a warp has a tile, on a CPU a thread.
 //
 // Tensor cores multiply numbers of 11 bits and add in single precision, but cut off instead of rounding. So each number
-// is the sum of an upper and a lower part of 11 bits, a product of tiles is the three products of parts that count, and
-// what it is subtracted from is not given to the tensor cores (Ootomo and Yokota, "Recovering single precision accuracy
-// from Tensor Cores while surpassing the FP32 theoretical peak performance", Int. J. High Perform. Comput. Appl. 36,
-// 2022). The results are as good as those of single precision (docs/performance.md).
+// is the sum of an upper and a lower part, which have 22 of its 24 bits, a product of tiles is the three products of
+// parts that count, and what it is subtracted from is not given to the tensor cores (Ootomo and Yokota, "Recovering
+// single precision accuracy from Tensor Cores while surpassing the FP32 theoretical peak performance", Int. J. High
+// Perform. Comput. Appl. 36, 2022).
 
 #ifndef PETMJX_TILES_CUH
 #define PETMJX_TILES_CUH
@@ -77,7 +77,8 @@ struct Operand {
 };
 
 #ifdef PETMJX_TENSOR_CORES
-// The upper part of a number, rounded; the lower part is what is left.
+// The upper part of a number, rounded; the lower part is what is left, also where that is no number: so a NaN stays one in
+// the products with lower parts, though its upper part may be a number.
 inline __device__ float upper_part(float x) {
     return __uint_as_float((__float_as_uint(x) + 0x1000u) & 0xffffe000u);
 }
