@@ -57,15 +57,14 @@ inline CUDA_CALLABLE void factor_row(
     const int* reached = shared.reached[K & 1];
     const int across = shared.reached_count[K & 1];
     if (warp >= across) return;
-    const Operand W[1] = {load_whole(shared.diagonal.W, PITCH, lane)};
+    const Operand W = load_whole(shared.diagonal.W, PITCH, lane);
     #pragma unroll 1
     for (int i = warp; i < across; i += warps) {
         float* own = system.tile(K, reached[i]);
-        Piece piece[1];
-        multiply(W, load_whole(own, B, lane), lane, piece);
+        const Piece piece = product(W, load_whole(own, B, lane), lane);
         wait_for_warp();
-        store_piece(own, B, piece[0], lane);
-        store_parts(system.strip + i * PARTS, piece[0], lane);
+        store_piece(own, B, piece, lane);
+        store_parts(system.strip + i * PARTS, piece, lane);
     }
 }
 
@@ -150,10 +149,8 @@ inline CUDA_CALLABLE void factor_and_solve(const System& system, Factoring<MOST>
         const int reaches_next = across > 0 && shared.reached[K & 1][0] == next ? 1 : 0;
         if (finds_next) {
             if (reaches_next) {
-                const Operand row[1] = {load_parts(system.strip, lane)};
-                Piece product[1];
-                multiply(row, row[0], lane, product);
-                subtract(diagonal, product[0]);
+                const Operand row = load_parts(system.strip, lane);
+                subtract(diagonal, product(row, row, lane));
             }
             store_piece(shared.diagonal.D, PITCH, diagonal, lane);
             wait_for_warp();

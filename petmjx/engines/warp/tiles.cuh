@@ -185,6 +185,14 @@ inline CUDA_CALLABLE void multiply(const Operand (&x)[N], const Operand& y, int 
 #endif
 }
 
+// The same for one tile X.
+inline CUDA_CALLABLE Piece product(const Operand& x, const Operand& y, int lane) {
+    const Operand one[1] = {x};
+    Piece out[1];
+    multiply(one, y, lane, out);
+    return out[0];
+}
+
 }  // namespace petmjx
 
 #endif
