@@ -175,10 +175,11 @@ class Costs:
 
 
 MEASURED = Costs()
-"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two. Measured there:
-mjx-warp compiles for 13 to 20 s (0.5 s with a kernel kept from an earlier run) and runs 5.7 s for 500 generated plans,
-6.8 s for 2,000 and 25 s for 10,003, adaptive (estimated: 3, 6.5 and 25 s); 16 s for 2,000 with the schedule fixed (16);
-67 s for 63 plans of 156 boxes on average and 78 s for 630 of them (89, 149). Not fitted to other devices.
+"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md). Measured there: mjx-warp compiles for 13 to 20
+s (0.5 s with a kernel kept from an earlier run) and runs 5.7 s for 500 generated plans, 6.8 s for 2,000 and 25 s for
+10,003, adaptive (estimated: 3, 6.5 and 25 s); 16 s for 2,000 with the schedule fixed (16); 67 s for 63 plans of 156
+boxes on average (89). Not fitted to the factorisation on tensor cores: with it 630 of those take 67 s, less than half
+of the estimate (149). Not fitted to other devices.
 
 CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
 16 to 241 boxes and 110 generated ones, box by box, both schedules; static checks of 8 to 12 generated plans and 4 to 9
