@@ -7,7 +7,6 @@ import importlib.util
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import jaxtyping
@@ -69,15 +68,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if item.get_closest_marker("gpu") and (reason := why_no_cuda()):
             # The reason is what why_no_cuda found missing here.
             item.add_marker(pytest.mark.skip(reason=reason))
-
-
-@pytest.fixture
-def ranks_may_differ() -> Iterator[None]:
-    """For MJX, which broadcasts as NumPy does."""
-    import jax
-
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 @pytest.fixture

@@ -14,7 +14,6 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from support.plans import make_scene
 from support.tiny_worlds import (
-    LONG_NS,
     SHORT,
     TINY,
     assert_equal_worlds,
@@ -28,12 +27,6 @@ from support.worlds import simulate
 from petmjx.engines.warp.shape import Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
-
-
-@pytest.fixture(scope="module")
-def crowd() -> dict[str, Outcome]:
-    """Tiny worlds, all in one slice of time."""
-    return simulate(engine(slice_ns=LONG_NS), tiny_scenes(), SHORT)
 
 
 @pytest.mark.slow

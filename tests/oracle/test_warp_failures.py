@@ -46,12 +46,6 @@ from petmjx.engines.warp.shape import Shape
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 
-@pytest.fixture(scope="module")
-def crowd() -> dict[str, Outcome]:
-    """Tiny worlds, all in one slice of time."""
-    return simulate(engine(slice_ns=LONG_NS), tiny_scenes(), SHORT)
-
-
 @pytest.mark.slow
 @devices
 @pytest.mark.parametrize("buffer", ["CONTACTS_PER_BOX", "PAIRS_PER_BOX"])

@@ -20,7 +20,7 @@ from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.verdict import Outcome
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
-from support.worlds import boxes_by_plan, make_plan
+from support.worlds import boxes_by_plan, make_plan, simulate
 
 TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "corner overhang of 30 %")
 
@@ -48,6 +48,10 @@ def engine(**options: Any) -> MjxWarpEngine:
 @functools.cache
 def shared_engine() -> MjxWarpEngine:
     return engine()
+
+
+def in_one_slice() -> dict[str, Outcome]:
+    return simulate(engine(slice_ns=LONG_NS), tiny_scenes(), SHORT)
 
 
 def assert_equal_worlds(found: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
