@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapely import MultiPoint, Point
 from support.command_line import only_line, run, write
@@ -245,6 +245,7 @@ def test_no_weight_is_lost_on_its_way_down(items: list[Item]) -> None:
 
 
 @settings(max_examples=60, deadline=None)
+@example(rectangles=[(0.0, 1.0, 0.5, 0.5), (5e-324, 0.0, 0.5, 0.5)], point=(0.25, 0.5))
 @given(
     rectangles=st.lists(st.tuples(*[st.floats(0, 1)] * 2, *[st.floats(0.05, 0.5)] * 2), min_size=1, max_size=5),
     point=st.tuples(st.floats(-0.2, 1.7), st.floats(-0.2, 1.7)),

@@ -29,6 +29,10 @@ MARGIN_SHARE: Final = 0.2
 """How far inside the hull a resultant must act: 20 mm, for small boxes this share of the shorter side. With 10 mm and a
 least support of 0.6 all of 60 plans stood as well; the margin is for what a robot does."""
 
+_SAME_PLACE_DECIMALS: Final = 9
+"""Corners are the same where they are as near as a nanometre. The hull takes points from left to right, and would lose
+one that is to the left of others by less than its products resolve."""
+
 _SLACK_KG_M: Final = 1e-9
 
 
@@ -129,7 +133,7 @@ def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
     Returns:
         (k, 3) rows (d, n_x, n_y): d + n · p is how far p lies beyond the edge that was moved.
     """
-    lows, highs = low.tolist(), high.tolist()
+    lows, highs = np.round(low, _SAME_PLACE_DECIMALS).tolist(), np.round(high, _SAME_PLACE_DECIMALS).tolist()
     corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]
     ring = _convex_hull(corners)
     planes = []
