@@ -136,8 +136,8 @@ class Physics(Checked):
     """Contacts, carrier, floor, gravity and timestep.
 
     The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
-    cone, the carrier's friction, and the four of contacts (solref, solreffriction, solimp, impratio). Friction of 0.5
-    between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    cone, the carrier's friction, and the five of contacts (solref, solreffriction, solimp, impratio, skin_m). Friction
+    of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
     Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
@@ -168,6 +168,11 @@ class Physics(Checked):
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
         50.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
+    )
+    skin_m: Annotated[float, within(0, 0.01)] = Field(
+        0.0001,
+        description="by how much boxes are larger for the collider, which then prefers faces to edges; contacts begin "
+        "where the boxes themselves touch; m",
     )
 
     @property
@@ -208,6 +213,7 @@ PHYSICS["reference"] = Physics(
     solreffriction=(0.0, 0.0),
     solimp=(0.99, 0.99, 0.01),
     impratio=1.0,
+    skin_m=0.0,
 )
 """The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md):
 elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, friction that gives way 250 times less than

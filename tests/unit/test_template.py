@@ -38,10 +38,10 @@ def template(physics: Physics, *, held: bool) -> mujoco.MjModel:
     )
 
 
-def overrides(scenes: list[Scene], base: Any, *, held: bool) -> dict[str, jax.Array]:
+def overrides(scenes: list[Scene], base: Any, *, held: bool, skin: float) -> dict[str, jax.Array]:
     worlds = upload_worlds([Job(scene) for scene in scenes], len(scenes), CAPACITY, {}, 0.002)
     return override_fields(
-        worlds.half, worlds.mass, worlds.carrier_half, worlds.carrier_mass, worlds.friction, base, held=held
+        worlds.half, worlds.mass, worlds.carrier_half, worlds.carrier_mass, worlds.friction, base, held=held, skin=skin
     )
 
 
@@ -50,7 +50,7 @@ def overrides(scenes: list[Scene], base: Any, *, held: bool) -> dict[str, jax.Ar
 def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
     scenes = [scene_of_boxes(n) for n in (1, 3, CAPACITY)]
     base = mjx.put_model(template(PHYSICS[physics], held=held), impl="jax")
-    fields = overrides(scenes, base, held=held)
+    fields = overrides(scenes, base, held=held, skin=PHYSICS[physics].skin_m)
     for lane, scene in enumerate(scenes):
         carrier = HeldCarrier(scene.carrier_pos, np.array([1.0, 0, 0, 0])) if held else None
         exact = build_spec(scene, PHYSICS[physics], carrier).compile()

@@ -147,6 +147,7 @@ class Stage:
             worlds.friction,
             self.stepper.model,
             held=self.held,
+            skin=self.physics.skin_m,
         )
 
     def _refill(

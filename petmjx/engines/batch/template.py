@@ -98,7 +98,14 @@ def padded_template(
         body.ipos = (0, 0, 0)
         body.iquat = (1, 0, 0, 0)
         name = f"box {len(frictions)}"
-        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, friction=physics.box_friction, **contact)
+        body.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[each + physics.skin_m for each in half],
+            margin=-physics.skin_m,
+            friction=physics.box_friction,
+            **contact,
+        )
         if declared:
             for other, friction in frictions.items():
                 if free or other != "floor":
@@ -132,16 +139,18 @@ def override_fields(
     base: Any,
     *,
     held: bool,
+    skin: float,
 ) -> dict[str, Float[Array, "lane ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
-    ``friction`` rows are floor, carrier, box. ``base`` is the template's MJX model, whose values stand for
-    what no world changes (the world body, the floor). Derived fields follow MuJoCo's compiler:
-    ``body_invweight0`` and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I; ``geom_rbound`` is
-    the half diagonal; all are checked against it in tests.
+    ``friction`` rows are floor, carrier, box. ``skin`` is by how much geoms are larger than boxes, m. ``base`` is the
+    template's MJX model, whose values stand for what no world changes (the world body, the floor). Derived fields
+    follow MuJoCo's compiler: ``body_invweight0`` and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I;
+    ``geom_rbound`` is the half diagonal; all are checked against it in tests.
     """
     lanes, capacity = mass.shape
     all_half = jnp.concatenate([carrier_half[:, None], half], axis=1)
+    geom_half = all_half + skin
     all_mass = jnp.concatenate([carrier_mass[:, None], mass], axis=1)
     inertia = _box_inertia(all_half, all_mass)
     inv_translation = 1 / all_mass
@@ -165,9 +174,9 @@ def override_fields(
         "body_subtreemass": jnp.concatenate([all_mass.sum(1, keepdims=True), all_mass], axis=1),
         "body_invweight0": with_world_body(jnp.stack([inv_translation, inv_rotation], axis=-1)),
         "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(lanes, -1),
-        "geom_size": with_floor(all_half, "geom_size"),
-        "geom_rbound": with_floor(jnp.sqrt((all_half**2).sum(-1)), "geom_rbound"),
-        "geom_aabb": with_floor(_box_aabb(all_half, base), "geom_aabb"),
+        "geom_size": with_floor(geom_half, "geom_size"),
+        "geom_rbound": with_floor(jnp.sqrt((geom_half**2).sum(-1)), "geom_rbound"),
+        "geom_aabb": with_floor(_box_aabb(geom_half, base), "geom_aabb"),
         "geom_friction": jnp.concatenate(
             [friction[:, :2], jnp.broadcast_to(friction[:, 2:], (lanes, capacity, 3))], axis=1
         ),

@@ -139,7 +139,7 @@ def read_contacts(data: mujoco.MjData, order: NDArray[np.integer], pyramidal: bo
         point=np.array(data.contact.pos).reshape(-1, 3),
         normal=axes[:, 0],
         force=force,
-        distance=np.array(data.contact.dist).reshape(-1),
+        distance=np.reshape(data.contact.dist - data.contact.includemargin, -1),
     )
 
 

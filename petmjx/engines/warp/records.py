@@ -52,6 +52,7 @@ class Model:
     low_impedance: float
     high_impedance: float
     impedance_width: float
+    skin: float  # by how much boxes are larger for the collider, m
     pyramidal: int  # 1 with pyramidal friction cones
     friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
     slack: wp.float64  # 1 / √impratio
@@ -159,7 +160,7 @@ class Workspace:
     force: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # of a contact, in its frame
     worst: Annotated[wp.array[wp.int64], "lane"]  # the largest excess and its box
     hessian: Annotated[wp.array2d[float], "lane entry"]  # its envelope, if shared memory has no room for it
-    strip: Annotated[wp.array2d[float], "lane part"]  # a row of its factor, if shared memory has no room for it
+    strip: Annotated[wp.array2d[float], "lane part"]  # two rows of its factor, if shared memory has no room
     rows: Annotated[wp.array3d[float], "lane slot row_word"]
     curvature: Annotated[wp.array3d[float], "lane slot 6"]
     inertia: Annotated[wp.array2d[float], "lane dof"]  # diagonal of the inertia matrix

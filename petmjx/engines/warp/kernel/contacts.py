@@ -96,9 +96,11 @@ def list_pairs(model: Model, work: Workspace, at: Lane, apart: float) -> int:
 def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: int) -> int:
     """Find where pairs touch; returns the number of contacts, which may be more than fit.
 
-    ``pair_at`` is the pair of each contact that fits.
+    Boxes are larger by a skin for the collider, and contacts begin as deep as their skins are thick (``add_skin`` in
+    petmjx/world/model.py). ``pair_at`` is the pair of each contact that fits.
     """
     lane = at.lane
+    skin = wp.vec3(model.skin, model.skin, model.skin)
     for pair in range(at.thread, n_pairs, at.threads):
         one = work.first[lane, pair]
         two = work.second[lane, pair]
@@ -109,7 +111,8 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         distances = vec8f()
         places = mat83f()
         normal = wp.vec3(0.0, 0.0, 1.0)
-        half = half_size(tables, at.world, two)
+        half = half_size(tables, at.world, two) + skin
+        margin = -model.skin
         if one == 0:
             distances, places, normal = plane_box(
                 normal, work.place[lane, 0], work.place[lane, two], work.turn[lane, two], half
@@ -118,16 +121,18 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
             found, distances, places, normal = box_box(
                 work.place[lane, one],
                 work.turn[lane, one],
-                half_size(tables, at.world, one),
+                half_size(tables, at.world, one) + skin,
                 work.place[lane, two],
                 work.turn[lane, two],
                 half,
-                0.0,
+                2.0 * margin,
             )
+            margin *= 2.0
         count = int(0)
         for i in range(found):
-            if distances[i] < 0.0:
-                work.points[lane, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distances[i])
+            distance = distances[i] - margin
+            if distance < 0.0:
+                work.points[lane, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
                 count += 1
         work.normal[lane, pair] = normal
         work.contact_of[lane, pair] = count

@@ -1,0 +1,85 @@
+"""Boxes are larger for the collider by a skin, which must not be seen but in which contacts it finds."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from support.plans import make_scene
+
+from petmjx.config import PHYSICS, Physics
+from petmjx.units import FloatArray
+from petmjx.world.model import build_spec
+
+LOWER, UPPER = ((400, 300, 200), (0, 0, 0), 8.0), ((300, 200, 150), (0, 0, 200), 5.0)
+SKIN_M = 2e-4
+WITH_SKIN = {
+    "declared pairs": PHYSICS["pallet"].changed(skin_m=SKIN_M),
+    "friction as pressure": PHYSICS["pallet"].changed(skin_m=SKIN_M, solreffriction=(0.0, 0.0)),
+    "reference": PHYSICS["reference"].changed(skin_m=SKIN_M),
+}
+WITHOUT = PHYSICS["pallet"].changed(skin_m=0.0)
+
+
+def contacts(physics: Physics, depth_m: float, tilt_rad: tuple[float, float] = (0.0, 0.0)) -> mujoco.MjData:
+    """The two boxes, the lower one high above the carrier, the upper one this deep in it; it is turned about the x axis
+    and the y axis of a point of its lower face, above the lower box's edge."""
+    scene = make_scene([LOWER, UPPER])
+    model = build_spec(scene, physics).compile()
+    data = mujoco.MjData(model)
+    pose = data.qpos[7:].reshape(-1, 7)
+    pose[:, :3] = scene.start_pos + (0.0, 0.0, 1.0)
+    pose[:, 3] = 1.0
+    edge = pose[0, :3] + scene.half_size[0] * (1, 0, 1)
+    turn = np.zeros(4)
+    mujoco.mju_euler2Quat(turn, np.array([*tilt_rad, 0.0]), "xyz")
+    lever, arm = np.array([0.0, 0.0, scene.half_size[1, 2]]), np.zeros(3)
+    mujoco.mju_rotVecQuat(arm, lever, turn)
+    pose[1, :3], pose[1, 3:] = edge + arm - (0.0, 0.0, depth_m), turn
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def depths(data: mujoco.MjData, geoms: tuple[int, int] = (2, 3)) -> FloatArray:
+    """(c,) how deep the contacts of two geoms are, as the solver sees it, m; the boxes' geoms are 2 and 3."""
+    between = (np.asarray(data.contact.geom).reshape(-1, 2) == geoms).all(axis=1)
+    return np.asarray(data.contact.includemargin - data.contact.dist)[between]
+
+
+@pytest.mark.parametrize("physics", WITH_SKIN.values(), ids=list(WITH_SKIN))
+@pytest.mark.parametrize("depth_m", [-2e-5, 5e-5, 3e-4])
+def test_contacts_begin_where_the_boxes_touch(physics: Physics, depth_m: float) -> None:
+    found = depths(contacts(physics, depth_m))
+    np.testing.assert_allclose(found, [depth_m] * 4 if depth_m > 0 else [], atol=1e-9)
+
+
+@pytest.mark.parametrize("physics", WITH_SKIN.values(), ids=list(WITH_SKIN))
+def test_so_they_do_on_the_floor(physics: Physics) -> None:
+    model = build_spec(make_scene([LOWER]), physics).compile()
+    data = mujoco.MjData(model)
+    data.qpos[7:10] = (3.0, 3.0, physics.floor_z_m + 0.1 - 5e-5)  # beside the carrier
+    data.qpos[9] -= 5e-5  # half of what sizes are reduced by
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(depths(data, (0, 2)), [5e-5] * 4, atol=1e-9)
+
+
+def test_masses_and_inertias_are_those_of_the_boxes() -> None:
+    """Whatever the order of the axes, in which MuJoCo sorts them where it works them out."""
+    scene = make_scene([LOWER, UPPER])
+    bare, skinned = (build_spec(scene, physics).compile() for physics in (WITHOUT, WITH_SKIN["declared pairs"]))
+    np.testing.assert_allclose(skinned.body_mass, bare.body_mass)
+    np.testing.assert_allclose(np.sort(skinned.body_inertia), np.sort(bare.body_inertia), rtol=1e-12)
+    np.testing.assert_allclose(skinned.body_ipos, bare.body_ipos, atol=1e-12)
+    np.testing.assert_allclose(skinned.geom_size[1:] - bare.geom_size[1:], SKIN_M, rtol=1e-9)
+
+
+def test_a_box_that_leans_on_an_edge_rests_on_two_points_at_any_depth() -> None:
+    """The lower box reaches farther along the edge than the upper one. There, beside it, it is deepest in the upper
+    box's face; two edges cross where both are, less deep. Without a skin the collider takes the point where they cross,
+    or two points of the face, by which depth is 5 % less."""
+    within = 1e-6 * np.arange(60, 200, 5)
+    points = {
+        name: {len(depths(contacts(physics, depth, tilt_rad=(1e-4, 3e-3)))) for depth in within}
+        for name, physics in (("bare", WITHOUT), ("skin", PHYSICS["pallet"]))
+    }
+    assert points == {"bare": {1, 2}, "skin": {2}}
