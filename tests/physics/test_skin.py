@@ -28,14 +28,14 @@ def contacts(physics: Physics, depth_m: float, tilt_rad: tuple[float, float] = (
     model = build_spec(scene, physics).compile()
     data = mujoco.MjData(model)
     pose = data.qpos[7:].reshape(-1, 7)
-    pose[:, :3] = scene.start_pos + (0.0, 0.0, 1.0)
+    pose[:, :3] = scene.start_pos + np.array([0.0, 0.0, 1.0])
     pose[:, 3] = 1.0
-    edge = pose[0, :3] + scene.half_size[0] * (1, 0, 1)
+    edge = pose[0, :3] + scene.half_size[0] * np.array([1.0, 0.0, 1.0])
     turn = np.zeros(4)
     mujoco.mju_euler2Quat(turn, np.array([*tilt_rad, 0.0]), "xyz")
     lever, arm = np.array([0.0, 0.0, scene.half_size[1, 2]]), np.zeros(3)
     mujoco.mju_rotVecQuat(arm, lever, turn)
-    pose[1, :3], pose[1, 3:] = edge + arm - (0.0, 0.0, depth_m), turn
+    pose[1, :3], pose[1, 3:] = edge + arm - np.array([0.0, 0.0, depth_m]), turn
     mujoco.mj_forward(model, data)
     return data
 

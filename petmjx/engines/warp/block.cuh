@@ -38,6 +38,20 @@ inline CUDA_CALLABLE void wait_for_warp() {
 #endif
 }
 
+// Threads that go on while others wait for them, and those others: `threads` of both together, at barrier 1 or 2. What the
+// ones have written the others see.
+inline CUDA_CALLABLE void arrive(int barrier, int threads) {
+#if defined(__CUDA_ARCH__)
+    asm volatile("bar.arrive %0, %1;" ::"r"(barrier), "r"(threads) : "memory");
+#endif
+}
+
+inline CUDA_CALLABLE void wait_for_arrival(int barrier, int threads) {
+#if defined(__CUDA_ARCH__)
+    asm volatile("bar.sync %0, %1;" ::"r"(barrier), "r"(threads) : "memory");
+#endif
+}
+
 // Whether any thread says so. All threads wait for one another.
 inline CUDA_CALLABLE bool any_of_all(bool mine) {
 #if defined(__CUDA_ARCH__)

@@ -8,9 +8,9 @@
 
 namespace petmjx {
 
+// What the warp shares.
 struct Diagonal {
     alignas(16) float D[B * PITCH];  // what is below its diagonal is not used
-    alignas(16) float W[B * PITCH];
     alignas(16) float rows[2][2 * B];  // two rows that are being eliminated, and the two before; their ends are never set
 };
 
@@ -29,9 +29,9 @@ inline __device__ float inverse_root(float x) {
 }
 #endif
 
-// W of D, in shared memory and at `own`, 16 numbers a row. SPREAD: how often its code stands there, up to 8.
+// W of D, PITCH numbers a row, and at `own`, 16 numbers a row. SPREAD: how often its code stands there, up to 8.
 template <int SPREAD>
-inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* own, int lane) {
+inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* W, float* own, int lane) {
 #if defined(__CUDA_ARCH__)
     // Each lane eliminates a column: one of D, or one of the identity, which becomes a row of W. Two rows at a time, by
     // the first and by the second less b/a of the first. Of the pivots a b; b c the second is (a·c − b²)/a then, so that
@@ -53,7 +53,7 @@ inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* own, int lane) 
         const float x = v[0] * over_a, y = rest * reciprocal(determinant), factor = b * over_a;
         if (lane >= B) {
             const float first = v[0] * inverse_root(a), second = rest * (over_a * inverse_root(determinant * over_a));
-            store_two(tile.W + (lane - B) * PITCH + p, first, second);
+            store_two(W + (lane - B) * PITCH + p, first, second);
             store_two(own + (lane - B) * B + p, first, second);
         }
         #pragma unroll
@@ -61,7 +61,6 @@ inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* own, int lane) 
     }
 #else
     float* D = tile.D;
-    float* W = tile.W;
     for (int p = 0; p < B; ++p) {
         for (int c = 0; c < B; ++c) W[p * PITCH + c] = p == c ? 1.0f : 0.0f;
     }

@@ -195,9 +195,10 @@ inline CUDA_CALLABLE void newton(
     PETMJX_SHARED int top[PANELS];
     PETMJX_SHARED int base[PANELS + 1];
     PETMJX_SHARED int pairs;
-    PETMJX_SHARED int widest;  // most panels that reach up to one
+    PETMJX_SHARED int widest;  // most panels that reach up to those of a row
     PETMJX_SHARED double partial[3 * MOST_WARPS];
 
+    const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
     const size_t at = lane, room = model.room;
     World world;
@@ -255,15 +256,15 @@ inline CUDA_CALLABLE void newton(
     wait_for_all();
     prefix_sums(base, system.panels, thread);
     #pragma unroll 1
-    for (int K = thread; K < system.panels; K += threads) {
+    for (int K = at_once * thread; K < system.panels; K += at_once * threads) {
         int reaching = 0;
         #pragma unroll 1
-        for (int J = K + 1; J < system.panels; ++J) reaching += top[J] <= K;
+        for (int J = K + at_once; J < system.panels; ++J) reaching += top[J] < K + at_once;
         take_larger(widest, reaching);
     }
     sum_over_block(thread, threads, partial, trace);
     const double enough = model.tolerance * trace[0];  // MuJoCo measures costs in units of the inertia's trace
-    const int strip_words = widest * PARTS;
+    const int strip_words = at_once * widest * TILE;
     const bool strip_fits = strip_words <= near_words, fits = base[system.panels] + strip_words <= near_words;
     system.strip = strip_fits ? near : work.strip.data + at * work.strip.shape[1];
     system.A = fits ? near + strip_words : work.hessian.data + at * work.hessian.shape[1];

@@ -160,7 +160,7 @@ class Workspace:
     force: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # of a contact, in its frame
     worst: Annotated[wp.array[wp.int64], "lane"]  # the largest excess and its box
     hessian: Annotated[wp.array2d[float], "lane entry"]  # its envelope, if shared memory has no room for it
-    strip: Annotated[wp.array2d[float], "lane part"]  # two rows of its factor, if shared memory has no room
+    strip: Annotated[wp.array2d[float], "lane part"]  # rows of its factor, if shared memory has no room for them
     rows: Annotated[wp.array3d[float], "lane slot row_word"]
     curvature: Annotated[wp.array3d[float], "lane slot 6"]
     inertia: Annotated[wp.array2d[float], "lane dof"]  # diagonal of the inertia matrix

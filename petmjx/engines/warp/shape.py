@@ -37,7 +37,7 @@ class Size:
         most_boxes: of a world.
         threads: of a lane: a multiple of 32, from 64 to 256.
         together: lanes that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
-        near_bytes: shared memory for a row of a lane's factor and for its Hessian, if they fit. Of 256 kB a
+        near_bytes: shared memory for rows of a lane's factor and for its Hessian, if they fit. Of 256 kB a
             multiprocessor has for all its lanes the rest is cache.
     """
 
@@ -47,7 +47,7 @@ class Size:
     near_bytes: int
 
 
-SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 48 << 10))
+SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 """By size; sizes are multiples of ``batch.capacities.GRANULE``, as those of tables. Measured: docs/performance.md."""
 
 
@@ -60,9 +60,9 @@ def own_bytes(panels: int) -> int:
     """Shared memory that a lane takes beside these, and what the driver keeps for itself.
 
     The solver has a right-hand side of 16 numbers for each panel, four more of its lists, and what newton.cu,
-    cholesky.cuh and diagonal.cuh share in addition.
+    by_two.cuh and diagonal.cuh share in addition; by_one.cuh shares less.
     """
-    return 4 * (PANEL + 4) * panels + (9 << 10)
+    return 4 * (PANEL + 4) * panels + (18 << 10)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Shape:
     Attributes:
         lanes: worlds at the same time.
         threads, together: as in ``Size``.
-        near_words: shared memory for a row of a lane's factor and its Hessian, in numbers of four bytes.
+        near_words: shared memory for rows of a lane's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
     """
 

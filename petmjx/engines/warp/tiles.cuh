@@ -21,7 +21,7 @@ const int B = 16;  // rows of a tile
 
 const int PITCH = 24;  // from row to row of a tile that lies by itself: four rows begin in different banks
 
-const int PARTS = 2 * B * B;  // numbers of a tile of which both parts are kept
+const int TILE = B * B;
 
 // A lane's piece of a tile: rows 2·(lane / 4) and the next one, columns 4·(lane % 4) and the next three. On a CPU all.
 #if defined(__CUDA_ARCH__)
@@ -102,8 +102,8 @@ inline CUDA_CALLABLE Operand load_whole(const float* tile, int pitch, int lane) 
 #endif
 }
 
-// Keeps both parts of a tile, in the order in which lanes read them: four numbers of a lane beside those of the next one.
-inline CUDA_CALLABLE void store_parts(float* parts, const Piece& piece, int lane) {
+// Keeps a tile in the order in which lanes read it as an operand: four numbers of a lane beside those of the next one.
+inline CUDA_CALLABLE void store_in_order(float* to, const Piece& piece, int lane) {
 #ifdef PETMJX_TENSOR_CORES
     #pragma unroll
     for (int i = 0; i < PIECE_ROWS; ++i) {
@@ -111,28 +111,27 @@ inline CUDA_CALLABLE void store_parts(float* parts, const Piece& piece, int lane
         #pragma unroll
         for (int j = 0; j < PIECE_COLUMNS; j += 2) {
             const int its_lane = (piece_column(lane) + j) / 2 * 4 + row % 4;
-            float* to = parts + row / 8 * 128 + 4 * its_lane + row / 4 % 2 * 2;
-            const float one = upper_part(piece.v[i][j]), two = upper_part(piece.v[i][j + 1]);
-            store_two(to, one, two);
-            store_two(to + B * B, piece.v[i][j] - one, piece.v[i][j + 1] - two);
+            store_two(to + row / 8 * 128 + 4 * its_lane + row / 4 % 2 * 2, piece.v[i][j], piece.v[i][j + 1]);
         }
     }
 #else
-    store_piece(parts, B, piece, lane);
+    store_piece(to, B, piece, lane);
 #endif
 }
 
-inline CUDA_CALLABLE Operand load_parts(const float* parts, int lane) {
+inline CUDA_CALLABLE Operand load_in_order(const float* from, int lane) {
 #ifdef PETMJX_TENSOR_CORES
     Operand out;
     #pragma unroll
     for (int i = 0; i < 2; ++i) {
-        load_four(out.upper[i], parts + 128 * i + 4 * lane);
-        load_four(out.lower[i], parts + B * B + 128 * i + 4 * lane);
+        float x[4];
+        load_four(x, from + 128 * i + 4 * lane);
+        #pragma unroll
+        for (int k = 0; k < 4; ++k) out.upper[i][k] = upper_part(x[k]), out.lower[i][k] = x[k] - out.upper[i][k];
     }
     return out;
 #else
-    return {parts, B};
+    return {from, B};
 #endif
 }
 

@@ -1,0 +1,118 @@
+// H = UᵀU and y = U⁻ᵀ·g, a panel at a time: for worlds of few panels, whose steps wait for instructions more than for
+// results. So each code stands there once.
+//
+// For each panel all warps find its row of U. Then the first warp finds the next panel's diagonal tile, on which everything
+// waits, while the others subtract the row's products from the rows below.
+
+#ifndef PETMJX_BY_ONE_CUH
+#define PETMJX_BY_ONE_CUH
+
+#include "panels.cuh"
+
+namespace petmjx {
+
+// What the threads of a block share. MOST: panels of the largest system.
+template <int MOST>
+struct ByOne {
+    static const int AT_ONCE = 1;  // panels
+    static const int SPREAD = 1;  // how often code of substitution back stands there
+    Diagonal diagonal;
+    alignas(16) float W[B * PITCH];  // inverse of the diagonal tile's factor
+    alignas(16) float solved[B];  // the panel's part of y
+    alignas(16) float solutions[MOST_WARPS * 3 * B];
+    int reached[2][MOST];  // panels whose columns reach up to a panel: of this one, and of the next one
+    int reached_count[2];
+};
+
+// Panel K's row of U, in its place and in the strip; a warp for each tile.
+template <int MOST>
+inline CUDA_CALLABLE void factor_row(
+    const System& system, const ByOne<MOST>& shared, int K, int warp, int warps, int lane
+) {
+    const int* reached = shared.reached[K & 1];
+    const int across = shared.reached_count[K & 1];
+    if (warp >= across) return;
+    const Operand W = load_whole(shared.W, PITCH, lane);
+    #pragma unroll 1
+    for (int i = warp; i < across; i += warps) {
+        float* own = system.tile(K, reached[i]);
+        const Piece piece = product(W, load_whole(own, B, lane), lane);
+        wait_for_warp();
+        store_piece(own, B, piece, lane);
+        store_in_order(system.strip + i * TILE, piece, lane);
+    }
+}
+
+// Subtracts the product of panel K's row from rows below, for a warp's share of the pairs of the panels that it reaches.
+inline CUDA_CALLABLE void update_below(const System& system, const int* reached, Share share, int lane) {
+    if (share.first >= share.end) return;
+    Pair pair(share.first);
+    int left = pair.left;
+    #pragma unroll 1
+    for (int right = pair.right; share.first < share.end; left = 0, ++right) {
+        float* panel = system.panel(reached[right]);
+        const Operand y = load_in_order(system.strip + right * TILE, lane);
+        #pragma unroll 1
+        for (; left <= right && share.first < share.end; ++left, ++share.first) {
+            float* target = panel + reached[left] * TILE;
+            Piece entries = load_piece(target, B, lane);
+            subtract(entries, product(load_in_order(system.strip + left * TILE, lane), y, lane));
+            store_piece(target, B, entries, lane);
+        }
+    }
+}
+
+// Subtracts panel K's part of y, times its row, from the right-hand sides of the panels that it reaches.
+template <int MOST>
+inline CUDA_CALLABLE void update_rhs(
+    const System& system, const ByOne<MOST>& shared, int K, int first, int stride
+) {
+    const int* reached = shared.reached[K & 1];
+    #pragma unroll 1
+    for (int c = first; c < shared.reached_count[K & 1] * B; c += stride) {
+        const int J = reached[c / B];
+        system.rhs[J * B + c % B] -= dot(system.tile(K, J) + c % B, B, shared.solved);
+    }
+}
+
+template <int MOST>
+inline CUDA_CALLABLE void forward(const System& system, ByOne<MOST>& shared, int thread, int threads) {
+    const int lane = thread % WARP, warp = thread / WARP, warps = threads / WARP;  // at most MOST_WARPS
+    const int others = warps > 1 ? warps - 1 : 1, other = warps > 1 ? warp - 1 : 0;
+    #pragma unroll 1
+    for (int K = -1; K < system.panels; ++K) {
+        const int across = K < 0 ? 0 : shared.reached_count[K & 1], next = K + 1;
+        const bool finds_next = warp == 0 && next < system.panels;
+        Piece diagonal;
+        if (finds_next) diagonal = load_piece(system.tile(next, next), B, lane);
+        if (K >= 0) {
+            if (warp == warps - 1) solve_forward(system, shared.W, K, shared.solved, lane);
+            factor_row(system, shared, K, warp, warps, lane);
+            wait_for_all();
+        }
+        const int reaches_next = across > 0 && shared.reached[K & 1][0] == next ? 1 : 0;
+        if (finds_next) {
+            if (reaches_next) {
+                const Operand row = load_in_order(system.strip, lane);
+                subtract(diagonal, product(row, row, lane));
+            }
+            store_piece(shared.diagonal.D, PITCH, diagonal, lane);
+            wait_for_warp();
+            factor_diagonal<1>(shared.diagonal, shared.W, system.tile(next, next), lane);
+        }
+        if (warp > 0 || warps == 1) {
+            if (other == 0) {
+                const int found = list_reaching(system, next, shared.reached[next & 1], lane);
+                if (lane == 0) shared.reached_count[next & 1] = found;
+            }
+            if (K >= 0) update_rhs(system, shared, K, other * WARP + lane, others * WARP);
+        }
+        // the first of the products was for the diagonal tile
+        update_below(system, shared.reached[K & 1], Share(across, reaches_next, warp, warps), lane);
+        wait_for_all();
+    }
+}
+
+}  // namespace petmjx
+
+#endif

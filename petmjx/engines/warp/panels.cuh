@@ -1,0 +1,61 @@
+// What both ways to factor have in common: lists of panels, and the order of products.
+
+#ifndef PETMJX_PANELS_CUH
+#define PETMJX_PANELS_CUH
+
+#include "diagonal.cuh"
+#include "substitution.cuh"
+
+namespace petmjx {
+
+// A diagonal tile takes the first warp as long as this many products.
+const int DIAGONAL_PRODUCTS = 10;
+
+// Lists the panels behind panel K whose columns reach up to it; returns how many. By one warp.
+inline CUDA_CALLABLE int list_reaching(const System& system, int K, int* list, int lane) {
+    int found = 0;
+#if defined(__CUDA_ARCH__)
+    #pragma unroll 1
+    for (int first = K + 1; first < system.panels; first += WARP) {
+        const bool inside = first + lane < system.panels && system.top[first + lane] <= K;
+        const unsigned mask = __ballot_sync(0xffffffffu, inside);
+        if (inside) list[found + __popc(mask & ((1u << lane) - 1u))] = first + lane;
+        found += __popc(mask);
+    }
+#else
+    for (int J = K + 1; J < system.panels; ++J)
+        if (system.top[J] <= K) list[found++] = J;
+#endif
+    return found;
+}
+
+// A product of two of the tiles of a row, numbered 0·0, 0·1, 1·1, 0·2, 1·2, 2·2, …
+struct Pair {
+    int left, right;
+
+    explicit inline CUDA_CALLABLE Pair(int number) {
+        right = (int)(0.5f * (sqrtf(8.0f * number + 1.0f) - 1.0f));  // rounding may make it one more or less
+        if (right * (right + 1) / 2 > number) --right;
+        if ((right + 1) * (right + 2) / 2 <= number) ++right;
+        left = number - right * (right + 1) / 2;
+    }
+};
+
+// A warp's products of a row's tiles: from `first` to before `end`.
+struct Share {
+    int first, end;
+
+    // Of `across` tiles. The first `skipped` of the products are not to be shared. The first warp takes the last ones, if
+    // there are many.
+    inline CUDA_CALLABLE Share(int across, int skipped, int warp, int warps) {
+        const int others = warps > 1 ? warps - 1 : 1, other = warps > 1 ? warp - 1 : 0;
+        const int products = across * (across + 1) / 2, many = products - DIAGONAL_PRODUCTS * others;
+        const int of_first = warps > 1 && many > 0 ? many / warps : 0, rest = products - of_first - skipped;
+        first = other < 0 ? products - of_first : skipped + other * rest / others;
+        end = other < 0 ? products : skipped + (other + 1) * rest / others;
+    }
+};
+
+}  // namespace petmjx
+
+#endif
