@@ -2,8 +2,8 @@
 
 On a CPU thread a step of a pallet at rest takes one iteration of Newton's method, whose cost grows somewhat faster than
 the boxes. While boxes land or slide a step takes more iterations, and each of them costs more the more contacts slide:
-what a landing costs beyond rest grows with the square of the standing boxes. On a device a step's cost grows about with
-that square in any case.
+what a landing costs beyond rest grows with the square of the standing boxes. On a device a full stack's step grows with
+that square, too; but of plans with more boxes more steps are at rest, so that their runs take less.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4}
 """The cost of a schedule on a device as a share of the fixed schedule's, fitted together with ``H100``. The remaining
 steps are the expensive ones, in which boxes move and pallets collapse."""
 
-GROWING_SHARE = 1 / 3
-"""Cost of a step on a device while boxes come one by one, as a share of that of the full pallet: the mean of k² over
-k = 1…n."""
+JAX_POWER, WARP_POWER = 2.0, 1.6
+"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes. While they come one by one, it
+is the mean of k to this power over k = 1…n: a share of 1 / (power + 1)."""
 
 SHAKEN_FACTOR = 2.0
 """Cost of a step of a drive on a device, relative to a step of the same pallet at rest."""
@@ -88,16 +88,14 @@ class Work:
             steps = np.minimum(self.fixed_steps, STATIC_STEPS)
         return 2 * SOFT_START_STEPS + steps
 
-    @property
-    def _placing(self) -> FloatArray:
-        """(n,) box² × steps of one placement, on a device."""
-        share = GROWING_SHARE if self.sim.check is Check.ONE_BY_ONE else 1.0
-        return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** 2 * self.fixed_steps
+    def _placing(self, power: float) -> FloatArray:
+        """(n,) box^power × steps of one placement, on a device."""
+        share = 1 / (power + 1) if self.sim.check is Check.ONE_BY_ONE else 1.0
+        return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
-    @property
-    def _driving(self) -> FloatArray:
-        """(n,) box² × steps of one drive, on a device."""
-        return SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** 2 * self.drive_steps
+    def _driving(self, power: float) -> FloatArray:
+        """(n,) box^power × steps of one drive, on a device."""
+        return SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** power * self.drive_steps
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ class Costs:
         cpu_shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
         jax_step_s: time of ``mjx-jax`` on a CPU for a step of one world, s per box²: 57 steps/s with 40 boxes on two
             cores.
-        gpu_step_s: time of a device for a step of ``full_lanes`` worlds, s per box².
+        gpu_step_s: time of a device for a step of ``full_lanes`` worlds, s per box to the power ``WARP_POWER``.
         full_lanes: worlds that fill the device.
         tail_lanes: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
         gpu_start_s: time to start the device engine, with compilation, s.
@@ -122,7 +120,7 @@ class Costs:
     cpu_landing_s: float = 1e-5
     cpu_shaken_s: float = 4.5e-7
     jax_step_s: float = 1.1e-5
-    gpu_step_s: float = 1.28e-7
+    gpu_step_s: float = 4.6e-7
     full_lanes: int = 264
     tail_lanes: int = 800
     gpu_start_s: float = 17.0
@@ -132,16 +130,16 @@ class Costs:
         n_plans = len(work.boxes)
         if not n_plans:
             return {"mujoco": 0.0, "mjx-jax": 0.0, "mjx-warp": self.gpu_start_s}
-        box2_steps = float((work.placements * work._placing + work.drives * work._driving).sum())
+        jax_steps = float((work.placements * work._placing(JAX_POWER) + work.drives * work._driving(JAX_POWER)).sum())
         placing_s, driving_s = self._placing_s(work), self._driving_s(work.boxes, work.drive_steps)
         thread_s = float((work.placements * placing_s + work.drives * driving_s).sum())
         longest_s = float((placing_s + (driving_s if work.drives else 0.0)).max())
         return {
             "mujoco": max(thread_s / threads, longest_s),
-            "mjx-jax": self.jax_step_s * box2_steps,
+            "mjx-jax": self.jax_step_s * jax_steps,
             "mjx-warp": self.gpu_start_s
-            + self._phase_s(n_plans * work.placements / gpus, float(work._placing.mean()))
-            + self._phase_s(n_plans * work.drives / gpus, float(work._driving.mean())),
+            + self._phase_s(n_plans * work.placements / gpus, float(work._placing(WARP_POWER).mean()))
+            + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER).mean())),
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
@@ -169,17 +167,17 @@ class Costs:
         at_rest = self.cpu_rest_s * n**REST_POWER + self.cpu_overhead_s
         return np.asarray(at_rest * steps + self.cpu_shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS))
 
-    def _phase_s(self, worlds: float, box2_steps: float) -> float:
+    def _phase_s(self, worlds: float, steps: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
-        return self.gpu_step_s * box2_steps * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
+        return self.gpu_step_s * steps * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
 
 
 MEASURED = Costs()
-"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md). Measured there: mjx-warp compiles for 13 to 20
-s (0.5 s with a kernel kept from an earlier run) and runs 5.7 s for 500 generated plans, 6.8 s for 2,000 and 25 s for
-10,003, adaptive (estimated: 3, 6.5 and 25 s); 16 s for 2,000 with the schedule fixed (16); 67 s for 63 plans of 156
-boxes on average (89). Not fitted to the factorisation on tensor cores: with it 630 of those take 67 s, less than half
-of the estimate (149). Not fitted to other devices.
+"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two. Measured there:
+mjx-warp compiles for 13 to 20 s (0.5 s with a kernel kept from an earlier run) and runs 3.0 s for 500 generated plans,
+5.1 s for 2,000 and 24 s for 10,003, adaptive (estimated: 2.6, 5.6 and 22 s); 15 s for 2,000 with the schedule fixed
+(14); 29 s for 63 plans of 156 boxes on average, 55 s for 630 of them (47, 78); 5.2 s for 4,032 drives of EUMOS's
+profile. Not fitted to other devices.
 
 CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
 16 to 241 boxes and 110 generated ones, box by box, both schedules; static checks of 8 to 12 generated plans and 4 to 9
