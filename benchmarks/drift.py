@@ -53,11 +53,12 @@ MOVES_UM_S = 0.5
 AS_PRESSURE = {"solreffriction": (0.0, 0.0)}
 """Friction with the time constant of contacts."""
 
-OLD = {"solref": (0.02, 1.0), "solimp": (0.99, 0.99, 0.01), "impratio": 1.0, **AS_PRESSURE}
+OLD = {"solref": (0.02, 1.0), "solimp": (0.99, 0.99, 0.01), "impratio": 1.0, "skin_m": 0.0, **AS_PRESSURE}
 """Contacts of MuJoCo's constant impedance, as ``pallet`` had them in petmjx 0.1."""
 
 VARIANTS: dict[str, Simulation] = {
     "pallet": Simulation(),
+    "no skin": Simulation(physics={"name": "pallet", "skin_m": 0.0}),
     "friction as damped as pressure (time constant 20 ms)": Simulation(physics={"name": "pallet", **AS_PRESSURE}),
     "friction as soft as pressure (impratio 1)": Simulation(physics={"name": "pallet", "impratio": 1.0}),
     "hard onset (impedance 0.999 throughout)": Simulation(physics={"name": "pallet", "solimp": (0.999, 0.999, 0.0001)}),
