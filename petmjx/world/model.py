@@ -185,10 +185,10 @@ def _add_box_body(
     )
     geom.mass = mass
     if physics.skin_m:
-        add_skin(body, geom, physics.skin_m)
+        _add_skin(body, geom, physics.skin_m)
 
 
-def add_skin(body: mujoco.MjsBody, geom: mujoco.MjsGeom, skin_m: float) -> None:
+def _add_skin(body: mujoco.MjsBody, geom: mujoco.MjsGeom, skin_m: float) -> None:
     """Make a body's box larger on all sides, and its contacts begin where those of the box itself would. Its mass and
     inertia stay.
 

@@ -9,7 +9,7 @@ from support.plans import make_scene
 
 from petmjx.config import PHYSICS, Physics
 from petmjx.units import FloatArray
-from petmjx.world.model import build_spec
+from petmjx.world.model import build_spec, to_mjcf
 
 LOWER, UPPER = ((400, 300, 200), (0, 0, 0), 8.0), ((300, 200, 150), (0, 0, 200), 5.0)
 SKIN_M = 2e-4
@@ -83,3 +83,10 @@ def test_a_box_that_leans_on_an_edge_rests_on_two_points_at_any_depth() -> None:
         for name, physics in (("bare", WITHOUT), ("skin", PHYSICS["pallet"]))
     }
     assert points == {"bare": {1, 2}, "skin": {2}}
+
+
+def test_an_exported_model_has_the_skin() -> None:
+    scene, physics = make_scene([LOWER, UPPER]), WITH_SKIN["declared pairs"]
+    built, exported = build_spec(scene, physics).compile(), mujoco.MjModel.from_xml_string(to_mjcf(scene, physics))
+    for name in ("geom_size", "geom_margin", "pair_margin", "body_mass", "body_inertia", "body_iquat"):
+        np.testing.assert_allclose(getattr(exported, name), getattr(built, name), rtol=1e-5, err_msg=name)
