@@ -52,6 +52,14 @@ class RunLock:
         self._lock.release()
 
 
+class GrowingJobs(list[Job]):
+    """Jobs to which more are appended while an engine simulates them, whenever it has yielded an outcome.
+
+    Only engines whose attribute ``takes_more`` is true are given such a list. They simulate these jobs in the same run,
+    as soon as something is free for them; a run ends when none is left.
+    """
+
+
 @runtime_checkable
 class Engine(Protocol):
     """Simulates worlds. Outcomes come in any order, as worlds finish; ``Outcome.job`` is the index of the job.

@@ -8,7 +8,7 @@ reference implementation repeat the same deterministic run. Here they differ: th
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, Generic, TypeVar
@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from petmjx.config import Simulation, Solver
-from petmjx.engines.base import Engine, Progress
+from petmjx.engines.base import Engine, GrowingJobs, Progress
 from petmjx.engines.sinking import note_sinking, stiffened
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Attempt, Outcome, Reason, Verdict, margin_of
@@ -129,11 +129,15 @@ def score_worlds(
     progress: Progress | None = None,
     chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
+    more: Callable[[], Iterable[AnyWorld]] | None = None,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
     ``chunk_worlds`` worlds are taken and simulated at a time. Invalid ones are collected and simulated again together,
     at the end or when a chunk is full. So memory does not grow with the number of worlds.
+
+    ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
+    beside those that still run, any other one when these have ended.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
@@ -144,11 +148,12 @@ def score_worlds(
     waiting: list[_Pending[AnyWorld]] = []
 
     def attempt_at(
-        batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, later: Sequence[AttemptRecipe]
+        batch: list[_Pending[AnyWorld]], attempt: AttemptRecipe, later: Sequence[AttemptRecipe]
     ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
         """Yield results that are final; return the worlds for which there is a later attempt."""
         again: list[_Pending[AnyWorld]] = []
-        for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress):
+        arriving = more if attempt is first else None
+        for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress, arriving):
             if any(each.is_for(outcome) for each in later):
                 again.append((world, outcome, records))
             else:
@@ -166,21 +171,37 @@ def score_worlds(
                 progress.message = f"{len(chosen)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
                 batch = others + (yield from attempt_at(chosen, attempt, retries[number:]))
 
-    while chunk := list(islice(source, chunk_worlds)):
-        waiting += yield from attempt_at([(world, None, ()) for world in chunk], first, retries)
-        if len(waiting) >= chunk_worlds:
-            yield from retry(waiting)
-            waiting = []
-    yield from retry(waiting)
+    while True:
+        chunk = list(islice(source, chunk_worlds)) or list(more() if more else ())
+        if chunk:
+            waiting += yield from attempt_at([(world, None, ()) for world in chunk], first, retries)
+        elif not waiting:
+            return
+        if len(waiting) >= chunk_worlds or not chunk:
+            invalid, waiting = waiting, []
+            yield from retry(invalid)  # from whose results more may follow
 
 
 def _run_attempt(
-    batch: Sequence[_Pending[AnyWorld]], attempt: AttemptRecipe, sim: Simulation, engine: Engine, progress: Progress
+    batch: list[_Pending[AnyWorld]],
+    attempt: AttemptRecipe,
+    sim: Simulation,
+    engine: Engine,
+    progress: Progress,
+    more: Callable[[], Iterable[AnyWorld]] | None = None,
 ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-    """Make one attempt at each world of a batch: yield world, outcome, and its records with this attempt's record."""
+    """Make one attempt at each world of a batch: yield world, outcome, and its records with this attempt's record.
+
+    Worlds of ``more`` are appended to the batch, if the engine takes them while it runs.
+    """
     attempt_sim = attempt.apply_to_sim(sim)
     unanswered = set(range(len(batch)))
-    for answer in engine.run(attempt.apply_to_jobs([pending[0].job for pending in batch]), attempt_sim, progress):
+    jobs = attempt.apply_to_jobs([pending[0].job for pending in batch])
+    if not getattr(engine, "takes_more", False):
+        more = None
+    if more:
+        jobs = GrowingJobs(jobs)
+    for answer in engine.run(jobs, attempt_sim, progress):
         if answer.job not in unanswered:
             raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
         unanswered.remove(answer.job)
@@ -190,5 +211,9 @@ def _run_attempt(
         outcome.solver = attempt_sim.solver.value
         outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, attempt_sim.thresholds)
         yield world, outcome, (*records, Attempt.of(outcome, attempt_sim.physics.timestep_s))
+        for each in more() if more else ():
+            unanswered.add(len(batch))
+            batch.append((each, None, ()))
+            jobs.append(each.job)
     if unanswered:
         raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")

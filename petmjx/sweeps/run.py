@@ -41,7 +41,7 @@ class Batching:
             their scenes take 160 MB. With fewer, the MJX engines would choose (and compile) their shapes more often.
         placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
         worlds: most variants into which these states are forked (a single placement may have more).
-        drives: most forked worlds in one call of the engine; in a search also the tests of one round.
+        drives: most forked worlds in one call of the engine; in a search the first tests of all its items.
         histories: most settled states whose histories are kept with them; one with 43 boxes takes 1 MB.
     """
 
@@ -171,10 +171,21 @@ class SweepRun:
         if chunk:
             yield chunk
 
-    def _score(self, worlds: Iterable[AnyWorld], chunk_worlds: int, forks: bool) -> Iterator[WorldResult[AnyWorld]]:
-        attempts = SAME_STEP_ATTEMPTS if forks else ATTEMPTS
+    def _score(
+        self,
+        worlds: Iterable[AnyWorld],
+        chunk_worlds: int,
+        forks: bool,
+        more: Callable[[], Iterable[AnyWorld]] | None = None,
+    ) -> Iterator[WorldResult[AnyWorld]]:
         return score_worlds(
-            worlds, self.sim, self.engine, progress=self.progress, chunk_worlds=chunk_worlds, attempts=attempts
+            worlds,
+            self.sim,
+            self.engine,
+            progress=self.progress,
+            chunk_worlds=chunk_worlds,
+            attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
+            more=more,
         )
 
     # Placements.
@@ -236,10 +247,12 @@ class SweepRun:
         job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
         return _Driving(plan, variant.index, job, start, variant, test)
 
-    def _drive(self, worlds: Iterable[_Driving]) -> Iterator[tuple[Test, SweptWorld]]:
-        """Simulate forks; yield each one with its test."""
+    def _drive(
+        self, worlds: Iterable[_Driving], more: Callable[[], Iterable[_Driving]] | None = None
+    ) -> Iterator[tuple[Test, SweptWorld]]:
+        """Simulate forks; yield each one with its test. ``more``: those that follow from the ones before."""
         begin = time.perf_counter()
-        for result in self._score(worlds, self.batching.drives, forks=True):
+        for result in self._score(worlds, self.batching.drives, forks=True, more=more):
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
@@ -253,10 +266,11 @@ class SweepRun:
     # Search.
 
     def _search(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
-        """Bisection over all placements, profiles and directions of a chunk together, round by round.
+        """Bisection over all placements, profiles and directions of a chunk together.
 
-        A placement that does not stand has one row per profile and direction, at the lowest level, with its own
-        outcome. Nothing more is simulated for it.
+        When all tests of an item have ended, its next ones begin, beside those of others that still run. A placement
+        that does not stand has one row per profile and direction, at the lowest level, with its own outcome. Nothing
+        more is simulated for it.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         asked = [(start, number) for start in settled for number in range(len(items))]
@@ -274,16 +288,37 @@ class SweepRun:
             if not found.stands_at_rest and recorded(which, 0) is None:
                 yield _undriven(asked[which][0], variant(which, 0))
         tested: dict[Test, Probe] = {}
-        while tests := bisection.next_tests():
-            tested |= {test: known for test in tests if (known := recorded(*test)) is not None}
-            missing = [test for test in tests if test not in tested]
-            drives = (self._driving(asked[test[0]][0], variant(*test), test) for test in missing)
-            for test, world in self._drive(drives):
-                tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
-                yield world
-            bisection.record(tests, [tested[test] for test in tests])
-            # Only the worlds at the bounds of an item's search may yet be an answer.
-            tested = {test: tested[test] for test in bisection.bounds() if test in tested}
+        missing: dict[int, set[Test]] = {}
+
+        def next_drives(which: int) -> list[_Driving]:
+            """Those that an item needs next; none if it is through."""
+            while tests := bisection.next_tests(which):
+                known = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
+                tested.update(known)
+                if missing_now := [test for test in tests if test not in known]:
+                    missing[which] = set(missing_now)
+                    return [self._driving(asked[which][0], variant(*test), test) for test in missing_now]
+                # only the worlds at the bounds of an item's search may yet be an answer
+                now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
+                bisection.record(tests, [now[test] for test in tests])
+                tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
+            return []
+
+        following: list[_Driving] = []
+
+        def more() -> list[_Driving]:
+            drives = following.copy()
+            following.clear()
+            return drives
+
+        first = (drive for which in range(len(asked)) for drive in next_drives(which))
+        for test, world in self._drive(first, more):
+            which, _ = test
+            tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
+            missing[which].remove(test)
+            if not missing[which]:
+                following += next_drives(which)
+            yield world
         self._answer([(start.group, number) for start, number in asked], bisection, tested)
 
     def _bisection(self, at_rest: Sequence[Probe]) -> Bisection:
@@ -314,28 +349,28 @@ class SweepRun:
             return False
         numbers = range(len(self.plan.search_items()))
         bisection = self._bisection([self._recorded_rest(group, number) for number in numbers])
-        asked = {which for which, _ in bisection.next_tests()}
-        if any(found.stands_at_rest and which not in asked for which, found in enumerate(bisection.items)):
+        if any(found.stands_at_rest and not bisection.next_tests(which) for which, found in enumerate(bisection.items)):
             return False  # a search of one level, of which no world tells that the placement stood
         tested: dict[Test, Probe] = {}
-        while tests := bisection.next_tests():
-            worlds = [self._recorded_test(group, *test) for test in tests]
-            known = [world for world in worlds if world is not None]
-            if len(known) < len(tests):
-                return False
-            tested |= zip(tests, known, strict=True)
-            bisection.record(tests, known)
+        for which in range(len(bisection.items)):
+            while tests := bisection.next_tests(which):
+                worlds = [self._recorded_test(group, *test) for test in tests]
+                known = [world for world in worlds if world is not None]
+                if len(known) < len(tests):
+                    return False
+                tested |= zip(tests, known, strict=True)
+                bisection.record(tests, known)
         self._answer([(group, number) for number in numbers], bisection, tested)
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
         """What a placement came to, as far as records say: one that did not stand has one world, without steps.
 
-        A test that failed has no steps either, but a search that tests also has its first round.
+        A test that failed has no steps either, but a search that tests also has its first tests.
         """
         row = self._row(group, number, 0)
-        first_round = self._bisection([Probe(Verdict.STABLE)]).next_tests()
-        tested = any(self._row(group, number, level) is not None for _, level in first_round if level > 0)
+        first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)
+        tested = any(self._row(group, number, level) is not None for _, level in first if level > 0)
         fell = row is not None and row["n_steps"] == 0 and not tested
         return Probe.from_row(row) if fell and row is not None else Probe(Verdict.STABLE)
 

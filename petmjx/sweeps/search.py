@@ -92,8 +92,8 @@ class Bisection:
     """Search for the largest level survived, for many items (placement × profile × direction) at once.
 
     Levels are on a common grid, so an answer is exact to the grid's step, and the same levels are tested in any order
-    of answers. Each round tests up to ``sections`` levels per item, evenly spread between the largest survived and the
-    smallest failed: a device is faster with fewer, larger rounds.
+    of answers. Each time up to ``sections`` levels of an item are tested side by side, evenly spread between the
+    largest survived and the smallest failed. Items do not wait for one another.
 
     It assumes that a pallet that survives a level survives all lower ones. This can be wrong: a stronger push may press
     a box against its neighbour, where it jams. If a tested level above a failed one was survived, the answer is the
@@ -103,7 +103,7 @@ class Bisection:
         levels: (n_levels,) rising; g, or scale.
         at_rest: of each item, its world before any profile. Items that do not stand are through at once, with
             nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
-        sections: levels tested per item and round, ≥ 1; 1 is plain bisection.
+        sections: levels of an item tested at a time, ≥ 1; 1 is plain bisection.
 
     Attributes:
         items: what is known of each item.
@@ -129,9 +129,10 @@ class Bisection:
         survived = 0 if self.levels[0] == 0 else -1
         return Found(True, survived, len(self.levels), survived)
 
-    def bounds(self) -> set[tuple[int, int]]:
-        """(item, level index) of the largest level survived and of the smallest that failed of each item."""
-        return {(item, level) for item, found in enumerate(self.items) for level in (found.survived, found.failed)}
+    def bounds(self, item: int) -> tuple[tuple[int, int], tuple[int, int]]:
+        """(item, level index) of the largest level survived and of the smallest that failed."""
+        found = self.items[item]
+        return (item, found.survived), (item, found.failed)
 
     def largest_survived(self, item: int) -> float | None:
         """Level in g, or scale; None: none."""
@@ -143,18 +144,16 @@ class Bisection:
         found = self.items[item]
         return float(self.levels[found.failed]) if found.stands_at_rest and found.failed < len(self.levels) else None
 
-    def next_tests(self) -> list[tuple[int, int]]:
-        """(item, level index) of the next round's tests; empty when all answers are exact."""
-        tests = []
-        for item, found in enumerate(self.items):
-            untested = found.failed - found.survived - 1
-            count = min(self.sections, untested)
-            steps = np.round(np.arange(1, count + 1) * (untested + 1) / (count + 1)).astype(np.int64)
-            tests += [(item, found.survived + step) for step in steps.tolist()]
-        return tests
+    def next_tests(self, item: int) -> list[tuple[int, int]]:
+        """(item, level index) of an item's next tests; empty when its answer is exact."""
+        found = self.items[item]
+        untested = found.failed - found.survived - 1
+        count = min(self.sections, untested)
+        steps = np.round(np.arange(1, count + 1) * (untested + 1) / (count + 1)).astype(np.int64)
+        return [(item, found.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
-        """Record the worlds of a round's tests.
+        """Record the worlds of tests: of all that were asked for of an item, and of as many items as there are.
 
         An invalid world has not survived; its mode is the reason why it is invalid.
         """

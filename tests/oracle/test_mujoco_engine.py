@@ -17,7 +17,7 @@ import pytest
 from support.plans import make_scene, stack
 
 from petmjx.config import PHYSICS, Carrier, Cone, Schedule, Simulation, Thresholds
-from petmjx.engines.base import Progress
+from petmjx.engines.base import GrowingJobs, Progress
 from petmjx.engines.cpu import live as mujoco_live
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
@@ -306,6 +306,16 @@ try:
 except KeyboardInterrupt:
     sys.exit(130)
 """
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_jobs_that_are_appended_while_it_runs_are_simulated_too(threads: int) -> None:
+    job, sim = Job(make_scene(1)), Simulation(check="static", duration_s=0.2)
+    jobs, found = GrowingJobs([job]), []
+    for outcome in MujocoEngine(threads).run(jobs, sim):
+        found.append(outcome.job)
+        jobs += [job] * (len(jobs) if len(jobs) < 6 else 0)
+    assert sorted(found) == list(range(len(jobs))) == list(range(8))
 
 
 def test_ctrl_c_ends_long_worlds_at_once(repository: Path) -> None:

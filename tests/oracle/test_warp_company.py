@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from petmjx.engines.base import GrowingJobs
 from petmjx.verdict import Outcome
-from petmjx.world.job import Job
+from petmjx.world.job import Drive, Excitation, Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
+from support.fake_stepper import assert_same
 from support.plans import make_scene
 from support.tiny_worlds import (
     SHORT,
@@ -70,9 +73,9 @@ def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyP
     some, sizes = engine(group_size=4), []
     march = some._march
 
-    def watched(run: Any, jobs: list[Job]) -> Any:
+    def watched(run: Any, jobs: list[Job], *more: Any) -> Any:
         sizes.append(sorted(job.scene.n_boxes for job in jobs))
-        return march(run, jobs)
+        return march(run, jobs, *more)
 
     monkeypatch.setattr(some, "_march", watched)
     assert_equal_worlds(simulate(some, scenes, SHORT), alike)
@@ -89,3 +92,50 @@ def test_a_run_that_is_left_early_does_not_change_the_next(crowd: dict[str, Outc
     next(begun)
     begun.close()
     assert_equal_worlds(simulate(left, tiny_scenes(), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_worlds_that_come_later_are_as_those_that_were_there(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """Four rows for one job: two more have room; one with more boxes has not, nor what follows it; then there are rows
+    for these three. Each group has outcomes of its own jobs only."""
+    names = ["hand-bridge", "hand-one-box", "hand-overhang-45", "nine boxes", "hand-falls-off", "hand-bridge"]
+    jobs = {**tiny_scenes(), "nine boxes": make_scene(9)}
+    some, groups = engine(), []
+    load = some._load_group
+
+    def watched(run: Any, group: list[Job], most: int = 0) -> Any:
+        groups.append(group)
+        return load(run, group, most)
+
+    monkeypatch.setattr(some, "_load_group", watched)
+    growing, found = GrowingJobs([Job(jobs[names[0]])]), []
+    for outcome in some.run(growing, SHORT):
+        found.append(outcome.job)
+        if names[outcome.job] in crowd:
+            assert_equal_worlds({names[outcome.job]: outcome}, crowd)
+        if len(growing) == 1:
+            growing += [Job(jobs[name]) for name in names[1:]]
+    assert sorted(found) == list(range(len(names)))
+    assert [len(group) for group in groups] == [3, 3]
+
+
+@pytest.mark.slow
+def test_drives_that_come_later_are_as_those_that_were_there() -> None:
+    """Also those with a profile that the run does not know yet, which wait for the others' end."""
+    scene = tiny_scenes(("hand-overhang-45",))["hand-overhang-45"]
+    (kept,) = shared_engine().run([Job(scene, keep_state=True)], SHORT)
+    push, pull = (Excitation("push", "force", np.tile([level, 0.0, 0.0], (40, 1))) for level in (0.6, -0.6))
+    jobs = [
+        Job(scene, drive=Drive(profile, scale=scale, rest_s=0.1), start=kept.state)
+        for profile, scale in ((push, 1.0), (push, 0.2), (pull, 1.0))
+    ]
+    together = {outcome.job: outcome for outcome in shared_engine().run(jobs, SHORT)}
+    growing, found = GrowingJobs(jobs[:1]), {}
+    for outcome in shared_engine().run(growing, SHORT):
+        found[outcome.job] = outcome
+        growing += jobs[len(growing) :]
+    assert together.keys() == found.keys()
+    for job, outcome in found.items():
+        assert_same(outcome, together[job])

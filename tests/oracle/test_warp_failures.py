@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -81,7 +81,7 @@ def poisoned(monkeypatch: pytest.MonkeyPatch, poison: Callable[[Group, int], Gro
     """Put what is no number into the tables of jobs with the most boxes."""
     plain = MjxWarpEngine._load_group
 
-    def load(self: MjxWarpEngine, run: Any, jobs: Sequence[Job]) -> Group:
+    def load(self: MjxWarpEngine, run: Any, jobs: list[Job], most: int = 0) -> Group:
         group = plain(self, run, jobs)
         return poison(group, int(np.argmax([job.scene.n_boxes for job in jobs])))
 

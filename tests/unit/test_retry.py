@@ -50,6 +50,41 @@ def worlds_failing(*failures: int) -> list[World]:
     return [make_world(make_plan(f"p{i}", stack(1, kg=k + 1.0))) for i, k in enumerate(failures)]
 
 
+@pytest.mark.parametrize("takes_more", [False, True])
+def test_worlds_that_follow_from_results_are_simulated_too(takes_more: bool) -> None:
+    """At once by an engine that takes more jobs while it runs, else when those before have ended. Of an invalid world
+    they follow when its last attempt has ended."""
+
+    class Taking(FailingEngine):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            self.calls.append((sim, list(jobs)))
+            index = 0
+            while index < len(jobs):
+                failures = round(float(jobs[index].scene.mass[0])) - 1
+                yield outcome_of(index, Verdict.INVALID if len(self.calls) <= failures else Verdict.STABLE)
+                index += 1
+
+    engine = Taking() if takes_more else FailingEngine()
+    vars(engine)["takes_more"] = takes_more
+    first, second, third, fourth = worlds_failing(0, 9, 0, 0)
+    follow = {"p0": [second, third], "p1": [fourth]}
+    queue: list[World] = []
+
+    def more() -> list[World]:
+        found = queue.copy()
+        queue.clear()
+        return found
+
+    seen = []
+    for result in score_worlds([first], Simulation(), engine, more=more):
+        seen.append(result.world.plan.plan_id)
+        queue += follow.get(seen[-1], [])
+    assert sorted(seen) == ["p0", "p1", "p2", "p3"]
+    assert seen[0] == "p0"
+    assert seen.index("p3") > seen.index("p1")
+    assert [len(jobs) for _, jobs in engine.calls][:2] == ([1, 1] if takes_more else [1, 2])
+
+
 def test_valid_worlds_run_once() -> None:
     engine = FailingEngine()
     results = list(score_worlds(worlds_failing(0, 0, 0), Simulation(), engine))

@@ -31,13 +31,15 @@ SLID = Probe.of(outcome(Verdict.UNSTABLE, Reason.SHIFT, culprit=0))
 
 
 def search_with(search: Bisection, survives: Callable[[int, float], bool], backwards: bool = False) -> int:
-    """Answer a search's tests, by item and level, to the end; how many rounds that took."""
-    rounds = 0
-    while tests := search.next_tests():
-        tests = tests[::-1] if backwards else tests
-        search.record(tests, [STANDS if survives(item, search.levels[level]) else SLID for item, level in tests])
-        rounds += 1
-    return rounds
+    """Answer a search's tests, by item and level, to the end; how often the item that took longest had tests."""
+    rounds = [0]
+    for item in range(len(search.items)):
+        rounds.append(0)
+        while tests := search.next_tests(item):
+            tests = tests[::-1] if backwards else tests
+            search.record(tests, [STANDS if survives(item, search.levels[level]) else SLID for item, level in tests])
+            rounds[-1] += 1
+    return max(rounds)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +160,8 @@ def test_bisection_finds_the_level_to_the_tolerance_in_counted_evaluations(secti
 def test_bisection_leaves_out_what_does_not_stand_at_rest() -> None:
     search = Bisection([0.0, 0.5, 1.0], [SLID, STANDS])
     assert [found.stands_at_rest for found in search.items] == [False, True]
-    tests = search.next_tests()
+    assert search.next_tests(0) == []
+    tests = search.next_tests(1)
     assert tests == [(1, 1), (1, 2)]
     tilted = make_outcome(5, Verdict.UNSTABLE, Reason.TILT, culprit=4, max_tilt_deg=np.full(5, 30.0))
     search.record(tests, [Probe.of(tilted), SLID])
@@ -166,12 +169,12 @@ def test_bisection_leaves_out_what_does_not_stand_at_rest() -> None:
     assert (search.items[0].box, search.items[0].mode, search.items[0].n_tests) == (0, "slide", 0)
     assert (search.largest_survived(1), search.first_failed(1)) == (0.0, 0.5)
     assert (search.items[1].box, search.items[1].mode) == (4, "tilt")
-    assert search.next_tests() == []
+    assert search.next_tests(1) == []
 
 
 def test_bisection_with_a_lower_bound_above_zero_tests_that_bound() -> None:
     search = Bisection([0.5, 0.6], [STANDS], sections=5)
-    tests = search.next_tests()
+    tests = search.next_tests(0)
     assert tests == [(0, 0), (0, 1)]
     search.record(tests, [SLID, SLID])
     assert (search.largest_survived(0), search.first_failed(0)) == (None, 0.5)
@@ -200,7 +203,7 @@ def test_bisection_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> N
         outcome(Verdict.INVALID, Reason.NONFINITE),
         outcome(Verdict.UNSTABLE, Reason.DROP, culprit=0),
     ]
-    search.record(search.next_tests(), [Probe.of(answer) for answer in answers])
+    search.record(search.next_tests(0), [Probe.of(answer) for answer in answers])
     assert (search.largest_survived(0), search.first_failed(0)) == (0.1, 0.2)
     assert (search.items[0].mode, search.items[0].n_invalid) == ("nonfinite", 1)
     assert failure_mode(answers[0]) == ""

@@ -236,6 +236,37 @@ def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
     assert results.units("summary")["largest_level_g"] == "g"
 
 
+class _Rounds:
+    """An engine that counts its runs, and takes more jobs while it runs or not."""
+
+    name = "mujoco"
+
+    def __init__(self, takes_more: bool) -> None:
+        self.takes_more, self.runs = takes_more, 0
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        self.runs += 1
+        yield from MujocoEngine(2).run(jobs, sim, progress)
+
+
+def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path) -> None:
+    """All tests are in one run of an engine that takes more while it runs; answers and worlds are those of rounds."""
+    plans = [leaning("a"), leaning("b", 2, -100.0)]
+    found = {}
+    for takes_more in (True, False):
+        engine = _Rounds(takes_more)
+        results = petmjx.sweep(write_sweep(tmp_path, SEARCH), plans, engine=engine)
+        assert results.summary is not None
+        # one for the placements; of a search in rounds one for each of them
+        assert (engine.runs == 2) == takes_more
+        order = ["plan_id", "variant"]
+        found[takes_more] = results.worlds.sort_values(order).reset_index(drop=True), results.summary
+    for one, other in zip(*found.values(), strict=True):
+        pd.testing.assert_frame_equal(
+            one.drop(columns="wall_s", errors="ignore"), other.drop(columns="wall_s", errors="ignore")
+        )
+
+
 def test_tilting_tells_the_angle(tmp_path: Path) -> None:
     text = """
 [simulation]

@@ -22,7 +22,7 @@ from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.stage import Queue, Stage, Stepper
-from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, upload_worlds, uploaded
+from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, put_rows, upload_worlds, uploaded
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
@@ -36,6 +36,8 @@ MAX_STAGES = 6
 MAX_LANES = 1 << 16
 MIN_LANES = 16
 """With fewer lanes than this, no useful amount of memory is saved."""
+
+_put = jax.jit(put_rows)
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
@@ -64,6 +66,8 @@ class Run:
     timetable: Timetable
     capacities: dict[str, list[int]]
     progress: Progress
+    jobs: Sequence[Job] = ()
+    """All jobs of the run, to which more may be appended: ``GrowingJobs``."""
     lane_limit: int = MAX_LANES
 
 
@@ -72,10 +76,12 @@ class Group:
     """Worlds that go through the stages together."""
 
     run: Run
-    jobs: Sequence[Job]
+    jobs: list[Job]
     worlds: Worlds
     table: State
     profiles: jax.Array
+    profile_rows: dict[int, int]
+    """``id`` of an excitation → its row in ``profiles``."""
     recorder: Recorder
     frames: dict[str, jax.Array] | None = None
     """Room for frames on the device, of engines that have some there."""
@@ -92,6 +98,15 @@ class Group:
     def driven(self) -> NDArray[np.bool_]:
         """Jobs with a drive."""
         return np.array([job.drive is not None for job in self.jobs], bool)
+
+    def add(self, jobs: Sequence[Job], worlds: Worlds, table: State) -> None:
+        """Put more jobs into the rows behind those that are taken. Tables have a row for each of them at least."""
+        first, rows = len(self.jobs), np.full(len(table.status), len(self.table.status), np.int32)
+        rows[: len(jobs)] = np.arange(first, first + len(jobs))
+        self.worlds = _put(self.worlds, uploaded(rows), worlds)
+        self.table = _put(self.table, uploaded(rows), table)
+        self.jobs += jobs
+        self.__dict__.pop("driven", None)  # is worked out anew
 
     def overflowed(self) -> NDArray[np.int64]:
         """Rows that a stage returned unchanged, because a buffer was too small."""
@@ -153,13 +168,19 @@ class MjxEngine(ABC):
         """
         if not jobs:
             return
-        timetable = build_timetable(sim, max(job.scene.n_boxes for job in jobs))
-        run = Run(sim, timetable, self._choose_capacities(jobs, sim), progress or Progress())
-        n_groups = math.ceil(len(jobs) / self.group_size)
-        size = math.ceil(len(jobs) / n_groups)
+        progress = progress or Progress()
+        first = 0
         with self._running:
-            for first in range(0, len(jobs), size):
-                yield from self._run_group(run, jobs[first : first + size], first)
+            while first < len(jobs):  # more may have been appended
+                rest = jobs[first:]
+                timetable = build_timetable(sim, max(job.scene.n_boxes for job in rest))
+                run = Run(sim, timetable, self._choose_capacities(rest, sim), progress, jobs)
+                size = math.ceil(len(rest) / math.ceil(len(rest) / self.group_size))
+                end = len(jobs)
+                while first < end:
+                    group = list(jobs[first : min(first + size, end)])
+                    yield from self._run_group(run, group, first)
+                    first += len(group)  # a group may have taken more
 
     def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
         """Capacities of the placement stages ("") and of the stages of each kind of drive."""
@@ -175,7 +196,8 @@ class MjxEngine(ABC):
             for kind, found in sizes.items()
         }
 
-    def _run_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
+    def _run_group(self, run: Run, jobs: list[Job], first_job: int) -> Iterator[Outcome]:
+        """Outcomes of a group of jobs, which may take more of the run's jobs behind them; these are appended to it."""
         group = self._load_group(run, jobs)
         emitted = np.zeros(len(jobs), bool)
 
@@ -190,17 +212,27 @@ class MjxEngine(ABC):
             mine = np.array([not kind or (job.drive is not None and job.drive.excitation.kind == kind) for job in jobs])
             yield from self._run_stages(group, run.capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
 
-    def _load_group(self, run: Run, jobs: Sequence[Job]) -> Group:
-        sim, timetable = run.sim, run.timetable
+    def _load_group(self, run: Run, jobs: list[Job], most: int = 0) -> Group:
+        """The tables of a group. ``most``: rows for as many jobs, if there are fewer now."""
         width = max(max(capacities) for capacities in run.capacities.values())
         excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
         steps = max([len(e.samples) for e in excitations.values()], default=1)
         profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
         for row, excitation in enumerate(excitations.values()):
             profiles[row, : len(excitation.samples)] = excitation.samples
-        profile_row = {key: row for row, key in enumerate(excitations)}
-        rows = 1 << (len(jobs) - 1).bit_length()
-        worlds = upload_worlds(jobs, rows, width, profile_row, sim.physics.timestep_s)
+        profile_rows = {key: row for row, key in enumerate(excitations)}
+        rows = 1 << (max(len(jobs), most) - 1).bit_length()
+        worlds, table = self._tables(run, jobs, rows, width, profile_rows)
+        recorder = Recorder(jobs, run.sim.physics.timestep_s)
+        return Group(run, jobs, worlds, table, uploaded(profiles), profile_rows, recorder)
+
+    @staticmethod
+    def _tables(
+        run: Run, jobs: Sequence[Job], rows: int, width: int, profile_rows: dict[int, int]
+    ) -> tuple[Worlds, State]:
+        """Constants and first states of jobs, for tables of so many rows and box columns."""
+        sim, timetable = run.sim, run.timetable
+        worlds = upload_worlds(jobs, rows, width, profile_rows, sim.physics.timestep_s)
         static = sim.check is Check.STATIC
         ends = np.full(rows, NEVER, np.int32)
         if sim.schedule is Schedule.FIXED:
@@ -209,9 +241,7 @@ class MjxEngine(ABC):
                     n = job.scene.n_boxes
                     ends[row] = timetable.static_end if static else timetable.one_by_one_end[n]
         fresh = fresh_state(worlds, all_placed=static, ends=uploaded(ends), rest_steps=timetable.rest_steps)
-        table = started_states(jobs, fresh)
-        recorder = Recorder(jobs, sim.physics.timestep_s)
-        return Group(run, jobs, worlds, table, uploaded(profiles), recorder)
+        return worlds, started_states(jobs, fresh)
 
     def _run_stages(
         self,

@@ -143,8 +143,8 @@ def narrow(record: Record, capacity: int) -> Record:
     return record._replace(**columns)
 
 
-def put_rows(table: State, rows: Int[Array, " lane"], lanes: State) -> State:
-    """Write lanes' states into rows of a wider table. Rows beyond its end are dropped."""
+def put_rows(table: Record, rows: Int[Array, " lane"], lanes: Record) -> Record:
+    """Write lanes' records into rows of a wider table. Rows beyond its end are dropped."""
 
     def put(wide: jax.Array, narrow_values: jax.Array) -> jax.Array:
         if wide.ndim > 1 and narrow_values.shape[1] < wide.shape[1]:
@@ -152,7 +152,7 @@ def put_rows(table: State, rows: Int[Array, " lane"], lanes: State) -> State:
             return wide.at[rows, :columns].set(narrow_values, mode="drop")
         return wide.at[rows].set(narrow_values, mode="drop")
 
-    written: State = jax.tree.map(put, table, lanes)
+    written: Record = jax.tree.map(put, table, lanes)
     return written
 
 

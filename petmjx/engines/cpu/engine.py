@@ -5,8 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from functools import partial
-from itertools import islice
 
 import mujoco
 
@@ -67,6 +65,7 @@ class MujocoEngine:
     """
 
     name = "mujoco"
+    takes_more = True
 
     def __init__(self, threads: int | None = None, world_timeout_s: float | None = None) -> None:
         if threads is not None and threads < 1:
@@ -82,11 +81,14 @@ class MujocoEngine:
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
-        runs = (partial(_simulate, index, job, sim, stop, self.world_timeout_s) for index, job in enumerate(jobs))
+        begun = 0
         pending: set[Future[Outcome]] = set()
         with _QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
-                while pending := pending | {pool.submit(run) for run in islice(runs, 2 * self.threads - len(pending))}:
+                while pending or begun < len(jobs):  # jobs may have been appended meanwhile
+                    while begun < len(jobs) and len(pending) < 2 * self.threads:
+                        pending.add(pool.submit(_simulate, begun, jobs[begun], sim, stop, self.world_timeout_s))
+                        begun += 1
                     finished, pending = wait(pending, return_when=FIRST_COMPLETED)
                     for outcome in (future.result() for future in finished):
                         progress.worlds_done += 1

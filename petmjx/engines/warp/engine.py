@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import warp
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Simulation, Solver
+from petmjx.engines.base import GrowingJobs
 from petmjx.engines.batch.capacities import round_up
 from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine, Run, is_out_of_memory
 from petmjx.engines.batch.outcomes import outcomes, pick
@@ -49,6 +51,13 @@ STOCK_LANES = 2048
 STOCK_LINE_SEARCH = 20
 """Most iterations of its line search; MuJoCo's are 50."""
 
+SPARE_ROWS = 4
+"""Rows of a table of jobs that grow in number, as a multiple of those that there are at first; what has no row is
+simulated when the others have ended."""
+
+MORE_AT_ONCE = 64
+"""Jobs that are put into a table at the same time. XLA compiles a program for each number."""
+
 MORE_BOXES = 2
 """The carrier, and one that small plans need more."""
 
@@ -85,6 +94,7 @@ class MjxWarpEngine(MjxEngine):
     """
 
     name = "mjx-warp"
+    takes_more = True
 
     def __init__(
         self,
@@ -148,10 +158,15 @@ class MjxWarpEngine(MjxEngine):
             widest[kind] = max(widest.get(kind, 0), round_up(job.scene.n_boxes))
         return {kind: [width] for kind, width in widest.items()}
 
-    def _run_group(self, run: Run, jobs: Sequence[Job], first_job: int) -> Iterator[Outcome]:
+    def _run_group(self, run: Run, jobs: list[Job], first_job: int) -> Iterator[Outcome]:
         if run.sim.solver is not Solver.NEWTON:
             self._drop()
             yield from super()._run_group(run, jobs, first_job)
+            return
+        if len(run.capacities) == 1 and isinstance(run.jobs, GrowingJobs):
+            for outcome in self._run_alike(run, jobs, lambda: run.jobs[first_job + len(jobs) :]):
+                outcome.job += first_job
+                yield outcome
             return
         # lanes of one size after the other, those for the largest worlds first
         kinds = np.array([_kind(job) for job in jobs])
@@ -163,19 +178,19 @@ class MjxWarpEngine(MjxEngine):
                 outcome.job = first_job + int(alike[outcome.job])
                 yield outcome
 
-    def _run_alike(self, run: Run, jobs: Sequence[Job]) -> Iterator[Outcome]:
-        """Worlds of one size; outcomes count them from 0."""
-        answered = np.zeros(len(jobs), bool)
+    def _run_alike(self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]] = tuple) -> Iterator[Outcome]:
+        """Worlds of one size; outcomes count them from 0. ``waiting``: more jobs, which may be appended to these."""
+        answered: set[int] = set()
         try:
-            for outcome in self._march(run, jobs):
-                answered[outcome.job] = True
+            for outcome in self._march(run, jobs, waiting):
+                answered.add(outcome.job)
                 yield outcome
         except Exception as error:
             if not is_out_of_memory(error):
                 raise
             self._drop()
         # if memory ran out, the states of all worlds are lost with it: the others again, half of them at a time
-        for part in np.array_split(np.flatnonzero(~answered), 2):
+        for part in np.array_split([row for row in range(len(jobs)) if row not in answered], 2):
             if len(jobs) == len(part) == 1:
                 yield from self._march(run, jobs, simulate=False)
             elif len(part):
@@ -184,41 +199,66 @@ class MjxWarpEngine(MjxEngine):
                     outcome.job = int(part[outcome.job])
                     yield outcome
 
-    def _march(self, run: Run, jobs: Sequence[Job], *, simulate: bool = True) -> Iterator[Outcome]:
+    def _march(
+        self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]] = tuple, *, simulate: bool = True
+    ) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
-        worlds that ended in the one before. With ``simulate`` off all worlds are given up, since memory has run out."""
-        group = self._load_group(replace(run, capacities={"": run.capacities[_kind(jobs[0])]}), jobs)
+        worlds that ended in the one before, and from these more jobs may follow. With ``simulate`` off all worlds are
+        given up, since memory has run out."""
+        rows = min(SPARE_ROWS * len(jobs), self.group_size) if isinstance(run.jobs, GrowingJobs) else 0
+        group = self._load_group(replace(run, capacities={"": run.capacities[_kind(jobs[0])]}), jobs, rows)
         status = np.array(group.table.status)
         status[len(jobs) :] = Status.FINISHED  # rows to spare
         group.table = group.table._replace(status=uploaded(status))
         costs = MEASURED.of_jobs(jobs, run.sim)
         queue = np.concatenate([np.argsort(-costs, kind="stable"), np.arange(len(jobs), len(status))])
         order = uploaded(queue.astype(np.int32))
-        emitted = np.zeros(len(jobs), bool)
+        emitted = np.zeros(len(status), bool)
         rollout = self._rollout(group) if simulate else None
         try:
             if rollout is None:
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
                 rollout.start(group, order)
-            while not emitted.all():
+            while not emitted[: len(jobs)].all():
                 status = group.status() if rollout is None else rollout.wait(group)
                 frames = None if rollout is None or group.recorder.idle else pick_frames(rollout.frames)
                 full = np.flatnonzero(status == Status.OVERFLOWED)
                 if len(full):
                     rollout = self._make_room(group, full)
                     status = group.status()
-                rows = np.flatnonzero(group.handed_on(status) & ~emitted)
-                emitted[rows] = True
-                picked = pick(rows, group.table, group.worlds, run.sim)
-                if rollout is not None and not emitted.all():
-                    rollout.start(group, order)
+                ended = np.flatnonzero(group.handed_on(status) & ~emitted[: len(jobs)])
+                emitted[ended] = True
+                picked = pick(ended, group.table, group.worlds, run.sim)
+                if rollout is not None:
+                    self._take(group, waiting())
+                    if not emitted[: len(jobs)].all():
+                        rollout.start(group, order)
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                yield from outcomes(rows, picked, jobs, 0, run.timetable, run.sim, group.recorder)
+                yield from outcomes(ended, picked, jobs, 0, run.timetable, run.sim, group.recorder)
+                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, waiting()):
+                    rollout.start(group, order)
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
+
+    def _take(self, group: Group, waiting: Sequence[Job]) -> bool:
+        """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
+        most_boxes = max(job.scene.n_boxes for job in group.jobs)
+
+        def fits(job: Job) -> bool:
+            known = job.drive is None or id(job.drive.excitation) in group.profile_rows
+            like_others = _kind(job) == _kind(group.jobs[0]) and job.scene.n_boxes <= most_boxes
+            return known and like_others and job.record is None and group.recorder.idle
+
+        free = len(group.table.status) - len(group.jobs)
+        taken = list(takewhile(fits, waiting[:free]))
+        for first in range(0, len(taken), MORE_AT_ONCE):
+            some = taken[first : first + MORE_AT_ONCE]
+            width = group.table.pose.shape[1]
+            group.add(some, *self._tables(group.run, some, MORE_AT_ONCE, width, group.profile_rows))
+        return bool(taken)
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
         """Larger buffers for worlds that are stopped since they need them; at ``MAX_GROWTH`` they are given up."""
