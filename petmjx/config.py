@@ -169,10 +169,10 @@ class Physics(Checked):
     impratio: Annotated[float, within(1, 10_000)] = Field(
         50.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
     )
-    skin_m: Annotated[float, within(0, 0.01)] = Field(
+    skin_m: Annotated[float, within(0, 0.001)] = Field(
         0.0001,
-        description="by how much boxes are larger for the collider, which then prefers faces to edges; contacts begin "
-        "where the boxes themselves touch; m",
+        description="by how much boxes are larger for the collider, which then prefers faces to edges; contacts of "
+        "faces begin where the boxes themselves touch; m",
     )
 
     @property

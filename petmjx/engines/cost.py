@@ -25,8 +25,8 @@ STATIC_STEPS = 220
 """Steps of a static check with the schedule adaptive: the mean of 12 generated and 9 third-party plans (150 to 700)."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4}
-"""The cost of a schedule on a device as a share of the fixed schedule's, fitted together with ``H100``. The remaining
-steps are the expensive ones, in which boxes move and pallets collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's, fitted together with ``MEASURED``. The
+remaining steps are the expensive ones, in which boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.6
 """The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes. While they come one by one, it
@@ -167,9 +167,9 @@ class Costs:
         at_rest = self.cpu_rest_s * n**REST_POWER + self.cpu_overhead_s
         return np.asarray(at_rest * steps + self.cpu_shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS))
 
-    def _phase_s(self, worlds: float, steps: float) -> float:
+    def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
-        return self.gpu_step_s * steps * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
+        return self.gpu_step_s * work * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
 
 
 MEASURED = Costs()

@@ -174,6 +174,8 @@ def _add_box_body(
     if free:
         body.add_freejoint(name=name)
     length, width, height = (float(half) for half in half_size)
+    if min(length, width, height) <= 0:
+        raise ValueError(f"half sizes must be positive, got {half_size.tolist()} m for {name}")
     geom = _add_geom(
         body,
         name,
@@ -189,7 +191,8 @@ def _add_box_body(
 
 
 def _add_skin(body: mujoco.MjsBody, geom: mujoco.MjsGeom, skin_m: float) -> None:
-    """Make a body's box larger on all sides, and its contacts begin where those of the box itself would. Its mass and
+    """Make a body's box larger on all sides, and its contacts begin a skin deep, or two between boxes: those of faces
+    where the boxes themselves touch, those of edges and corners up to √2 − 1 and √3 − 1 skins before. Its mass and
     inertia stay.
 
     MuJoCo's collider takes the contact of two edges, one point, instead of a face's if it is less deep by 5 % (3.17:

@@ -101,6 +101,7 @@ ENVELOPES = {
     "all full": [0] * 9,
     "a band": [max(0, J - 3) for J in range(20)],
     "arrow": [*range(11), 0],
+    "pairs that do not touch, whose next panels reach both": [0, 1, 0, 3, 2, 5, 3],
     "steps": [0, 0, 1, 3, 3, 2, 6, 5, 8, 8, 4, 11, 10],
     "wide": [max(0, J - 30) for J in range(37)],
     "wider than a warp": [0] * 37,
@@ -129,8 +130,9 @@ def test_solves_as_numpy(name: str, size: int, device: str) -> None:
 
 
 @pytest.mark.parametrize("device", BOTH)
+@pytest.mark.parametrize("size", range(len(SIZES)))
 @pytest.mark.parametrize("left", [1e-2, 1e-4, 1e-6])
-def test_rows_that_are_stiff_together_cost_no_digits(left: float, device: str) -> None:
+def test_rows_that_are_stiff_together_cost_no_digits(left: float, size: int, device: str) -> None:
     """As of a box that stands on a few contacts: what is left of a pivot after the one before it is a small share. Two
     pivots that are divided by together would lose the digits of all others there."""
     rng = np.random.default_rng(2)
@@ -139,13 +141,14 @@ def test_rows_that_are_stiff_together_cost_no_digits(left: float, device: str) -
     J *= 10 ** rng.uniform(0, 2, len(J))[:, None]
     H = single(J.T @ J + np.diag(10 ** rng.uniform(-2, 2, len(J))))
     g = single(np.sqrt(np.diag(H)) * rng.normal(size=len(H)))
-    assert_solves(H, [0, 0, 0], g, device, 0)
+    assert_solves(H, [0, 0, 0], g, device, size)
 
 
 @pytest.mark.parametrize("device", BOTH)
+@pytest.mark.parametrize("size", range(len(SIZES)))
 @pytest.mark.parametrize("row", [0, 1, PANEL - 1, PANEL, PANEL + 3, 3 * PANEL - 1])
-def test_a_matrix_that_is_not_positive_definite_gives_no_number(row: int, device: str) -> None:
+def test_a_matrix_that_is_not_positive_definite_gives_no_number(row: int, size: int, device: str) -> None:
     """The solver stops at such a direction, since no comparison with it holds."""
     H = np.eye(3 * PANEL)
     H[row, row] = -1.0
-    assert not np.isfinite(solved(H, [0, 0, 1], np.ones(len(H)), device, 0)).all()
+    assert not np.isfinite(solved(H, [0, 0, 1], np.ones(len(H)), device, size)).all()

@@ -144,6 +144,39 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
     assert (many[1] > 0) == ((preset, name) == ("pallet", "heap"))
 
 
+TILTS = {"edge, 3°": (3.0, 0.0), "edge, 45°": (45.0, 0.0), "corner": (45.0, np.degrees(np.arctan(0.5**0.5)))}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tilt_deg", TILTS.values(), ids=list(TILTS))
+def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[float, float]) -> None:
+    """A tilted box with its skin reaches further than the box by more than its skin is thick. 11 µm above and 20 µm deep:
+    a box on the floor, and one on the carrier, which hangs in the air."""
+    physics = PHYSICS["pallet"]
+    scene = build_scene(make_plan("two", BRICKS[:2]), Simulation())
+    model, data = exact(scene, physics)
+    step = OneStep(scene, "pallet")
+    turn, axes = np.zeros(4), np.zeros(9)
+    mujoco.mju_euler2Quat(turn, np.radians([*tilt_deg, 0.0]), "XYZ")
+    mujoco.mju_quat2Mat(axes, turn)
+    for gap_m in (1.1e-5, -2e-5):
+        mujoco.mj_resetData(model, data)
+        bodies = data.qpos.reshape(-1, 7)
+        bodies[:, 3:] = (1.0, 0.0, 0.0, 0.0)
+        bodies[0, :3] = (0.0, 0.0, 3.0)
+        top = 3.0 + scene.carrier_half_size[2]
+        reach = np.abs(axes.reshape(3, 3)[2]) @ scene.half_size.T
+        bodies[1, :3], bodies[1, 3:] = (0.0, 4.0, scene.floor_z + reach[0] + gap_m), turn
+        bodies[2, :3], bodies[2, 3:] = (0.0, 0.0, top + reach[1] + gap_m), turn
+        found = step(data)
+        mujoco.mj_step(model, data)
+        assert found.contacts == data.ncon
+        assert data.ncon >= 2 or (gap_m > 0 and tilt_deg == TILTS["edge, 3°"])
+        acceleration = data.qacc.reshape(-1, 6)
+        allowed = SAME_ACCELERATION_M_S2 + SAME_ACCELERATION * np.abs(acceleration)
+        assert (np.abs(found.acceleration - acceleration) <= allowed).all()
+
+
 @pytest.mark.parametrize(
     ("changes", "damping"),
     [

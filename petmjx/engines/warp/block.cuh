@@ -42,12 +42,14 @@ inline CUDA_CALLABLE void wait_for_warp() {
 // ones have written the others see.
 inline CUDA_CALLABLE void arrive(int barrier, int threads) {
 #if defined(__CUDA_ARCH__)
+    __syncwarp();
     asm volatile("bar.arrive %0, %1;" ::"r"(barrier), "r"(threads) : "memory");
 #endif
 }
 
 inline CUDA_CALLABLE void wait_for_arrival(int barrier, int threads) {
 #if defined(__CUDA_ARCH__)
+    __syncwarp();
     asm volatile("bar.sync %0, %1;" ::"r"(barrier), "r"(threads) : "memory");
 #endif
 }

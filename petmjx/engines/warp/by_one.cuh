@@ -24,25 +24,6 @@ struct ByOne {
     int reached_count[2];
 };
 
-// Panel K's row of U, in its place and in the strip; a warp for each tile.
-template <int MOST>
-inline CUDA_CALLABLE void factor_row(
-    const System& system, const ByOne<MOST>& shared, int K, int warp, int warps, int lane
-) {
-    const int* reached = shared.reached[K & 1];
-    const int across = shared.reached_count[K & 1];
-    if (warp >= across) return;
-    const Operand W = load_whole(shared.W, PITCH, lane);
-    #pragma unroll 1
-    for (int i = warp; i < across; i += warps) {
-        float* own = system.tile(K, reached[i]);
-        const Piece piece = product(W, load_whole(own, B, lane), lane);
-        wait_for_warp();
-        store_piece(own, B, piece, lane);
-        store_in_order(system.strip + i * TILE, piece, lane);
-    }
-}
-
 // Subtracts the product of panel K's row from rows below, for a warp's share of the pairs of the panels that it reaches.
 inline CUDA_CALLABLE void update_below(const System& system, const int* reached, Share share, int lane) {
     if (share.first >= share.end) return;
@@ -87,7 +68,9 @@ inline CUDA_CALLABLE void forward(const System& system, ByOne<MOST>& shared, int
         if (finds_next) diagonal = load_piece(system.tile(next, next), B, lane);
         if (K >= 0) {
             if (warp == warps - 1) solve_forward(system, shared.W, K, shared.solved, lane);
-            factor_row(system, shared, K, warp, warps, lane);
+            factor_row(
+                system, shared.W, K, shared.reached[K & 1], warp, across, warps, system.strip, TILE, lane
+            );
             wait_for_all();
         }
         const int reaches_next = across > 0 && shared.reached[K & 1][0] == next ? 1 : 0;

@@ -86,22 +86,6 @@ inline CUDA_CALLABLE void factor_first_row(
     }
 }
 
-// The second panel's row of U, from place `first` on, in its place and in the strip. A warp for each tile.
-inline CUDA_CALLABLE void factor_second_row(
-    const System& system, const float* inverse, const Two& two, int first, int end, int stride, int lane
-) {
-    if (first >= end) return;
-    const Operand W = load_whole(inverse, PITCH, lane);
-    #pragma unroll 1
-    for (int i = first; i < end; i += stride) {
-        float* own = system.tile(two.K + 1, two.reached[i]);
-        const Piece piece = product(W, load_whole(own, B, lane), lane);
-        wait_for_warp();
-        store_piece(own, B, piece, lane);
-        store_in_order(system.strip + Two::place(i, 1), piece, lane);
-    }
-}
-
 // Subtracts products of N tiles of both rows, from place `left` on, with Y of both from a panel's tiles.
 template <int N>
 inline CUDA_CALLABLE void update_tiles(
@@ -128,8 +112,7 @@ inline CUDA_CALLABLE void update_tiles(
 }
 
 // Subtracts the products of both panels' rows from rows below, for a warp's share of the pairs of the panels that they
-// reach; TOGETHER tiles at a time, which do not wait for one another.
-template <int TOGETHER>
+// reach; three tiles at a time, which do not wait for one another.
 inline CUDA_CALLABLE void update_below(const System& system, const Two& two, Share share, int lane) {
     if (share.first >= share.end) return;
     Pair pair(share.first);
@@ -142,9 +125,9 @@ inline CUDA_CALLABLE void update_below(const System& system, const Two& two, Sha
         const int stop = left + share.end - share.first < right + 1 ? left + share.end - share.first : right + 1;
         share.first += stop - left;
         #pragma unroll 1
-        for (; left + TOGETHER <= stop; left += TOGETHER) update_tiles<TOGETHER>(system, panel, two, left, y, lane);
-        if (TOGETHER > 2 && left + 2 == stop) update_tiles<2>(system, panel, two, left, y, lane);
-        if (TOGETHER > 1 && left + 1 == stop) update_tiles<1>(system, panel, two, left, y, lane);
+        for (; left + 3 <= stop; left += 3) update_tiles<3>(system, panel, two, left, y, lane);
+        if (left + 2 == stop) update_tiles<2>(system, panel, two, left, y, lane);
+        if (left + 1 == stop) update_tiles<1>(system, panel, two, left, y, lane);
     }
 }
 
@@ -199,7 +182,8 @@ inline CUDA_CALLABLE void forward(const System& system, ByTwo<MOST>& shared, int
         // The first warp's tile of the second row is the one that the next diagonal tile waits for.
         const int reaches_next = two.across > 0 && two.reached[0] == next ? 1 : 0;
         const int tile = is_first ? 0 : reaches_next + other, end = is_other ? two.across : reaches_next;
-        factor_second_row(system, shared.W[1], two, tile, end, others, lane);
+        float* strip = system.strip + Two::place(0, 1);
+        factor_row(system, shared.W[1], second, two.reached, tile, end, others, strip, 2 * TILE, lane);
         if (is_first) {
             wait_for_warp();
             arrive(1, threads);
@@ -226,7 +210,7 @@ inline CUDA_CALLABLE void forward(const System& system, ByTwo<MOST>& shared, int
             wait_for_arrival(2, threads);
         }
         // the first of the products was for the diagonal tile
-        update_below<3>(system, two, Share(two.across, reaches_next, warp, warps), lane);
+        update_below(system, two, Share(two.across, reaches_next, warp, warps), lane);
         wait_for_all();
     }
     if (K < system.panels) {

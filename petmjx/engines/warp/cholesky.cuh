@@ -1,7 +1,7 @@
 // H·x = g by Cholesky within H's envelope: H = UᵀU, one world per block of threads.
 //
-// Right-looking by panels of 16 rows, one at a time where there are few, else two. Every number has one warp that finds it,
-// and is found in the same way by any, so results do not depend on how warps share.
+// Right-looking by panels of 16 rows, one at a time in kernels for few, else two. Every number is found in the same way by
+// any warp, so results do not depend on how warps share.
 
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH
@@ -11,11 +11,8 @@
 
 namespace petmjx {
 
-// Systems of up to so many panels are factored one panel at a time.
-const int FEW_PANELS = 40;
-
 // What the threads of a block share. MOST: panels of the largest system.
-template <int MOST, bool FEW = (MOST <= FEW_PANELS)>
+template <int MOST, bool FEW = (MOST <= PETMJX_FEW_PANELS)>
 struct Factoring : ByTwo<MOST> {};
 template <int MOST>
 struct Factoring<MOST, true> : ByOne<MOST> {};

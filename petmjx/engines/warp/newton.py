@@ -38,12 +38,15 @@ from importlib import resources
 PANELS_MACRO = "PETMJX_MOST_PANELS"
 """What C++ calls the panels of a kernel's largest system: its shared memory has room for as many."""
 
+FEW_PANELS = 40
+"""A kernel whose largest system has no more panels factors one at a time (by_one.cuh), others two (by_two.cuh)."""
+
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
 def text_for(panels: int) -> str:
     """The solver's C++ for systems of up to so many panels."""
-    return f"#define {PANELS_MACRO} {panels}\n" + source("newton.cu")
+    return f"#define {PANELS_MACRO} {panels}\n#define PETMJX_FEW_PANELS {FEW_PANELS}\n" + source("newton.cu")
 
 
 def source(name: str, included: set[str] | None = None) -> str:

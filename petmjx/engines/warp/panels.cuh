@@ -8,7 +8,7 @@
 
 namespace petmjx {
 
-// A diagonal tile takes the first warp as long as this many products.
+// A diagonal tile takes the first warp about as long as this many products, with two panels those of both.
 const int DIAGONAL_PRODUCTS = 10;
 
 // Lists the panels behind panel K whose columns reach up to it; returns how many. By one warp.
@@ -27,6 +27,24 @@ inline CUDA_CALLABLE int list_reaching(const System& system, int K, int* list, i
         if (system.top[J] <= K) list[found++] = J;
 #endif
     return found;
+}
+
+// A row of U: of the panels `reached`, from place `first` on; in its place and in the strip, whose tiles are `apart`
+// numbers apart. W: inverse of the diagonal tile's factor. A warp for each tile.
+inline CUDA_CALLABLE void factor_row(
+    const System& system, const float* inverse, int row, const int* reached, int first, int end, int stride, float* strip,
+    int apart, int lane
+) {
+    if (first >= end) return;
+    const Operand W = load_whole(inverse, PITCH, lane);
+    #pragma unroll 1
+    for (int i = first; i < end; i += stride) {
+        float* own = system.tile(row, reached[i]);
+        const Piece piece = product(W, load_whole(own, B, lane), lane);
+        wait_for_warp();
+        store_piece(own, B, piece, lane);
+        store_in_order(strip + i * apart, piece, lane);
+    }
 }
 
 // A product of two of the tiles of a row, numbered 0·0, 0·1, 1·1, 0·2, 1·2, 2·2, …

@@ -96,7 +96,7 @@ def list_pairs(model: Model, work: Workspace, at: Lane, apart: float) -> int:
 def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: int) -> int:
     """Find where pairs touch; returns the number of contacts, which may be more than fit.
 
-    Boxes are larger by a skin for the collider, and contacts begin as deep as their skins are thick (``_add_skin`` in
+    Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
     petmjx/world/model.py). ``pair_at`` is the pair of each contact that fits.
     """
     lane = at.lane

@@ -145,7 +145,13 @@ def begin_step(
             else:
                 start[i] = state.warm[world, geom - 2, i]
         turn = rotation(q)
-        reach = wp.vec3(wp.dot(wp.abs(turn[0]), half), wp.dot(wp.abs(turn[1]), half), wp.dot(wp.abs(turn[2]), half))
+        # as far as the box with its skin reaches, less the depth at which its contacts begin
+        skinned = half + wp.vec3(model.skin, model.skin, model.skin)
+        reach = wp.vec3(
+            wp.dot(wp.abs(turn[0]), skinned) - model.skin,
+            wp.dot(wp.abs(turn[1]), skinned) - model.skin,
+            wp.dot(wp.abs(turn[2]), skinned) - model.skin,
+        )
         out = wp.abs(place - home) + reach - home_reach
         if wp.max(out[0], wp.max(out[1], out[2])) > ROOM:
             left = True
