@@ -150,8 +150,8 @@ TILTS = {"edge, 3°": (3.0, 0.0), "edge, 45°": (45.0, 0.0), "corner": (45.0, np
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", TILTS.values(), ids=list(TILTS))
 def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[float, float]) -> None:
-    """A tilted box with its skin reaches further than the box by more than its skin is thick. 11 µm above and 20 µm deep:
-    a box on the floor, and one on the carrier, which hangs in the air."""
+    """A tilted box with its skin reaches further than the box by more than its skin is thick. 11 µm above and 20 µm
+    deep: a box on the floor, and one on the carrier, which hangs in the air."""
     physics = PHYSICS["pallet"]
     scene = build_scene(make_plan("two", BRICKS[:2]), Simulation())
     model, data = exact(scene, physics)
