@@ -60,7 +60,7 @@ class Search(Checked):
         ge=MIN_TOLERANCE,
         description="to what the largest one survived is narrowed; by default 0.01 g, or a scale of 0.02",
     )
-    sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested per round")
+    sections: StrictInt = Field(3, ge=1, le=1000, description="levels of a question tested at a time")
 
     @model_validator(mode="after")
     def _upper_above_lower(self) -> Self:
