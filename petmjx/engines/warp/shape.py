@@ -60,7 +60,7 @@ def own_bytes(panels: int) -> int:
     """Shared memory that a lane takes beside these, and what the driver keeps for itself.
 
     The solver has a right-hand side of 16 numbers for each panel, four more of its lists, and what newton.cu,
-    by_two.cuh and diagonal.cuh share in addition, or less with by_one.cuh (tests/oracle/test_warp_step.py).
+    by_two.cuh and diagonal.cuh share in addition; with by_one.cuh it is less.
     """
     return 4 * (PANEL + 4) * panels + ((9 if panels <= newton.FEW_PANELS else 18) << 10)
 

@@ -21,5 +21,5 @@ def newton(
 
     Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of
     each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as scratch, and
-    ``near``, a tile in shared memory, for a row of the factor and the Hessian if they fit.
+    ``near``, a tile in shared memory, for rows of the factor and the Hessian if they fit.
     """
