@@ -167,13 +167,19 @@ class Physics(Checked):
         (0.1, 0.999, 0.0001), description="MuJoCo's impedances of contacts and their width, m"
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
-        50.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
+        100.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
     )
     skin_m: Annotated[float, within(0, 0.001)] = Field(
         0.0001,
-        description="by how much boxes are larger for the collider, which then prefers faces to edges; contacts of "
-        "faces begin where the boxes themselves touch; m",
+        description="by how much boxes are larger for the collider, which then prefers faces to edges, and half as "
+        "much as the carrier is; contacts of faces begin where the boxes themselves touch; m",
     )
+
+    @property
+    def carrier_skin_m(self) -> float:
+        """By how much the carrier is larger for the collider, m: more than boxes, so that the faces of those that stand
+        flush with its edge end within its face, and the collider finds their corners (docs/validation.md)."""
+        return 2 * self.skin_m
 
     @property
     def has_own_friction(self) -> bool:

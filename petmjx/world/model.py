@@ -93,8 +93,8 @@ def add_boxes(
     others: dict[str, dict[str, Any]] = {}
     if physics.has_own_friction:
         for other, friction in ((FLOOR_NAME, scene.floor_friction), (CARRIER_NAME, scene.carrier_friction)):
-            others[other] = _pair_values(physics, (friction, scene.box_friction), other == FLOOR_NAME)
-        among = _pair_values(physics, (scene.box_friction, scene.box_friction))
+            others[other] = _pair_values(physics, (other, box_name(0)), (friction, scene.box_friction))
+        among = _pair_values(physics, (box_name(0), box_name(1)), (scene.box_friction, scene.box_friction))
         others |= {box_name(box): among for box in before}
     for box in boxes:
         _add_box_body(
@@ -124,18 +124,26 @@ def add_pair(spec: mujoco.MjSpec, physics: Physics, names: tuple[str, str], fric
     """
     if not physics.has_own_friction:
         return
-    spec.add_pair(geomname1=names[0], geomname2=names[1], **_pair_values(physics, frictions, FLOOR_NAME in names))
+    spec.add_pair(geomname1=names[0], geomname2=names[1], **_pair_values(physics, names, frictions))
 
 
-def _pair_values(physics: Physics, frictions: tuple[Triple, Triple], on_floor: bool = False) -> dict[str, Any]:
+def _pair_values(physics: Physics, names: tuple[str, str], frictions: tuple[Triple, Triple]) -> dict[str, Any]:
     sliding, torsional, rolling = map(max, *frictions)
     return {
-        "margin": -physics.skin_m if on_floor else -2 * physics.skin_m,
+        "margin": -sum(skin_of(physics, name) for name in names),
         "friction": [sliding, sliding, torsional, rolling, rolling],
         "solref": physics.solref,
         "solreffriction": physics.solreffriction,
         "solimp": physics.solimp + _SOLIMP_TAIL,
     }
+
+
+def skin_of(physics: Physics, name: str) -> float:
+    """By how much the geom of this name is larger than what it stands for, on each side, m: the floor not at all, the
+    carrier twice as much as boxes (docs/rules.md)."""
+    if name == FLOOR_NAME:
+        return 0.0
+    return physics.carrier_skin_m if name == CARRIER_NAME else physics.skin_m
 
 
 def to_mjcf(scene: Scene, physics: Physics) -> str:
@@ -187,13 +195,13 @@ def _add_box_body(
     )
     geom.mass = mass
     if physics.skin_m:
-        _add_skin(body, geom, physics.skin_m)
+        _add_skin(body, geom, skin_of(physics, name))
 
 
 def _add_skin(body: mujoco.MjsBody, geom: mujoco.MjsGeom, skin_m: float) -> None:
-    """Make a body's box larger on all sides, and its contacts begin a skin deep, or two between boxes: those of faces
-    where the boxes themselves touch, those of edges and corners up to √2 − 1 and √3 − 1 skins before. Its mass and
-    inertia stay.
+    """Make a body's box larger on all sides, and its contacts begin as deep as the skins of both partners are thick:
+    those of faces where the boxes themselves touch, those of edges and corners up to √2 − 1 and √3 − 1 skins before.
+    Its mass and inertia stay.
 
     MuJoCo's collider takes the contact of two edges, one point, instead of a face's if it is less deep by 5 % (3.17:
     ``engine_collision_box.c``). At the depth of a contact, a tenth of a millimetre, it takes now the one and now the

@@ -34,7 +34,7 @@ set_up_warp()
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
-STEPS = (3, 15, 86, 95, 137, 155)
+STEPS = (3, 15, 86, 95, 137, 153)
 """Steps into a run in which all boxes stand at once and the last one tips: landing, sliding, falling. Not those in
 which a contact is about to slip or to part: accelerations then depend ten times as much on a pose's last digit."""
 

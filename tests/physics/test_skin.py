@@ -70,7 +70,8 @@ def test_masses_and_inertias_are_those_of_the_boxes() -> None:
     np.testing.assert_allclose(skinned.body_mass, bare.body_mass)
     np.testing.assert_allclose(np.sort(skinned.body_inertia), np.sort(bare.body_inertia), rtol=1e-12)
     np.testing.assert_allclose(skinned.body_ipos, bare.body_ipos, atol=1e-12)
-    np.testing.assert_allclose(skinned.geom_size[1:] - bare.geom_size[1:], SKIN_M, rtol=1e-9)
+    skins = [[2 * SKIN_M]] + [[SKIN_M]] * 2  # carrier, boxes
+    np.testing.assert_allclose(skinned.geom_size[1:] - bare.geom_size[1:], skins * np.ones((1, 3)), rtol=1e-9)
 
 
 def test_a_box_that_leans_on_an_edge_rests_on_two_points_at_any_depth() -> None:
@@ -83,6 +84,32 @@ def test_a_box_that_leans_on_an_edge_rests_on_two_points_at_any_depth() -> None:
         for name, physics in (("bare", WITHOUT), ("skin", PHYSICS["pallet"]))
     }
     assert points == {"bare": {1, 2}, "skin": {2}}
+
+
+def test_a_box_flush_with_the_carriers_edge_stands_on_its_four_corners() -> None:
+    """The carrier is as large as the plan, whose boxes stand flush with its edges, and move by less than a contact is
+    deep. Without a skin the collider finds also where their edges cross the carrier's."""
+    random = np.random.default_rng(1)
+    places = [(random.uniform(-5e-5, 5e-5, 2), random.uniform(-1e-4, 1e-4, 3)) for _ in range(200)]
+
+    def numbers(physics: Physics) -> set[int]:
+        scene = make_scene([LOWER])
+        model = build_spec(scene, physics).compile()
+        data = mujoco.MjData(model)
+        carrier, box = data.qpos.reshape(-1, 7)
+        found = set()
+        for shift, turn in places:
+            carrier[:] = [*scene.carrier_pos, 1.0, 0.0, 0.0, 0.0]
+            box[:3] = scene.carrier_pos
+            box[:2] += shift
+            box[2] += scene.carrier_half_size[2] + scene.half_size[0, 2] - 5e-5
+            mujoco.mju_euler2Quat(box[3:], turn, "xyz")
+            mujoco.mj_forward(model, data)
+            found.add(len(depths(data, (1, 2))))
+        return found
+
+    assert numbers(PHYSICS["pallet"]) == {4}
+    assert numbers(WITHOUT) > {4}
 
 
 def test_an_exported_model_has_the_skin() -> None:

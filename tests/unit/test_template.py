@@ -38,10 +38,17 @@ def template(physics: Physics, *, held: bool) -> mujoco.MjModel:
     )
 
 
-def overrides(scenes: list[Scene], base: Any, *, held: bool, skin: float) -> dict[str, jax.Array]:
+def overrides(scenes: list[Scene], base: Any, *, held: bool, physics: Physics) -> dict[str, jax.Array]:
     worlds = upload_worlds([Job(scene) for scene in scenes], len(scenes), CAPACITY, {}, 0.002)
     return override_fields(
-        worlds.half, worlds.mass, worlds.carrier_half, worlds.carrier_mass, worlds.friction, base, held=held, skin=skin
+        worlds.half,
+        worlds.mass,
+        worlds.carrier_half,
+        worlds.carrier_mass,
+        worlds.friction,
+        base,
+        held=held,
+        physics=physics,
     )
 
 
@@ -50,7 +57,7 @@ def overrides(scenes: list[Scene], base: Any, *, held: bool, skin: float) -> dic
 def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
     scenes = [scene_of_boxes(n) for n in (1, 3, CAPACITY)]
     base = mjx.put_model(template(PHYSICS[physics], held=held), impl="jax")
-    fields = overrides(scenes, base, held=held, skin=PHYSICS[physics].skin_m)
+    fields = overrides(scenes, base, held=held, physics=PHYSICS[physics])
     for lane, scene in enumerate(scenes):
         carrier = HeldCarrier(scene.carrier_pos, np.array([1.0, 0, 0, 0])) if held else None
         exact = build_spec(scene, PHYSICS[physics], carrier).compile()
@@ -71,6 +78,7 @@ def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
         for pair, its_pair in pairs:
             friction = fields["pair_friction"][lane][pair]
             np.testing.assert_allclose(friction, exact.pair_friction[its_pair], rtol=ROUNDING)
+            np.testing.assert_allclose(base.pair_margin[pair], exact.pair_margin[its_pair], rtol=ROUNDING)
         dofs = exact.nv
         np.testing.assert_allclose(fields["dof_invweight0"][lane][:dofs], exact.dof_invweight0, rtol=ROUNDING)
 

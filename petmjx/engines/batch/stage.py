@@ -147,7 +147,7 @@ class Stage:
             worlds.friction,
             self.stepper.model,
             held=self.held,
-            skin=self.physics.skin_m,
+            physics=self.physics,
         )
 
     def _refill(

@@ -13,7 +13,7 @@ import mujoco
 from jaxtyping import Array, Float
 
 from petmjx.config import Cone, Physics, Solver
-from petmjx.world.model import add_pair
+from petmjx.world.model import CARRIER_NAME, FLOOR_NAME, add_pair, box_name, skin_of
 
 FLOOR_GEOM, CARRIER_GEOM, FIRST_BOX_GEOM = 0, 1, 2
 WORLD_BODY, CARRIER_BODY, FIRST_BOX_BODY = 0, 1, 2
@@ -73,7 +73,7 @@ def padded_template(
     if declared:
         contact |= {"contype": 0, "conaffinity": 0}
     spec.worldbody.add_geom(
-        name="floor",
+        name=FLOOR_NAME,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=(0, 0, 1),
         pos=(0, 0, physics.floor_z_m),
@@ -81,9 +81,11 @@ def padded_template(
         **contact,
     )
 
-    frictions = {"floor": physics.floor_friction}
+    frictions = {FLOOR_NAME: physics.floor_friction}
 
-    def add_box(half: tuple[float, float, float], pos: tuple[float, float, float], mass: float, free: bool) -> None:
+    def add_box(
+        name: str, half: tuple[float, float, float], pos: tuple[float, float, float], mass: float, free: bool
+    ) -> None:
         body = spec.worldbody.add_body(pos=pos)
         if free:
             body.add_freejoint()
@@ -97,24 +99,25 @@ def padded_template(
         body.inertia = [mass / 3 * (half[1] ** 2 + half[2] ** 2) for _ in range(3)]
         body.ipos = (0, 0, 0)
         body.iquat = (1, 0, 0, 0)
-        name = f"box {len(frictions)}"
+        skin = skin_of(physics, name)
         body.add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[each + physics.skin_m for each in half],
-            margin=-physics.skin_m,
+            size=[each + skin for each in half],
+            margin=-skin,
             friction=physics.box_friction,
             **contact,
         )
         if declared:
             for other, friction in frictions.items():
-                if free or other != "floor":
+                if free or other != FLOOR_NAME:
                     add_pair(spec, physics, (other, name), (friction, physics.box_friction))
         frictions[name] = physics.box_friction
 
-    add_box((0.4, 0.3, physics.carrier_half_height_m), (0.0, 0.0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
+    carrier_half = (0.4, 0.3, physics.carrier_half_height_m)
+    add_box(CARRIER_NAME, carrier_half, (0.0, 0.0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
     for k in range(capacity):
-        add_box((0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0.0, PARKING_HEIGHT_M), 5.0, True)
+        add_box(box_name(k), (0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0.0, PARKING_HEIGHT_M), 5.0, True)
     return spec.compile()
 
 
@@ -139,18 +142,18 @@ def override_fields(
     base: Any,
     *,
     held: bool,
-    skin: float,
+    physics: Physics,
 ) -> dict[str, Float[Array, "lane ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
-    ``friction`` rows are floor, carrier, box. ``skin`` is by how much geoms are larger than boxes, m. ``base`` is the
+    ``friction`` rows are floor, carrier, box. ``physics`` says by how much geoms are larger than boxes. ``base`` is the
     template's MJX model, whose values stand for what no world changes (the world body, the floor). Derived fields
     follow MuJoCo's compiler: ``body_invweight0`` and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I;
     ``geom_rbound`` is the half diagonal; all are checked against it in tests.
     """
     lanes, capacity = mass.shape
     all_half = jnp.concatenate([carrier_half[:, None], half], axis=1)
-    geom_half = all_half + skin
+    geom_half = all_half + jnp.array([physics.carrier_skin_m] + [physics.skin_m] * capacity)[None, :, None]
     all_mass = jnp.concatenate([carrier_mass[:, None], mass], axis=1)
     inertia = _box_inertia(all_half, all_mass)
     inv_translation = 1 / all_mass

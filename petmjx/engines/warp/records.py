@@ -53,6 +53,7 @@ class Model:
     high_impedance: float
     impedance_width: float
     skin: float  # by how much boxes are larger for the collider, m
+    carrier_skin: float  # the same of the carrier
     pyramidal: int  # 1 with pyramidal friction cones
     friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
     slack: wp.float64  # 1 / √impratio

@@ -59,6 +59,7 @@ def constants(sim: Simulation, timetable: Timetable, pairs: int, room: int) -> d
         "high_impedance": high,
         "impedance_width": width,
         "skin": physics.skin_m,
+        "carrier_skin": physics.carrier_skin_m,
         "pyramidal": int(physics.cone is Cone.PYRAMIDAL),
         "friction_damping": friction_damping(physics),
         "slack": physics.impratio**-0.5,

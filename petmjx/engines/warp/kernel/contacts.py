@@ -15,7 +15,7 @@ from mujoco.mjx.third_party.mujoco_warp._src.collision_primitive_core import box
 from mujoco.mjx.third_party.mujoco_warp._src.math import make_frame
 
 from petmjx.engines.warp.kernel.block import prefix_sums, wait_for_all
-from petmjx.engines.warp.kernel.motion import ROOM, angular_velocity, half_size, linear_velocity, mass_of
+from petmjx.engines.warp.kernel.motion import ROOM, angular_velocity, half_size, linear_velocity, mass_of, skin_of
 from petmjx.engines.warp.kernel.ordering import block_position
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
 
@@ -100,7 +100,6 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
     petmjx/world/model.py). ``pair_at`` is the pair of each contact that fits.
     """
     lane = at.lane
-    skin = wp.vec3(model.skin, model.skin, model.skin)
     for pair in range(at.thread, n_pairs, at.threads):
         one = work.first[lane, pair]
         two = work.second[lane, pair]
@@ -111,8 +110,10 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         distances = vec8f()
         places = mat83f()
         normal = wp.vec3(0.0, 0.0, 1.0)
-        half = half_size(tables, at.world, two) + skin
-        margin = -model.skin
+        lower_skin = skin_of(model, one)
+        skin = skin_of(model, two)
+        half = half_size(tables, at.world, two) + wp.vec3(skin, skin, skin)
+        margin = -lower_skin - skin
         if one == 0:
             distances, places, normal = plane_box(
                 normal, work.place[lane, 0], work.place[lane, two], work.turn[lane, two], half
@@ -121,13 +122,12 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
             found, distances, places, normal = box_box(
                 work.place[lane, one],
                 work.turn[lane, one],
-                half_size(tables, at.world, one) + skin,
+                half_size(tables, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
                 work.place[lane, two],
                 work.turn[lane, two],
                 half,
-                2.0 * margin,
+                margin,
             )
-            margin *= 2.0
         count = int(0)
         for i in range(found):
             distance = distances[i] - margin

@@ -32,6 +32,12 @@ def half_size(tables: Tables, world: int, geom: int) -> wp.vec3:
 
 
 @wp.func
+def skin_of(model: Model, geom: int) -> float:
+    """By how much the floor, the carrier or a box is larger for the collider, m (``skin_of`` in petmjx/world/model.py)."""
+    return wp.where(geom == 0, 0.0, wp.where(geom == 1, model.carrier_skin, model.skin))
+
+
+@wp.func
 def mass_of(tables: Tables, world: int, geom: int) -> float:
     """Mass of the carrier or a box, kg."""
     if geom == 1:
@@ -146,11 +152,12 @@ def begin_step(
                 start[i] = state.warm[world, geom - 2, i]
         turn = rotation(q)
         # as far as the box with its skin reaches, less the depth at which its contacts begin
-        skinned = half + wp.vec3(model.skin, model.skin, model.skin)
+        skin = skin_of(model, geom)
+        skinned = half + wp.vec3(skin, skin, skin)
         reach = wp.vec3(
-            wp.dot(wp.abs(turn[0]), skinned) - model.skin,
-            wp.dot(wp.abs(turn[1]), skinned) - model.skin,
-            wp.dot(wp.abs(turn[2]), skinned) - model.skin,
+            wp.dot(wp.abs(turn[0]), skinned) - skin,
+            wp.dot(wp.abs(turn[1]), skinned) - skin,
+            wp.dot(wp.abs(turn[2]), skinned) - skin,
         )
         out = wp.abs(place - home) + reach - home_reach
         if wp.max(out[0], wp.max(out[1], out[2])) > ROOM:
