@@ -27,6 +27,8 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.shape import Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
@@ -66,23 +68,36 @@ def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
 
 @pytest.mark.slow
 def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Large ones come first, in tables as wide as the run's largest; outcomes are those of their jobs."""
+    """All at the same time, in tables as wide as the run's largest; memory is as wide as those of their own size."""
     scenes = {**tiny_scenes(), "five": make_scene(5), "nine": make_scene(9)}
     alike = simulate(engine(), scenes, SHORT)
     sizes_apart(monkeypatch, 4)
-    some, sizes = engine(group_size=4), []
-    march = some._march
+    for group_size in (2, 100):  # of two worlds a group may have one size only
+        some = engine(group_size=group_size)
+        assert_equal_worlds(simulate(some, scenes, SHORT), alike)
+        ((_, rollout),) = some._kept.values()
+        assert [fleet.n_boxes for fleet in rollout.march.fleets] == [12, 4]
+        assert rollout.counts["taken"].shape == (2,)
 
-    def watched(run: Any, jobs: list[Job], *more: Any) -> Any:
-        sizes.append(sorted(job.scene.n_boxes for job in jobs))
-        return march(run, jobs, *more)
 
-    monkeypatch.setattr(some, "_march", watched)
-    assert_equal_worlds(simulate(some, scenes, SHORT), alike)
-    assert all(max(group) <= 4 or min(group) > 4 for group in sizes)
-    assert [5, 9] in sizes
-    assert len(some._kept) == 2
-    assert {rollout.march.sizes["box"] for _, rollout in some._kept.values()} == {4, 12}
+def test_lanes_take_the_longest_worlds_of_their_size_first() -> None:
+    jobs = [Job(make_scene(n)) for n in (3, 9, 2, 7, 4)]
+    queues = Queues(["12", "4"], lambda job: "4" if job.scene.n_boxes <= 4 else "12", rows=8)
+    queues.add(jobs, 0, SHORT)
+    first = np.asarray(queues.order)
+    queues.add(jobs[:2], len(jobs), SHORT)
+    assert first.tolist() == [[1, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
+    assert np.asarray(queues.order).tolist() == [[1, 3, 6] + [-1] * 5, [4, 0, 2, 5] + [-1] * 4]
+
+
+@pytest.mark.gpu
+def test_lanes_of_two_sizes_at_the_same_time_give_what_each_gives_alone() -> None:
+    """More worlds of each size than lanes, so that the small ones wait until the first large ones have ended."""
+    small = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(120)}
+    large = {f"{n} boxes, {k}": make_scene(n) for n in (97, 110) for k in range(80)}
+    together = simulate(MjxWarpEngine(), large | small, SHORT)
+    for alone in (large, small):
+        assert_equal_worlds(simulate(MjxWarpEngine(), alone, SHORT), together)
 
 
 @pytest.mark.slow

@@ -130,13 +130,13 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
 
     sizes = records.axes(WORLDS, BOXES, pairs=1, room=1)
     with wp.ScopedDevice("cpu"):
-        model = filled(Model, constants(sim, timetable, pairs=1, room=1))
+        model = filled(Model, {**constants(sim, timetable), "queue": 0, "pairs": 1, "room": 1})
         flat = after._asdict()
         flat |= flat.pop("metrics")._asdict()
         flat["step"] = after.step - 1
-        tables = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros(1)}
+        tables = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
         state = device_record(records.State, flat)
-        buffer = wp.zeros(records.buffer_shape(sizes), dtype=float)
+        buffer = wp.zeros((records.buffer_rows(sizes), records.BUFFER_WORDS), dtype=float)
         work = filled(Workspace, records.in_buffer(buffer, sizes))
         work.seen.assign(np.asarray(before.pose))
         work.top_force.assign(np.asarray(top_force))

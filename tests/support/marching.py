@@ -14,6 +14,7 @@ from petmjx.engines.base import Progress
 from petmjx.engines.batch.engine import Group, Run
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
+from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.shape import Shape
 from petmjx.units import FloatArray
@@ -46,9 +47,8 @@ class OneStep:
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), {"": [scene.n_boxes]}, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         room, shape = scene.n_boxes + MORE_BOXES, Shape.here(scene.n_boxes)
-        self.rollout = Rollout(
-            run, scene.n_boxes, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room, shape, lanes=1, slice_ns=0
-        )
+        fleet = Fleet(shape, 1, scene.n_boxes, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
+        self.rollout = Rollout(run, [fleet], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.group.table)
 
     def __call__(self, data: mujoco.MjData) -> Stepped:
@@ -71,7 +71,7 @@ class OneStep:
             step=jnp.zeros(1, jnp.int32),
             rest_from=jnp.zeros(1, jnp.int32),
         )
-        self.rollout.start(self.group, jnp.zeros(1, jnp.int32))
+        self.rollout.start(self.group, jnp.zeros((1, 1), jnp.int32))
         self.rollout.wait(self.group)
         after, counts = jax.device_get((self.group.table, self.rollout.counts))
         assert int(after.step[0]) == int(counts["steps"][0]) == 1

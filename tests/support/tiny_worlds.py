@@ -14,6 +14,7 @@ from petmjx.engines.batch.engine import Run
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import shape
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.records import most_panels
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.shape import Shape, size_for
@@ -62,13 +63,14 @@ def assert_equal_worlds(found: dict[str, Outcome], expected: dict[str, Outcome])
 
 
 def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, int], None]) -> list[Rollout]:
-    """Before programs and buffers are made ``look`` sees box columns, most contacts and lanes, and may raise. Returns a
-    list of what is made."""
+    """Before programs and buffers are made ``look`` sees each fleet: most boxes, most contacts, lanes. It may raise.
+    Returns a list of what is made."""
     made: list[Rollout] = []
 
-    def rollout(run: Run, n_boxes: int, pairs: int, room: int, shape: Shape, lanes: int, slice_ns: int) -> Rollout:
-        look(n_boxes, room, lanes)
-        made.append(Rollout(run, n_boxes, pairs, room, shape, lanes, slice_ns))
+    def rollout(run: Run, fleets: Sequence[Fleet], slice_ns: int) -> Rollout:
+        for fleet in fleets:
+            look(fleet.n_boxes, fleet.room, fleet.lanes)
+        made.append(Rollout(run, fleets, slice_ns))
         return made[-1]
 
     monkeypatch.setattr(mjx_warp, "Rollout", rollout)

@@ -10,5 +10,6 @@ Shapes are annotations that tests check at every call. Their axes, here and in `
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
 * ``row``: rows of a table that are picked;
+* ``queue``: of worlds that wait for lanes of one size;
 * ``batch`` and ``k``: whatever the caller has; the function treats all of it alike.
 """

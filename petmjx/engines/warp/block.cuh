@@ -63,15 +63,17 @@ inline CUDA_CALLABLE bool any_of_all(bool mine) {
 #endif
 }
 
-// Time in ns since some moment. On a CPU, where there is no clock without a library, each look takes a millisecond.
-inline CUDA_CALLABLE long long clock() {
+// Time since the first look of all lanes at a call's clock, ns; `clock` is 0 before. On a GPU it keeps when that was,
+// in microseconds modulo half an hour. On a CPU, where there is no clock without a library, it counts the looks, and
+// each takes a millisecond.
+inline CUDA_CALLABLE long long elapsed(int* clock) {
 #if defined(__CUDA_ARCH__)
     long long now;
     asm volatile("mov.u64 %0, %globaltimer;" : "=l"(now));
-    return now;
+    const int mask = 0x7fffffff, at = max((int)(now / 1000 & mask), 1), first = atomicCAS(clock, 0, at);
+    return first ? (long long)(at - first & mask) * 1000 : 0;
 #else
-    static long long now = 0;
-    return now += 1000000;
+    return (long long)(*clock)++ * 1000000;
 #endif
 }
 

@@ -18,11 +18,11 @@ from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine,
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.stage import Stepper
-from petmjx.engines.batch.state import Status, uploaded
+from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
-from petmjx.engines.cost import MEASURED
 from petmjx.engines.warp.frames import hand_over, pick_frames
-from petmjx.engines.warp.march import SLICE_NS
+from petmjx.engines.warp.march import SLICE_NS, Fleet
+from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.shape import Shape, size_for
@@ -67,8 +67,7 @@ class RolloutKey:
     """What compiled programs and buffers depend on."""
 
     sim: Simulation
-    n_boxes: int
-    growth: int
+    fleets: tuple[Fleet, ...]
     table_steps: int
     table_boxes: int
 
@@ -78,6 +77,11 @@ def _kind(job: Job) -> str:
     return str(size_for(job.scene.n_boxes).most_boxes)
 
 
+def _kinds(run: Run) -> list[str]:
+    """The sizes of a run's lanes, those for the largest worlds first."""
+    return sorted(run.capacities, key=int, reverse=True)
+
+
 class MjxWarpEngine(MjxEngine):
     """Worlds on Warp's kernels.
 
@@ -85,7 +89,7 @@ class MjxWarpEngine(MjxEngine):
     (petmjx/engines/warp/march.py). With conjugate gradients worlds go side by side in MJX's own step.
 
     Args:
-        lanes: most worlds at the same time; None: as many as the device has room for.
+        lanes: most worlds of a size at the same time; None: as many as the device has room for.
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device: slow, for tests.
         slice_ns: time between two looks at which worlds have ended, ns.
 
@@ -111,9 +115,9 @@ class MjxWarpEngine(MjxEngine):
         set_up_warp()
         super().__init__(lanes, group_size=group_size, **options)
         self.slice_ns = slice_ns
-        self._kept: dict[Shape, tuple[RolloutKey, Rollout]] = {}
-        self._room: dict[tuple[Cone, Shape], int] = {}
-        """How much larger than usual buffers have to be."""
+        self._kept: dict[tuple[Shape, ...], tuple[RolloutKey, Rollout]] = {}
+        self._room: dict[tuple[Cone, str], int] = {}
+        """How much larger than usual buffers have to be, by size of lanes."""
 
     def release(self) -> None:
         """Drop the CUDA graphs that Warp captured of MJX's own step: each one keeps the workspace of its solver."""
@@ -163,23 +167,12 @@ class MjxWarpEngine(MjxEngine):
             self._drop()
             yield from super()._run_group(run, jobs, first_job)
             return
-        if len(run.capacities) == 1 and isinstance(run.jobs, GrowingJobs):
-            for outcome in self._run_alike(run, jobs, lambda: run.jobs[first_job + len(jobs) :]):
-                outcome.job += first_job
-                yield outcome
-            return
-        # lanes of one size after the other, those for the largest worlds first
-        kinds = np.array([_kind(job) for job in jobs])
-        for kind in sorted(run.capacities, key=int, reverse=True):
-            alike = np.flatnonzero(kinds == kind)
-            if not len(alike):
-                continue
-            for outcome in self._run_alike(run, [jobs[row] for row in alike.tolist()]):
-                outcome.job = first_job + int(alike[outcome.job])
-                yield outcome
+        for outcome in self._run_worlds(run, jobs, lambda: run.jobs[first_job + len(jobs) :]):
+            outcome.job += first_job
+            yield outcome
 
-    def _run_alike(self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]] = tuple) -> Iterator[Outcome]:
-        """Worlds of one size; outcomes count them from 0. ``waiting``: more jobs, which may be appended to these."""
+    def _run_worlds(self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]]) -> Iterator[Outcome]:
+        """Worlds of all sizes; outcomes count them from 0. ``waiting``: more jobs, which may be appended to these."""
         answered: set[int] = set()
         try:
             for outcome in self._march(run, jobs, waiting):
@@ -192,34 +185,30 @@ class MjxWarpEngine(MjxEngine):
         # if memory ran out, the states of all worlds are lost with it: the others again, half of them at a time
         for part in np.array_split([row for row in range(len(jobs)) if row not in answered], 2):
             if len(jobs) == len(part) == 1:
-                yield from self._march(run, jobs, simulate=False)
+                yield from self._march(run, jobs, tuple, simulate=False)
             elif len(part):
                 run.progress.message = f"out of device memory, again with {len(part)} worlds at a time"
-                for outcome in self._run_alike(run, [jobs[row] for row in part.tolist()]):
+                for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()], tuple):
                     outcome.job = int(part[outcome.job])
                     yield outcome
 
     def _march(
-        self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]] = tuple, *, simulate: bool = True
+        self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]], *, simulate: bool = True
     ) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
         worlds that ended in the one before, and from these more jobs may follow. With ``simulate`` off all worlds are
         given up, since memory has run out."""
         rows = min(SPARE_ROWS * len(jobs), self.group_size) if isinstance(run.jobs, GrowingJobs) else 0
-        group = self._load_group(replace(run, capacities={"": run.capacities[_kind(jobs[0])]}), jobs, rows)
-        status = np.array(group.table.status)
-        status[len(jobs) :] = Status.FINISHED  # rows to spare
-        group.table = group.table._replace(status=uploaded(status))
-        costs = MEASURED.of_jobs(jobs, run.sim)
-        queue = np.concatenate([np.argsort(-costs, kind="stable"), np.arange(len(jobs), len(status))])
-        order = uploaded(queue.astype(np.int32))
-        emitted = np.zeros(len(status), bool)
+        group = self._load_group(run, jobs, rows)
+        queues = Queues(_kinds(run), _kind, len(group.table.status))
+        queues.add(jobs, 0, run.sim)
+        emitted = np.zeros(len(group.table.status), bool)
         rollout = self._rollout(group) if simulate else None
         try:
             if rollout is None:
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
-                rollout.start(group, order)
+                rollout.start(group, queues.order)
             while not emitted[: len(jobs)].all():
                 status = group.status() if rollout is None else rollout.wait(group)
                 frames = None if rollout is None or group.recorder.idle else pick_frames(rollout.frames)
@@ -231,46 +220,49 @@ class MjxWarpEngine(MjxEngine):
                 emitted[ended] = True
                 picked = pick(ended, group.table, group.worlds, run.sim)
                 if rollout is not None:
-                    self._take(group, waiting())
+                    self._take(group, queues, waiting())
                     if not emitted[: len(jobs)].all():
-                        rollout.start(group, order)
+                        rollout.start(group, queues.order)
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield from outcomes(ended, picked, jobs, 0, run.timetable, run.sim, group.recorder)
-                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, waiting()):
-                    rollout.start(group, order)
+                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting()):
+                    rollout.start(group, queues.order)
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
 
-    def _take(self, group: Group, waiting: Sequence[Job]) -> bool:
+    def _take(self, group: Group, queues: Queues, waiting: Sequence[Job]) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
-        most_boxes = max(job.scene.n_boxes for job in group.jobs)
 
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            like_others = _kind(job) == _kind(group.jobs[0]) and job.scene.n_boxes <= most_boxes
-            return known and like_others and job.record is None and group.recorder.idle
+            has_room = job.scene.n_boxes <= max(group.run.capacities.get(_kind(job), [0]))
+            return known and has_room and job.record is None and group.recorder.idle
 
         free = len(group.table.status) - len(group.jobs)
         taken = list(takewhile(fits, waiting[:free]))
         for first in range(0, len(taken), MORE_AT_ONCE):
             some = taken[first : first + MORE_AT_ONCE]
             width = group.table.pose.shape[1]
+            queues.add(some, len(group.jobs), group.run.sim)
             group.add(some, *self._tables(group.run, some, MORE_AT_ONCE, width, group.profile_rows))
         return bool(taken)
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
         """Larger buffers for worlds that are stopped since they need them; at ``MAX_GROWTH`` they are given up."""
-        key = (group.run.sim.physics.cone, Shape.here(group.table.pose.shape[1]))
-        growth = self._room.get(key, 1)
-        if growth >= MAX_GROWTH:
-            group.give_up(rows, Flag.NONE)
-            return self._rollout(group)
-        self._room[key] = growth = 2 * growth
-        group.run.progress.message = f"{len(rows)} worlds overflowed their buffers, on with {growth}× as large ones"
-        group.retry(rows)
-        group.table = group.table._replace(status=group.table.status.at[rows].set(Status.RUNNING))
+        cone = group.run.sim.physics.cone
+        kinds = np.array([_kind(group.jobs[row]) for row in rows.tolist()])
+        for kind in sorted(set(kinds)):
+            some = rows[kinds == kind]
+            growth = self._room.get((cone, kind), 1)
+            if growth >= MAX_GROWTH:
+                group.give_up(some, Flag.NONE)
+                continue
+            self._room[cone, kind] = growth = 2 * growth
+            group.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
+            group.retry(some)
+            group.table = group.table._replace(status=group.table.status.at[some].set(Status.RUNNING))
         rollout = self._rollout(group)
         if rollout is None:
             group.give_up(np.flatnonzero(~group.handed_on(group.status())), Flag.OUT_OF_MEMORY)
@@ -279,33 +271,38 @@ class MjxWarpEngine(MjxEngine):
     def _rollout(self, group: Group) -> Rollout | None:
         """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit."""
         run = group.run
-        n_boxes = group.table.pose.shape[1]
-        shape = Shape.here(n_boxes)
-        growth = self._room.get((run.sim.physics.cone, shape), 1)
-        key = RolloutKey(run.sim, n_boxes, growth, len(run.timetable.clock), len(run.timetable.settled_nominally))
-        if shape in self._kept and self._kept[shape][0] == key:
-            return self._kept[shape][1]
-        if shape in self._kept:
-            self._kept.pop(shape)[1].close()
-        boxes = growth * (n_boxes + MORE_BOXES)
-        lanes = min(self.lanes or shape.lanes, shape.lanes)
-        fewest = min(MIN_LANES, lanes)
-        while lanes >= fewest:
+        fleets = tuple(self._fleet(run, kind) for kind in _kinds(run))
+        shapes = tuple(fleet.shape for fleet in fleets)
+        key = RolloutKey(run.sim, fleets, len(run.timetable.clock), len(run.timetable.settled_nominally))
+        if shapes in self._kept and self._kept[shapes][0] == key:
+            return self._kept[shapes][1]
+        if shapes in self._kept:
+            self._kept.pop(shapes)[1].close()
+        while True:
             try:
-                rollout = Rollout(
-                    run, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes, shape, lanes, self.slice_ns
-                )
+                rollout = Rollout(run, fleets, self.slice_ns)
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
                 if not self._kept:
-                    lanes //= 2
-                self._drop()  # lanes of other sizes may be what takes the memory: once more without them
+                    fewer = tuple(replace(each, lanes=max(each.lanes // 2, MIN_LANES)) for each in fleets)
+                    if all(few.lanes >= each.lanes for few, each in zip(fewer, fleets, strict=True)):
+                        return None
+                    fleets = tuple(min(pair, key=lambda each: each.lanes) for pair in zip(fewer, fleets, strict=True))
+                self._drop()  # programs of other sizes may be what takes the memory: once more without them
                 self.stages.clear()
                 self._warm.clear()
                 self.release()
+                lanes = sum(each.lanes for each in fleets)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
-                self._kept[shape] = (key, rollout)
+                self._kept[shapes] = (key, rollout)
                 return rollout
-        return None
+
+    def _fleet(self, run: Run, kind: str) -> Fleet:
+        """Lanes of a size, as many as there can be."""
+        (n_boxes,) = run.capacities[kind]
+        shape = Shape.here(n_boxes)
+        boxes = self._room.get((run.sim.physics.cone, kind), 1) * (n_boxes + MORE_BOXES)
+        lanes = min(self.lanes or shape.lanes, shape.lanes)
+        return Fleet(shape, lanes, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes)

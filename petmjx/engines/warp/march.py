@@ -1,9 +1,11 @@
-"""The JAX call that launches the kernel of mjx-warp, in which every world goes at its own pace.
+"""The JAX call that launches the kernels of mjx-warp, in which every world goes at its own pace.
 
-A thread block is a lane. It takes a world from the queue, steps it to its end (or until its drive begins, or until the
-call's time is over), and takes the next one. Nothing is done in lockstep: a world costs what its own boxes cost, and a
-step takes as long as its own solver needs. States lie in the tables of petmjx/engines/batch/state.py, and a world that
-was cut off goes on in the next call. So results depend neither on lanes, nor on the order of worlds, nor on time.
+A thread block is a lane. Lanes of one size are a fleet, with a kernel of its own (petmjx/engines/warp/shape.py); all
+fleets work at the same time, on the same tables. A lane takes a world from its fleet's queue, steps it to its end (or
+until its drive begins, or until the call's time is over), and takes the next one. Nothing is done in lockstep: a world
+costs what its own boxes cost, and a step takes as long as its own solver needs. States lie in the tables of
+petmjx/engines/batch/state.py, and a world that was cut off goes on in the next call. So results depend neither on
+lanes, nor on the order of worlds, nor on time.
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ from __future__ import annotations
 import inspect
 import itertools
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -30,39 +33,65 @@ from petmjx.engines.warp.records import (
     filled,
 )
 from petmjx.engines.warp.shape import Shape, kernel
+from petmjx.engines.warp.streams import load_streams, side_by_side
 
 SLICE_NS = 250_000_000
 """Time of a call: short enough for a progress bar, and to stop. The device waits some milliseconds between two."""
 
 
+@dataclass(frozen=True)
+class Fleet:
+    """Lanes of one size.
+
+    Attributes:
+        shape: of the lanes.
+        lanes: worlds at the same time.
+        n_boxes, pairs, room: most boxes, pairs of near geoms, and contacts of a world.
+    """
+
+    shape: Shape
+    lanes: int
+    n_boxes: int
+    pairs: int
+    room: int
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes of the axes of its workspace."""
+        return records.axes(self.lanes, self.n_boxes, self.pairs, self.room)
+
+
 class March:
-    """Launches the kernel with the constants of a run.
+    """Launches kernels with the constants of a run.
 
     Args:
-        constants: fields of ``records.Model``.
-        n_boxes: box columns of the tables.
-        shape: of lanes.
-        lanes: worlds at the same time.
+        constants: fields of ``records.Model`` but for those of a fleet.
+        fleets: by number of the queue from which they take worlds; those for the largest worlds first.
         slice_ns: time of a call, ns; with 0 each lane takes one step.
     """
 
-    def __init__(
-        self, constants: Mapping[str, Any], n_boxes: int, shape: Shape, lanes: int, slice_ns: int = SLICE_NS
-    ) -> None:
-        self.model = filled(Model, constants)
-        self.shape = shape
-        self.sizes = records.axes(lanes, n_boxes, self.model.pairs, self.model.room)
+    def __init__(self, constants: Mapping[str, Any], fleets: Sequence[Fleet], slice_ns: int = SLICE_NS) -> None:
+        self.fleets = tuple(fleets)
+        self.models = [
+            filled(Model, {**constants, "queue": queue, "pairs": fleet.pairs, "room": fleet.room})
+            for queue, fleet in enumerate(fleets)
+        ]
+        self.lanes = sum(fleet.lanes for fleet in fleets)
         self.slice_ns = slice_ns
         self.id = next(_IDS)
         _MARCHES[self.id] = self
 
     def workspace(self) -> jax.Array:
         """The lanes' memory. It has to be given to each call."""
-        return jnp.zeros(records.buffer_shape(self.sizes), jnp.float32)
+        rows = sum(records.buffer_rows(fleet.sizes) for fleet in self.fleets)
+        return jnp.zeros((rows, records.BUFFER_WORDS), jnp.float32)
 
     def load(self) -> None:
-        """Compile the kernel, or take it from Warp's cache."""
-        kernel(self.shape).module.load(wp.get_device(), self.shape.threads)
+        """Compile the kernels, or take them from Warp's cache."""
+        for fleet in self.fleets:
+            kernel(fleet.shape).module.load(wp.get_device(), fleet.shape.threads)
+        if len(self.fleets) > 1:
+            load_streams()
 
     def __call__(
         self,
@@ -72,7 +101,8 @@ class March:
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
         """States after a slice of time, the workspace, frames, and what was counted."""
-        counts = {name: jnp.zeros(1, wp.dtype_to_numpy(kind.dtype)) for name, kind in array_types(Counts).items()}
+        kinds, shapes = array_types(Counts), records.array_shapes(Counts, {"queue": len(self.fleets)})
+        counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         given = {**tables, **state, **counts, "workspace": workspace}
         given |= {_of_frames(name): values for name, values in frames.items()}
         call = wp.jax_callable(
@@ -88,15 +118,18 @@ class March:
         return after, found["workspace"], kept, {name: found[name] for name in counts}
 
     def launch(self, arrays: dict[str, Any]) -> None:
-        """Launch the kernel on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
-        shape = self.shape
+        """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
         tables, state, counts = (filled(kind, arrays) for kind in (Tables, State, Counts))
-        work = filled(Workspace, records.in_buffer(arrays["workspace"], self.sizes))
         frames = filled(Frames, {name: arrays[_of_frames(name)] for name in array_types(Frames)})
-        dim = n_lanes, _ = self.sizes["lane"], shape.threads
-        inputs = [shape.threads, n_lanes, len(arrays["order"]), self.slice_ns]
-        inputs += [self.model, tables, state, work, frames, counts]
-        wp.launch(kernel(shape), dim=dim, inputs=inputs, block_dim=shape.threads)
+        row = 0
+        with side_by_side(len(self.fleets)) as streams:
+            for fleet, model, stream in zip(self.fleets, self.models, streams, strict=True):
+                threads, sizes = fleet.shape.threads, fleet.sizes
+                work = filled(Workspace, records.in_buffer(arrays["workspace"], sizes, row))
+                row += records.buffer_rows(sizes)
+                inputs = [threads, self.lanes, self.slice_ns, model, tables, state, work, frames, counts]
+                dim = fleet.lanes, threads
+                wp.launch(kernel(fleet.shape), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
 
 
 def _of_frames(name: str) -> str:

@@ -4,9 +4,9 @@ Each array is declared only here, with its element type and its axes. The kernel
 passes the arrays of ``Tables`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
 the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
 
-Axes. ``world``: a row of the tables. ``lane``: a thread block, which has one world at a time. ``block``: a body that
-moves; ``dof``: one of its six rows. ``geom``: floor, carrier, boxes in packing order. ``pair``: two geoms that are
-near one another; ``slot``: a contact. Units are SI.
+Axes. ``world``: a row of the tables. ``lane``: a thread block, which has one world at a time. ``queue``: of worlds for
+lanes of one size. ``block``: a body that moves; ``dof``: one of its six rows. ``geom``: floor, carrier, boxes in
+packing order. ``pair``: two geoms that are near one another; ``slot``: a contact. Units are SI.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ MAX_BOXES = 512
 ROW_WORDS = 32
 """Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness of a row
 (1), friction (1)."""
+
+BUFFER_WORDS = 1024
+"""Numbers in a row of the buffer that holds workspaces."""
 
 
 def record(cls: type) -> Any:
@@ -62,6 +65,7 @@ class Model:
     driven_limit: int  # the same in a drive
     trials: int  # most iterations of its line search
 
+    queue: int  # from which these lanes take worlds
     pairs: int  # most pairs of near geoms of a world
     room: int  # most contacts of a world
 
@@ -109,7 +113,7 @@ class Tables:
     held: Annotated[wp.array[wp.bool], "world"]
     settles: Annotated[wp.array[wp.bool], "world"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array[int], "world"]  # in which worlds take lanes
+    order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take lanes; behind them negative numbers
 
 
 @record
@@ -213,9 +217,10 @@ class Frames:
 
 @record
 class Counts:
-    """What a call counts. ``taken``: worlds that lanes have taken, so far."""
+    """What a call counts."""
 
-    taken: Annotated[wp.array[int], "1"]
+    taken: Annotated[wp.array[int], "queue"]  # worlds that lanes have taken, so far
+    clock: Annotated[wp.array[int], "1"]  # when it began: block.cuh
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
     contacts: Annotated[wp.array[int], "1"]  # most of a world
@@ -295,19 +300,19 @@ def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...]
         yield name, types[name].dtype, shape, words + -words % 4
 
 
-def buffer_shape(sizes: Mapping[str, int]) -> tuple[int, int]:
-    """(lane, word) of the buffer that holds the workspace; in it lane lies after lane within each array.
+def buffer_rows(sizes: Mapping[str, int]) -> int:
+    """Rows of ``BUFFER_WORDS`` that hold the workspace of some lanes; in them lane lies after lane within each array.
 
     Args:
         sizes: axis → size.
     """
-    return sizes["lane"], -(-sum(words for *_, words in _parts(sizes)) // sizes["lane"])
+    return -(-sum(words for *_, words in _parts(sizes)) // BUFFER_WORDS)
 
 
-def in_buffer(buffer: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
-    """The workspace's arrays, as views of its buffer."""
+def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict[str, Any]:
+    """The workspace's arrays, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``) from this row on."""
     views: dict[str, Any] = {}
-    pointer = buffer.ptr
+    pointer = buffer.ptr + 4 * BUFFER_WORDS * first_row
     for name, dtype, shape, words in _parts(sizes):
         views[name] = wp.array(ptr=pointer, dtype=dtype, shape=shape, device=buffer.device)
         pointer += 4 * words
@@ -316,4 +321,4 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
 
 def lane_bytes(n_boxes: int, pairs: int, room: int) -> int:
     """Device memory of a lane, bytes."""
-    return 4 * buffer_shape(axes(1, n_boxes, pairs, room))[1]
+    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, pairs, room)))

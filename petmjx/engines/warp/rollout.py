@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -19,8 +20,7 @@ from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.sinking import MOST_IMPEDANCE
 from petmjx.engines.warp.frames import room_for
-from petmjx.engines.warp.march import SLICE_NS, March
-from petmjx.engines.warp.shape import Shape
+from petmjx.engines.warp.march import SLICE_NS, Fleet, March
 
 TOLERANCE = 1e-8
 """MuJoCo's default. It can be reached, since forces and residuals are double precision."""
@@ -41,13 +41,8 @@ def friction_damping(physics: Physics) -> float:
     return -damping / high if time_s < 0 else 2 / (high * max(time_s, 2 * physics.timestep_s))
 
 
-def constants(sim: Simulation, timetable: Timetable, pairs: int, room: int) -> dict[str, Any]:
-    """What the kernel needs to know of a run: the fields of ``records.Model``.
-
-    Args:
-        pairs: most pairs of near geoms of a world.
-        room: most contacts of a world.
-    """
+def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
+    """What the kernels need to know of a run: the fields of ``records.Model`` but for those of a fleet."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
     low, high, width = physics.solimp
     return {
@@ -67,8 +62,6 @@ def constants(sim: Simulation, timetable: Timetable, pairs: int, room: int) -> d
         "limit": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
         "driven_limit": sim.solver_iterations or DRIVEN_ITERATIONS,
         "trials": LINE_SEARCH_ITERATIONS,
-        "pairs": pairs,
-        "room": room,
         "fixed": int(sim.schedule is Schedule.FIXED),
         "waits_for_creep": int(sim.waits_for_creep),
         "early_stop": int(sim.early_stop),
@@ -96,31 +89,27 @@ def constants(sim: Simulation, timetable: Timetable, pairs: int, room: int) -> d
 
 
 class Rollout:
-    """Programs and buffers for worlds of up to ``n_boxes`` boxes.
+    """Programs and buffers of a run.
 
     Args:
-        pairs, room: most pairs of near geoms, and contacts, of a world.
-        shape: of lanes.
-        lanes: worlds at the same time, at most.
-        slice_ns: time of a call of the kernel, ns.
+        fleets: those for the largest worlds first.
+        slice_ns: time of a call of the kernels, ns.
     """
 
-    def __init__(
-        self, run: Run, n_boxes: int, pairs: int, room: int, shape: Shape, lanes: int, slice_ns: int = SLICE_NS
-    ) -> None:
-        self.march = March(constants(run.sim, run.timetable, pairs, room), n_boxes, shape, lanes, slice_ns)
-        self.rules = Rules(run.sim, run.timetable, n_boxes, driven=True)
+    def __init__(self, run: Run, fleets: Sequence[Fleet], slice_ns: int = SLICE_NS) -> None:
+        self.march = March(constants(run.sim, run.timetable), fleets, slice_ns)
+        self.rules = Rules(run.sim, run.timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
         self.workspace = self.march.workspace().block_until_ready()
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._programs: dict[tuple[int, ...], Any] = {}
 
-    def start(self, group: Group, order: Int[Array, " world"]) -> None:
+    def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
         """Begin a slice of time for all worlds of a group that run. ``wait`` waits for its end."""
-        lanes = self.march.sizes["lane"]
+        lanes = self.march.lanes
         if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
             group.frames = room_for(group, lanes)
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
-        shapes = (len(order), *group.profiles.shape, len(group.frames["of"]))
+        shapes = (*order.shape, *group.profiles.shape, len(group.frames["of"]))
         if shapes not in self._programs:
             begin, progress = time.perf_counter(), group.run.progress
             progress.message = "compiling"
@@ -148,7 +137,7 @@ class Rollout:
         sums = {"seconds": time.perf_counter() - self.began, "steps": steps, "iterations": iterations}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
-        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.sizes["lane"])
+        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
         return status
 
@@ -158,7 +147,7 @@ class Rollout:
         workspace: jax.Array,
         worlds: Worlds,
         profiles: Array,
-        order: Int[Array, " world"],
+        order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
         """A slice of time. Returns states, workspace, a copy of the statuses, frames, and counts."""

@@ -103,7 +103,6 @@ def kernel(shape: Shape) -> Any:
     def march(
         threads: int,
         n_lanes: int,
-        n_worlds: int,
         slice_ns: wp.int64,
         model: Model,
         tables: Tables,
@@ -115,7 +114,7 @@ def kernel(shape: Shape) -> Any:
         lane, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
         near = wp.tile_zeros(shape=near_words, dtype=float, storage="shared")
         run_lane(
-            lane, thread, threads, n_lanes, n_worlds, slice_ns,
+            lane, thread, threads, n_lanes, slice_ns,
             model, tables, state, work, frames, counts, near, near_words,
         )  # fmt: skip
 

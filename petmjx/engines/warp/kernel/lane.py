@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from petmjx.engines.batch.state import Status
-from petmjx.engines.warp.kernel.block import any_of_all, clock, wait_for_all
+from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_blocks, list_pairs, make_rows
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.motion import begin_step, end_step
@@ -120,7 +120,6 @@ def run_lane(
     thread: int,
     threads: int,
     n_lanes: int,
-    n_worlds: int,
     slice_ns: wp.int64,
     model: Model,
     tables: Tables,
@@ -135,26 +134,28 @@ def run_lane(
 
     Args:
         n_lanes: of the call.
-        n_worlds: length of the queue.
-        slice_ns: time of the call, ns; with 0 a lane takes one step.
+        slice_ns: time of the call, ns; with 0, or if it is over when a lane begins, the lane takes one step.
         near: a tile in shared memory for ``near_words`` numbers.
     """
-    begin = clock()
+    if thread == 0:
+        elapsed(counts.clock)
     late = bool(False)
     while not late:
         if thread == 0:
-            number = wp.atomic_add(counts.taken, 0, 1)
-            work.world[lane] = wp.where(number < n_worlds, number, -1)
+            number = wp.atomic_add(counts.taken, model.queue, 1)
+            work.world[lane] = -1
+            if number < tables.order.shape[1]:
+                work.world[lane] = tables.order[model.queue, number]
         wait_for_all()
-        number = work.world[lane]
+        world = work.world[lane]
         wait_for_all()
-        if number < 0:
+        if world < 0:
             break
         at = Lane()
         at.lane = lane
         at.thread = thread
         at.threads = threads
-        at.world = tables.order[number]
+        at.world = world
         steps = int(0)
         iterations = int(0)
         stood = int(-1)  # boxes for which pairs are listed
@@ -176,7 +177,7 @@ def run_lane(
             full = bool(False)
             if recorded and thread == 0:
                 full = no_room(frames, n_lanes)
-            late = any_of_all(thread == 0 and (full or clock() - begin >= slice_ns))
+            late = any_of_all(thread == 0 and (full or elapsed(counts.clock) >= slice_ns))
         if thread == 0:
             wp.atomic_add(counts.steps, 0, steps)
             wp.atomic_add(counts.iterations, 0, iterations)

@@ -33,7 +33,7 @@ def half_size(tables: Tables, world: int, geom: int) -> wp.vec3:
 
 @wp.func
 def skin_of(model: Model, geom: int) -> float:
-    """By how much the floor, the carrier or a box is larger for the collider, m (``skin_of`` in petmjx/world/model.py)."""
+    """By how much the floor, the carrier or a box is larger for the collider, m (as in petmjx/world/model.py)."""
     return wp.where(geom == 0, 0.0, wp.where(geom == 1, model.carrier_skin, model.skin))
 
 

@@ -1,0 +1,21 @@
+"""A kernel that does nothing for a while."""
+
+from __future__ import annotations
+
+import warp as wp
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    long long begin, now;
+    asm volatile("mov.u64 %0, %globaltimer;" : "=l"(begin));
+    do asm volatile("mov.u64 %0, %globaltimer;" : "=l"(now)); while (now - begin < time_ns);
+#endif
+""")
+def _let_pass(time_ns: wp.int64) -> None: ...
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def pause(time_ns: wp.int64) -> None:
+    """Let a time pass, ns; none on a CPU."""
+    _let_pass(time_ns)

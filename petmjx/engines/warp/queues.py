@@ -1,0 +1,41 @@
+"""The worlds of each size of lanes, in the order in which lanes take them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+from jaxtyping import Int
+
+from petmjx.config import Simulation
+from petmjx.engines.batch.state import uploaded
+from petmjx.engines.cost import MEASURED
+from petmjx.world.job import Job
+
+
+class Queues:
+    """A queue for each size of lanes. The longest worlds come first, so that the last ones to end are short.
+
+    Args:
+        kinds: the sizes of lanes, in the order of their queues.
+        kind_of: the size of the lanes for a job.
+        rows: of the tables.
+    """
+
+    def __init__(self, kinds: Sequence[str], kind_of: Callable[[Job], str], rows: int) -> None:
+        self._kinds, self._kind_of = kinds, kind_of
+        self._lengths = [0] * len(kinds)
+        self._host = np.full((len(kinds), rows), -1, np.int32)
+        self.order: Int[jax.Array, "queue world"] = uploaded(self._host.copy())
+
+    def add(self, jobs: Sequence[Job], first_row: int, sim: Simulation) -> None:
+        """Put jobs, which have these rows of the tables, at the ends of their queues."""
+        kinds = np.array([self._kind_of(job) for job in jobs])
+        by_cost = np.argsort(-MEASURED.of_jobs(jobs, sim), kind="stable")
+        for queue, kind in enumerate(self._kinds):
+            rows = first_row + by_cost[kinds[by_cost] == kind]
+            begin = self._lengths[queue]
+            self._lengths[queue] += len(rows)
+            self._host[queue, begin : self._lengths[queue]] = rows
+        self.order = uploaded(self._host.copy())

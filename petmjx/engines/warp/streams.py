@@ -1,0 +1,45 @@
+"""Kernels that run at the same time on one device."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import warp as wp
+
+from petmjx.engines.warp.kernel.pause import pause
+
+HEAD_START_NS = 50_000
+"""How much later each kernel begins than the one before. A GPU gives thread blocks to its multiprocessors in the order
+in which they come, and lets them run to their end: so blocks of the first kernel have what room they need."""
+
+
+@functools.cache
+def _more_streams(device: wp.Device, count: int) -> list[wp.Stream]:
+    return [wp.Stream(device) for _ in range(count)]
+
+
+def load_streams() -> None:
+    """Compile what is needed for it, or take it from Warp's cache."""
+    pause.module.load(wp.get_device(), 1)
+
+
+@contextmanager
+def side_by_side(count: int) -> Iterator[list[wp.Stream | None]]:
+    """Streams for kernels that run at the same time, between what is on the current stream before and after.
+
+    Kernels are to be launched in the order of the streams. On a CPU streams are None, and one kernel follows the other.
+    """
+    device = wp.get_device()
+    if not device.is_cuda:
+        yield [None] * count
+        return
+    current = wp.get_stream(device)
+    more = _more_streams(device, count - 1)
+    for number, stream in enumerate(more, start=1):
+        stream.wait_stream(current)
+        wp.launch(pause, dim=1, inputs=[number * HEAD_START_NS], block_dim=1, stream=stream)
+    yield [current, *more]
+    for stream in more:
+        current.wait_stream(stream)
