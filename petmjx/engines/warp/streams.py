@@ -16,7 +16,7 @@ in which they come, and lets them run to their end: so blocks of the first kerne
 
 
 @functools.cache
-def _more_streams(device: wp.Device, count: int) -> list[wp.Stream]:
+def _more_streams(device: str, count: int) -> list[wp.Stream]:
     return [wp.Stream(device) for _ in range(count)]
 
 
@@ -36,7 +36,7 @@ def side_by_side(count: int) -> Iterator[list[wp.Stream | None]]:
         yield [None] * count
         return
     current = wp.get_stream(device)
-    more = _more_streams(device, count - 1)
+    more = _more_streams(device.alias, count - 1)
     for number, stream in enumerate(more, start=1):
         stream.wait_stream(current)
         wp.launch(pause, dim=1, inputs=[number * HEAD_START_NS], block_dim=1, stream=stream)
