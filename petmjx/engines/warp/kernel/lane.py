@@ -174,10 +174,12 @@ def run_lane(
             listed = advance(model, tables, state, work, frames, counts, at, near, near_words, listed)
             steps += 1
             iterations += work.iterations[lane]
-            full = bool(False)
-            if recorded and thread == 0:
-                full = no_room(frames, n_lanes)
-            late = any_of_all(thread == 0 and (full or elapsed(counts.clock) >= slice_ns))
+            over = bool(False)
+            if thread == 0:
+                over = elapsed(counts.clock) >= slice_ns
+                if recorded:
+                    over = over or no_room(frames, n_lanes)
+            late = any_of_all(over)
         if thread == 0:
             wp.atomic_add(counts.steps, 0, steps)
             wp.atomic_add(counts.iterations, 0, iterations)
