@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,23 +110,57 @@ def sinking_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m:
         """(n,) each: a box's part in A · f of a contact on its top, and of one below it, m/s²."""
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
-    # the depth grows less than in proportion to A · f, so that the parts' depths are a bound
-    if base + sum(_depth_m(physics, part).sum() for part in pulls(top_force_n)) <= enough_m:
+    def is_enough(top_n: FloatArray) -> bool:
+        # the depth grows less than in proportion to A · f, so that the parts' depths are a bound
+        return bool(base + sum(_depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
+
+    if is_enough(top_force_n):
         return np.zeros(len(mass))
-    high = scene.target + scene.half_size
-    over = _overlap(low[:, 0], high[:, 0]) & _overlap(low[:, 1], high[:, 1])
-    order = np.argsort(scene.target[:, 2], kind="stable")
-    above, below = pulls(np.minimum(top_force_n, _weight_above_n(mass * gravity, over, order)))
+    stack = _stack(scene)
+    at_rest_n = np.minimum(top_force_n, gravity * stack.mass_above)
+    if is_enough(at_rest_n):
+        return np.zeros(len(mass))
+    above, below = pulls(at_rest_n)
+    alone = base + _depth_m(physics, below)
+    through = _depth_m(physics, below[stack.upper] + above[stack.lower])
     sinking = np.zeros(len(mass))
-    for place, number in enumerate(order):
-        under = order[:place][over[number, order[:place]]]
-        alone = base + _depth_m(physics, below[number])
-        sinking[number] = (sinking[under] + _depth_m(physics, below[number] + above[under])).max(initial=alone)
+    for number, pairs in zip(stack.order, stack.pairs, strict=True):
+        sinking[number] = (sinking[stack.lower[pairs]] + through[pairs]).max(initial=alone[number])
     return sinking
 
 
-def _weight_above_n(weight_n: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
-    """(n,) the weight of all boxes that a box may bear, directly or through others, N.
+class _Stack(NamedTuple):
+    """Which boxes of a plan are above which.
+
+    Attributes:
+        order: (n,) the boxes from the lowest to the highest.
+        upper, lower: (p,) boxes that overlap seen from above, in the order of the upper ones.
+        pairs: (n) the pairs of each upper box, in order.
+        mass_above: (n,) mass of all boxes that a box may bear, directly or through others, kg.
+    """
+
+    order: NDArray[np.intp]
+    upper: NDArray[np.intp]
+    lower: NDArray[np.intp]
+    pairs: list[slice]
+    mass_above: FloatArray
+
+
+@lru_cache(maxsize=256)
+def _stack(scene: Scene) -> _Stack:
+    """Kept, since in a sweep many worlds have the same scene."""
+    low, high = scene.target - scene.half_size, scene.target + scene.half_size
+    over = _overlap(low[:, 0], high[:, 0]) & _overlap(low[:, 1], high[:, 1])
+    order = np.argsort(scene.target[:, 2], kind="stable")
+    under = np.tril(over[np.ix_(order, order)], -1)
+    places, lower_places = np.nonzero(under)
+    ends = np.cumsum(under.sum(axis=1)).tolist()
+    pairs = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
+    return _Stack(order, order[places], order[lower_places], pairs, _mass_above(scene.mass, over, order))
+
+
+def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
+    """(n,) the mass of all boxes that a box may bear, directly or through others, kg.
 
     No box at rest bears more on its top: what presses down on a box passes on, together with its weight, to the boxes
     under it, and none of it is counted twice.
@@ -140,7 +175,7 @@ def _weight_above_n(weight_n: FloatArray, over: NDArray[np.bool_], order: NDArra
         direct = higher[over[number, higher]]
         bears[number, direct] = True
         bears[number] |= bears[direct].any(axis=0)
-    total: FloatArray = bears @ weight_n
+    total: FloatArray = bears @ mass
     return total
 
 
@@ -165,10 +200,12 @@ def note_sinking(outcome: Outcome, scene: Scene, sim: Simulation) -> Outcome:
     force = np.where(placed, outcome.boxes.max_top_force_n, 0.0)
     limit_m = sim.thresholds.shift_m
     bound_m = BOUND_SHARE * limit_m
-    sinking = sinking_m(scene, sim.physics, force, enough_m=0.0 if outcome.reason is Reason.SHIFT else bound_m)
+    shift = outcome.boxes.shift_m[placed]
+    except_down = (np.abs(shift) > limit_m) & (shift > [-np.inf, -np.inf, 0.0])
+    only_down = outcome.reason is Reason.SHIFT and not except_down.any()
+    sinking = sinking_m(scene, sim.physics, force, enough_m=0.0 if only_down else bound_m)
     sank = bool((sinking > bound_m).any())
-    if outcome.reason is Reason.SHIFT and not sank:
-        shift = outcome.boxes.shift_m[placed]
+    if only_down and not sank:
         without = shift.copy()
         without[:, 2] += np.where(shift[:, 2] < 0, sinking[placed], 0.0)
         sank = bool((np.abs(shift) > limit_m).any() and not (np.abs(without) > limit_m).any())

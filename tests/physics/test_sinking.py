@@ -130,6 +130,19 @@ def test_a_shift_that_is_sinking_alone_is_no_verdict() -> None:
     assert (result.outcome.verdict, result.outcome.reason) == (Verdict.UNSTABLE, Reason.SHIFT)
 
 
+@pytest.mark.parametrize("shift_mm", [(0.0, -21.5), (25.0, -21.5), (0.0, 21.5), (0.0, -30.0)])
+def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]) -> None:
+    """The upper box has come down, risen, or slid, too; its support gives way by 3 mm."""
+    boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 0.15), ((400, 300, 200), (0, 0, 200), 140.0))
+    scene, outcome = make_scene(boxes), simulate(boxes, Simulation())
+    shift = np.zeros((2, 3))
+    shift[1, [0, 2]] = np.array(shift_mm) * MM
+    there = replace(outcome.boxes, shift_m=shift)
+    shifted = replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, boxes=there)
+    found = note_sinking(shifted, scene, Simulation())
+    assert (found.reason is Reason.SINKING) == (shift_mm == (0.0, -21.5))
+
+
 def test_an_impact_is_no_sinking() -> None:
     """In one sample the upper box has just landed: the lower one bears a hundred times what stands on it."""
     boxes = one_on_another(1.0, 20.0)
@@ -148,7 +161,18 @@ def test_looking_for_it_costs_next_to_nothing() -> None:
     boxes = [((200, 200, 200), (200 * (k % 4), 200 * (k // 4 % 4), 200 * (k // 16)), 5.0) for k in range(60)]
     scene = build_scene(make_plan(boxes=boxes), Simulation())
     outcome = simulate(boxes, Simulation())
-    begin = time.process_time()
-    for _ in range(100):
-        note_sinking(outcome, scene, Simulation())
-    assert (time.process_time() - begin) / 100 < 0.002
+    shaken = replace(
+        outcome,
+        verdict=Verdict.UNSTABLE,
+        reason=Reason.SHIFT,
+        boxes=replace(
+            outcome.boxes,
+            shift_m=outcome.boxes.shift_m + np.array([0.05, 0.0, 0.0]),
+            max_top_force_n=10 * outcome.boxes.max_top_force_n,
+        ),
+    )
+    for each in (outcome, shaken):
+        begin = time.process_time()
+        for _ in range(100):
+            assert note_sinking(each, scene, Simulation()) is each
+        assert (time.process_time() - begin) / 100 < 0.002
