@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 @pytest.mark.slow
 @pytest.mark.parametrize("slice_ns", [0, 7_000_000])
 def test_slices_of_any_length_give_the_same(slice_ns: int, crowd: dict[str, Outcome]) -> None:
-    """On a CPU 7 ms are seven steps, since there each look at the clock takes a millisecond."""
+    """On a CPU 7 ms are eight steps, since there each look at the clock but the first takes a millisecond."""
     some = ("hand-overhang-45", "hand-falls-off")
     assert_equal_worlds(simulate(engine(slice_ns=slice_ns), tiny_scenes(some), SHORT), crowd)
 

@@ -64,15 +64,15 @@ inline CUDA_CALLABLE bool any_of_all(bool mine) {
 }
 
 // Time since the first look of all lanes at a call's clock, ns; `clock` is 0 before. On a GPU it keeps when that was,
-// in microseconds modulo half an hour; another lane's first look may be a little earlier. On a CPU, where there is no
+// in units of 1,024 ns, modulo half an hour; another lane's first look may be a little earlier. On a CPU, where there is no
 // clock without a library, it counts the looks, and each takes a millisecond. To be called by one thread of a lane.
 inline CUDA_CALLABLE long long elapsed(int* clock) {
 #if defined(__CUDA_ARCH__)
     long long now;
     asm volatile("mov.u64 %0, %globaltimer;" : "=l"(now));
-    const int mask = 0x7fffffff, at = max((int)(now / 1000 & mask), 1), first = atomicCAS(clock, 0, at);
+    const int mask = 0x7fffffff, at = max((int)(now >> 10) & mask, 1), first = atomicCAS(clock, 0, at);
     const int passed = (at - first) & mask;
-    return first && passed <= mask / 2 ? (long long)passed * 1000 : 0;
+    return first && passed <= mask / 2 ? (long long)passed << 10 : 0;
 #else
     return (long long)(*clock)++ * 1000000;
 #endif

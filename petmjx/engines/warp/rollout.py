@@ -25,10 +25,10 @@ from petmjx.engines.warp.march import SLICE_NS, Fleet, March
 TOLERANCE = 1e-8
 """MuJoCo's default. It can be reached, since forces and residuals are double precision."""
 
-DRIVEN_ITERATIONS = 8
+DRIVEN_ITERATIONS = 6
 """Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20 and more for the last
-digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,597 have the verdict of ``mujoco``, which takes as many as it
-needs, as many as without this limit (benchmarks/results/h200-0.2.md)."""
+digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,596 have the verdict of ``mujoco``, which takes as many as it
+needs; with at most 8 it is 1,597 (benchmarks/results/h200-0.2.md)."""
 
 
 def friction_damping(physics: Physics) -> float:

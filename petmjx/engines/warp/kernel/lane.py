@@ -134,11 +134,9 @@ def run_lane(
 
     Args:
         n_lanes: of the call.
-        slice_ns: time of the call, ns; with 0, or if it is over when a lane begins, the lane takes one step.
+        slice_ns: time of the call from its first step on, ns. If it is over a lane takes one step more.
         near: a tile in shared memory for ``near_words`` numbers.
     """
-    if thread == 0:
-        elapsed(counts.clock)
     late = bool(False)
     while not late:
         if thread == 0:
