@@ -11,8 +11,9 @@ from petmjx.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
-GROUP_WORLDS = 8192
-"""Worlds whose states an MJX engine has on its device at the same time, unless it is told otherwise."""
+GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
+"""Worlds whose states an MJX engine has on its device at the same time, unless it is told otherwise; with 80 boxes each
+takes 16 kB."""
 
 
 @dataclass

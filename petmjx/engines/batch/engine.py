@@ -142,7 +142,7 @@ class MjxEngine(ABC):
         self,
         lanes: int | None = None,
         *,
-        group_size: int = GROUP_WORLDS,
+        group_size: int = GROUP_WORLDS["mjx-jax"],
         capacities: Sequence[int] | None = None,
         chunk_steps: int = 25,
         drain_share: float = 0.25,

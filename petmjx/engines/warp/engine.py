@@ -12,7 +12,7 @@ import warp
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Simulation, Solver
-from petmjx.engines.base import GrowingJobs
+from petmjx.engines.base import GROUP_WORLDS, GrowingJobs
 from petmjx.engines.batch.capacities import round_up
 from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine, Run, is_out_of_memory
 from petmjx.engines.batch.outcomes import outcomes, pick
@@ -31,9 +31,6 @@ from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
-
-GROUP_WORLDS = 32_768
-"""Worlds whose states are on the device at the same time: 16 kB each with 80 boxes."""
 
 PAIRS_PER_BOX = 10
 """Pairs of near boxes reserved per box."""
@@ -105,7 +102,7 @@ class MjxWarpEngine(MjxEngine):
         lanes: int | None = None,
         *,
         allow_cpu: bool = False,
-        group_size: int = GROUP_WORLDS,
+        group_size: int = GROUP_WORLDS["mjx-warp"],
         slice_ns: int = SLICE_NS,
         **options: Any,
     ) -> None:

@@ -62,7 +62,7 @@ class Model:
     slack: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # of the solver, as MuJoCo's
     limit: int  # most iterations of the solver
-    driven_limit: int  # the same while a drive moves the world
+    driven_limit: int  # the same in a drive
     trials: int  # most iterations of its line search
 
     queue: int  # from which these lanes take worlds

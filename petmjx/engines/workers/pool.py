@@ -153,10 +153,9 @@ class WorkerPool:
         lacking = Counter(self._places)
         lacking.subtract(hand.place for hand in self._hands)
         self._hands += [self._start(place) for place in lacking.elements()]
-        batched = self.name != "mujoco"
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        group, least = (GROUP_WORLDS, LEAST.get(self.name, 1)) if batched else (None, 1)
+        group, least = GROUP_WORLDS.get(self.name), LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
         compiled_s, before = progress.compile_s, progress.message
         began = time.monotonic()

@@ -22,13 +22,12 @@ CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 
 
 @wp.func
-def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[wp.vec3, wp.vec3, bool]:
-    """Gravity (m/s²) and the force on the carrier (N) for the step to come, and whether a drive moves the world now."""
+def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
+    """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
     step = state.step[world]
     ramp = wp.clamp(float(step + model.soft_start) / float(model.soft_start), 0.0, 1.0)
     gravity = wp.vec3(0.0, 0.0, -ramp * model.gravity)
     push = wp.vec3(0.0, 0.0, 0.0)
-    shaken = bool(False)
     if state.driven_from[world] != NEVER:
         at = step - state.driven_from[world]
         if at >= 0 and at < tables.profiles.shape[1]:
@@ -39,12 +38,11 @@ def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[
             x = scale * sample[0]
             y = scale * sample[1]
             turned = wp.vec3(cos * x - sin * y, sin * x + cos * y, scale * sample[2])
-            shaken = wp.length_sq(turned) > 0.0
             if tables.held[world]:
                 gravity -= turned
             else:
                 push = turned
-    return gravity, push, shaken
+    return gravity, push
 
 
 @wp.func
@@ -78,7 +76,7 @@ def advance(
     Returns:
         Near pairs that are listed for the next step; negative: none are.
     """
-    gravity, push, shaken = excitation(model, tables, state, at.world)
+    gravity, push = excitation(model, tables, state, at.world)
     step = state.step[at.world] + 1
     sample = step > 0 and step % model.sample_every == 0
     every = frames.every[at.world]
@@ -106,7 +104,7 @@ def advance(
     if step % RENEWED_EVERY == 0:
         renew_order(state, work, at, n_pairs)
     link_blocks(state, work, at)
-    limit = wp.where(shaken, model.driven_limit, model.limit)
+    limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
     newton(at.lane, at.thread, at.threads, limit, model, work, near, near_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
