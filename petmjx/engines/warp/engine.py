@@ -58,6 +58,13 @@ MORE_AT_ONCE = 64
 MORE_BOXES = 2
 """The carrier, and one that small plans need more."""
 
+Waiting = Callable[[int], Sequence[Job]]
+"""The next jobs of a run, at most so many, which may be appended to those of a group."""
+
+
+def _none_waiting(most: int) -> Sequence[Job]:
+    return ()
+
 
 @dataclass(frozen=True)
 class RolloutKey:
@@ -164,12 +171,17 @@ class MjxWarpEngine(MjxEngine):
             self._drop()
             yield from super()._run_group(run, jobs, first_job)
             return
-        for outcome in self._run_worlds(run, jobs, lambda: run.jobs[first_job + len(jobs) :]):
+
+        def waiting(most: int) -> Sequence[Job]:
+            begin = first_job + len(jobs)
+            return run.jobs[begin : begin + most]
+
+        for outcome in self._run_worlds(run, jobs, waiting):
             outcome.job += first_job
             yield outcome
 
-    def _run_worlds(self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]]) -> Iterator[Outcome]:
-        """Worlds of all sizes; outcomes count them from 0. ``waiting``: more jobs, which may be appended to these."""
+    def _run_worlds(self, run: Run, jobs: list[Job], waiting: Waiting) -> Iterator[Outcome]:
+        """Worlds of all sizes; outcomes count them from 0."""
         answered: set[int] = set()
         try:
             for outcome in self._march(run, jobs, waiting):
@@ -182,16 +194,14 @@ class MjxWarpEngine(MjxEngine):
         # if memory ran out, the states of all worlds are lost with it: the others again, half of them at a time
         for part in np.array_split([row for row in range(len(jobs)) if row not in answered], 2):
             if len(jobs) == len(part) == 1:
-                yield from self._march(run, jobs, tuple, simulate=False)
+                yield from self._march(run, jobs, _none_waiting, simulate=False)
             elif len(part):
                 run.progress.message = f"out of device memory, again with {len(part)} worlds at a time"
-                for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()], tuple):
+                for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()], _none_waiting):
                     outcome.job = int(part[outcome.job])
                     yield outcome
 
-    def _march(
-        self, run: Run, jobs: list[Job], waiting: Callable[[], Sequence[Job]], *, simulate: bool = True
-    ) -> Iterator[Outcome]:
+    def _march(self, run: Run, jobs: list[Job], waiting: Waiting, *, simulate: bool = True) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
         worlds that ended in the one before, and from these more jobs may follow. With ``simulate`` off all worlds are
         given up, since memory has run out."""
@@ -217,19 +227,19 @@ class MjxWarpEngine(MjxEngine):
                 emitted[ended] = True
                 picked = pick(ended, group.table, group.worlds, run.sim)
                 if rollout is not None:
-                    self._take(group, queues, waiting())
+                    self._take(group, queues, waiting)
                     if not emitted[: len(jobs)].all():
                         rollout.start(group, queues.order)
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield from outcomes(ended, picked, jobs, 0, run.timetable, run.sim, group.recorder)
-                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting()):
+                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
                     rollout.start(group, queues.order)
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
 
-    def _take(self, group: Group, queues: Queues, waiting: Sequence[Job]) -> bool:
+    def _take(self, group: Group, queues: Queues, waiting: Waiting) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
 
         def fits(job: Job) -> bool:
@@ -238,7 +248,7 @@ class MjxWarpEngine(MjxEngine):
             return known and has_room and job.record is None and group.recorder.idle
 
         free = len(group.table.status) - len(group.jobs)
-        taken = list(takewhile(fits, waiting[:free]))
+        taken = list(takewhile(fits, waiting(free)))
         for first in range(0, len(taken), MORE_AT_ONCE):
             some = taken[first : first + MORE_AT_ONCE]
             width = group.table.pose.shape[1]
