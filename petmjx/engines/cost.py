@@ -174,9 +174,9 @@ class Costs:
 
 MEASURED = Costs()
 """Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two. Measured there:
-mjx-warp compiles for 13 to 20 s (0.5 s with a kernel kept from an earlier run) and runs 3.0 s for 500 generated plans,
-5.1 s for 2,000 and 24 s for 10,003, adaptive (estimated: 2.6, 5.6 and 22 s); 15 s for 2,000 with the schedule fixed
-(14); 25 s for 63 plans of 156 boxes on average, 55 s for 630 of them (47, 78); 5.2 s for 4,032 drives of EUMOS's
+mjx-warp compiles for 13 to 20 s (0.5 s with a kernel kept from an earlier run) and runs 3.1 s for 500 generated plans,
+5.6 s for 2,000 and 25 s for 10,003, adaptive (estimated: 2.6, 5.6 and 22 s); 16 s for 2,000 with the schedule fixed
+(14); 25 s for 63 plans of 156 boxes on average, 55 s for 630 of them (47, 78); 4.5 s for 4,032 drives of EUMOS's
 profile. Not fitted to other devices.
 
 CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of

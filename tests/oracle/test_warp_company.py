@@ -27,6 +27,7 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
+from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.shape import Shape
@@ -62,10 +63,8 @@ def test_any_number_of_lanes_gives_the_same(monkeypatch: pytest.MonkeyPatch, cro
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("group_size", [2, 3])
-def test_groups_of_any_size_give_the_same(group_size: int, crowd: dict[str, Outcome]) -> None:
-    """With three the tables have four rows, and the fourth world comes in as soon as a slice is over."""
-    assert_equal_worlds(simulate(engine(group_size=group_size), tiny_scenes(), SHORT), crowd)
+def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
+    assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
 
 
 @pytest.mark.slow
@@ -74,12 +73,22 @@ def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyP
     scenes = {**tiny_scenes(), "five": make_scene(5), "nine": make_scene(9)}
     alike = simulate(engine(), scenes, SHORT)
     sizes_apart(monkeypatch, 4)
-    for group_size in (2, 100):  # of two worlds a group may have one size only
-        some = engine(group_size=group_size)
-        assert_equal_worlds(simulate(some, scenes, SHORT), alike)
-        ((_, rollout),) = some._kept.values()
-        assert [fleet.n_boxes for fleet in rollout.march.fleets] == [12, 4]
-        assert rollout.counts["taken"].shape == (2,)
+    queues = []
+
+    class Watched(Queues):
+        def add(self, *args: Any) -> None:
+            super().add(*args)
+            queues.append(np.asarray(self.order))
+
+    monkeypatch.setattr(mjx_warp, "Queues", Watched)
+    some = engine()
+    assert_equal_worlds(simulate(some, scenes, SHORT), alike)
+    ((_, rollout),) = some._kept.values()
+    assert [fleet.n_boxes for fleet in rollout.march.fleets] == [12, 4]
+    (order,) = queues
+    assert [sorted(row[row >= 0].tolist()) for row in order] == [[5, 6], [0, 1, 2, 3, 4]]
+    few = engine(group_size=2)  # groups may have worlds of one size only
+    assert_equal_worlds(simulate(few, scenes, SHORT), alike)
 
 
 def test_lanes_take_the_longest_worlds_of_their_size_first() -> None:
@@ -156,3 +165,21 @@ def test_drives_that_come_later_are_as_those_that_were_there() -> None:
     assert together.keys() == found.keys()
     for job, outcome in found.items():
         assert_same(outcome, together[job])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("schedule", ["adaptive", "fixed"])
+def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the same size of lanes, also where tables would have room: what a run knows of time ends with its largest
+    plan. Of another size, whose lanes the run has not."""
+    sizes_apart(monkeypatch, 8)
+    scenes = {n: make_scene(n) for n in (5, 7, 9)}
+    sim = SHORT.changed(schedule=schedule)
+    alone = simulate(engine(), {str(n): scene for n, scene in scenes.items()}, sim)
+    growing, found = GrowingJobs([Job(scenes[5])]), []
+    for outcome in engine().run(growing, sim):
+        found.append(outcome.job)
+        assert_equal_worlds({str((5, 7, 9)[outcome.job]): outcome}, alone)
+        if len(growing) == 1:
+            growing += [Job(scenes[7]), Job(scenes[9])]
+    assert sorted(found) == [0, 1, 2]

@@ -65,6 +65,48 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(
 
 
 @pytest.mark.slow
+def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight contacts each: enough for a box on the carrier, which has four on the floor, and not for bricks."""
+    some = {**tiny_scenes(("hand-one-box", "brickwork")), "one more": tiny("hand-one-box")}
+    expected = simulate(shared_engine(), some, SHORT)
+    sizes_apart(monkeypatch, 1)
+    monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(mjx_warp, "MORE_BOXES", 0)
+    made = watched_rollouts(monkeypatch, lambda *_: None)
+    for name, outcome in simulate(engine(), some, SHORT).items():
+        assert_same(outcome, expected[name])
+    large, small = np.array([[fleet.room for fleet in rollout.march.fleets] for rollout in made]).T
+    assert len(set(large)) > 1
+    assert len(set(small)) == 1
+
+
+@pytest.mark.slow
+def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    """A device that holds lanes of one size, however few of them, but not of two."""
+    tried: list[int] = []
+
+    def look(fleets: int) -> None:
+        tried.append(fleets)
+        if fleets > 1:
+            raise out_of_memory()
+
+    sizes_apart(monkeypatch, 4)
+    plain = mjx_warp.Rollout
+
+    def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
+        look(len(fleets))
+        return plain(run, fleets, slice_ns)
+
+    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    scenes = {**tiny_scenes(("hand-one-box", "hand-bridge")), "five": make_scene(5)}
+    found = simulate(engine(), scenes, SHORT)
+    assert found.pop("five").reason is not Reason.OUT_OF_MEMORY
+    assert_equal_worlds(found, crowd)
+    assert tried[0] == 2
+    assert tried.count(1) == 2
+
+
+@pytest.mark.slow
 def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 0)
     small = engine()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -37,7 +38,7 @@ class Stream:
 
 
 @pytest.fixture
-def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+def done(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[Any, ...]]]:
     found: list[tuple[Any, ...]] = []
     monkeypatch.setattr(Stream, "done", found, raising=False)
     main = Stream.__new__(Stream)

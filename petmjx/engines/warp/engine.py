@@ -174,7 +174,7 @@ class MjxWarpEngine(MjxEngine):
 
         def waiting(most: int) -> Sequence[Job]:
             begin = first_job + len(jobs)
-            return run.jobs[begin : begin + most]
+            return run.jobs[begin : begin + most] if isinstance(run.jobs, GrowingJobs) else ()
 
         for outcome in self._run_worlds(run, jobs, waiting):
             outcome.job += first_job
@@ -191,12 +191,16 @@ class MjxWarpEngine(MjxEngine):
             if not is_out_of_memory(error):
                 raise
             self._drop()
-        # if memory ran out, the states of all worlds are lost with it: the others again, half of them at a time
-        for part in np.array_split([row for row in range(len(jobs)) if row not in answered], 2):
+        # if memory ran out, the states of all worlds are lost with it: the others again, one size or half of them at a
+        # time
+        left = np.array([row for row in range(len(jobs)) if row not in answered], int)
+        kinds = np.array([_kind(jobs[row]) for row in left.tolist()])
+        apart = [left[kinds == kind] for kind in sorted(set(kinds), key=int)]
+        for part in apart if len(apart) > 1 else np.array_split(left, 2):
             if len(jobs) == len(part) == 1:
                 yield from self._march(run, jobs, _none_waiting, simulate=False)
             elif len(part):
-                run.progress.message = f"out of device memory, again with {len(part)} worlds at a time"
+                run.progress.message = f"out of device memory, again with {len(part)} of the worlds"
                 for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()], _none_waiting):
                     outcome.job = int(part[outcome.job])
                     yield outcome
@@ -206,6 +210,7 @@ class MjxWarpEngine(MjxEngine):
         worlds that ended in the one before, and from these more jobs may follow. With ``simulate`` off all worlds are
         given up, since memory has run out."""
         rows = min(SPARE_ROWS * len(jobs), self.group_size) if isinstance(run.jobs, GrowingJobs) else 0
+        run = replace(run, capacities={kind: run.capacities[kind] for kind in {_kind(job) for job in jobs}})
         group = self._load_group(run, jobs, rows)
         queues = Queues(_kinds(run), _kind, len(group.table.status))
         queues.add(jobs, 0, run.sim)
@@ -244,17 +249,22 @@ class MjxWarpEngine(MjxEngine):
 
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            has_room = job.scene.n_boxes <= max(group.run.capacities.get(_kind(job), [0]))
+            n_boxes, run = job.scene.n_boxes, group.run
+            has_room = n_boxes <= max(run.capacities.get(_kind(job), [0])) and n_boxes < len(
+                run.timetable.one_by_one_end
+            )
             return known and has_room and job.record is None and group.recorder.idle
 
-        free = len(group.table.status) - len(group.jobs)
+        free = min(len(group.table.status), self.group_size) - len(group.jobs)
         taken = list(takewhile(fits, waiting(free)))
+        if not taken:
+            return False
+        queues.add(taken, len(group.jobs), group.run.sim)
         for first in range(0, len(taken), MORE_AT_ONCE):
             some = taken[first : first + MORE_AT_ONCE]
             width = group.table.pose.shape[1]
-            queues.add(some, len(group.jobs), group.run.sim)
             group.add(some, *self._tables(group.run, some, MORE_AT_ONCE, width, group.profile_rows))
-        return bool(taken)
+        return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
         """Larger buffers for worlds that are stopped since they need them; at ``MAX_GROWTH`` they are given up."""
@@ -276,7 +286,8 @@ class MjxWarpEngine(MjxEngine):
         return rollout
 
     def _rollout(self, group: Group) -> Rollout | None:
-        """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit."""
+        """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit. What says
+        that memory is short is raised if these are lanes of two sizes."""
         run = group.run
         fleets = tuple(self._fleet(run, kind) for kind in _kinds(run))
         shapes = tuple(fleet.shape for fleet in fleets)
@@ -294,6 +305,8 @@ class MjxWarpEngine(MjxEngine):
                 if not self._kept:
                     fewer = tuple(replace(each, lanes=max(each.lanes // 2, MIN_LANES)) for each in fleets)
                     if all(few.lanes >= each.lanes for few, each in zip(fewer, fleets, strict=True)):
+                        if len(fleets) > 1:
+                            raise  # each size alone may have room
                         return None
                     fleets = tuple(min(pair, key=lambda each: each.lanes) for pair in zip(fewer, fleets, strict=True))
                 self._drop()  # programs of other sizes may be what takes the memory: once more without them

@@ -17,8 +17,9 @@ from petmjx.engines.warp import records
 from petmjx.engines.warp.records import Frames
 
 MOST_BYTES: Final = 64 << 20
-"""Most room for frames: with 45 boxes 40,000 of them. In a slice of 250 ms the 264 lanes that an H200 has for worlds of
-that size take some 10,000 if all are recorded. Lanes that find no room wait for the next slice."""
+"""Most room for frames: 40,000 of them if the run's largest plan has 45 boxes. In a slice of 250 ms the 264 lanes that
+an H200 has for worlds of that size take some 10,000 if all are recorded. Lanes that find no room wait for the next
+slice."""
 
 FRAMES_PER_WORLD: Final = 512
 """Room for each recorded world: more than the quickest ones take in a slice."""

@@ -15,7 +15,8 @@ from petmjx.world.job import Job
 
 
 class Queues:
-    """A queue for each size of lanes. The longest worlds come first, so that the last ones to end are short.
+    """A queue for each size of lanes. Of the worlds that are added together the longest come first, so that the last
+    ones to end are short.
 
     Args:
         kinds: the sizes of lanes, in the order of their queues.
@@ -30,7 +31,7 @@ class Queues:
         self.order: Int[jax.Array, "queue world"] = uploaded(self._host.copy())
 
     def add(self, jobs: Sequence[Job], first_row: int, sim: Simulation) -> None:
-        """Put jobs, which have these rows of the tables, at the ends of their queues."""
+        """Put jobs, which have the rows from this one on, at the ends of their queues."""
         kinds = np.array([self._kind_of(job) for job in jobs])
         by_cost = np.argsort(-MEASURED.of_jobs(jobs, sim), kind="stable")
         for queue, kind in enumerate(self._kinds):

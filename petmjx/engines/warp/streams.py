@@ -40,6 +40,8 @@ def side_by_side(count: int) -> Iterator[list[wp.Stream | None]]:
     for number, stream in enumerate(more, start=1):
         stream.wait_stream(current)
         wp.launch(pause, dim=1, inputs=[number * HEAD_START_NS], block_dim=1, stream=stream)
-    yield [current, *more]
-    for stream in more:
-        current.wait_stream(stream)
+    try:
+        yield [current, *more]
+    finally:
+        for stream in more:
+            current.wait_stream(stream)

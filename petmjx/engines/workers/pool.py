@@ -155,7 +155,9 @@ class WorkerPool:
         self._hands += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        group, least = GROUP_WORLDS.get(self.name), LEAST.get(self.name, 1)
+        # engines of others that run in workers are taken for MJX engines, whose base class they are told to use
+        group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
+        least = LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
         compiled_s, before = progress.compile_s, progress.message
         began = time.monotonic()
