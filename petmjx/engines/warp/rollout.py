@@ -26,10 +26,10 @@ TOLERANCE = 1e-8
 """MuJoCo's default. It can be reached, since forces and residuals are double precision."""
 
 DRIVEN_ITERATIONS = 8
-"""Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20
-and more for the last digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,597 have the verdict of ``mujoco``,
-which takes as many as it needs. The boxes of a bridge sway as far as there within 1.2 %, and the most that presses on
-them is within 7 %; with at most 6 iterations that is 3 % and 10 % (docs/performance.md)."""
+"""Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20 and more for the last
+digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,597 have the verdict of ``mujoco``, which takes as many as it
+needs. The boxes of a bridge sway as far as there within 1.2 %, and the most that presses on them is within 7 %; with at
+most 6 iterations that is 3 % and 10 % (docs/performance.md)."""
 
 
 def friction_damping(physics: Physics) -> float:
