@@ -85,18 +85,13 @@ def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: d
     """A device that holds lanes of one size, however few of them, but not of two."""
     tried: list[int] = []
 
-    def look(fleets: int) -> None:
-        tried.append(fleets)
-        if fleets > 1:
+    def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
+        tried.append(len(fleets))
+        if len(fleets) > 1:
             raise out_of_memory()
+        return Rollout(run, fleets, slice_ns)
 
     sizes_apart(monkeypatch, 4)
-    plain = mjx_warp.Rollout
-
-    def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
-        look(len(fleets))
-        return plain(run, fleets, slice_ns)
-
     monkeypatch.setattr(mjx_warp, "Rollout", rollout)
     scenes = {**tiny_scenes(("hand-one-box", "hand-bridge")), "five": make_scene(5)}
     found = simulate(engine(), scenes, SHORT)

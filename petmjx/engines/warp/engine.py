@@ -86,6 +86,11 @@ def _kinds(run: Run) -> list[str]:
     return sorted(run.capacities, key=int, reverse=True)
 
 
+def _halved(fleet: Fleet) -> Fleet:
+    """With half as many lanes, but for the fewest that are worth while."""
+    return replace(fleet, lanes=min(fleet.lanes, max(fleet.lanes // 2, MIN_LANES)))
+
+
 class MjxWarpEngine(MjxEngine):
     """Worlds on Warp's kernels.
 
@@ -249,11 +254,9 @@ class MjxWarpEngine(MjxEngine):
 
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            n_boxes, run = job.scene.n_boxes, group.run
-            has_room = n_boxes <= max(run.capacities.get(_kind(job), [0])) and n_boxes < len(
-                run.timetable.one_by_one_end
-            )
-            return known and has_room and job.record is None and group.recorder.idle
+            has_lanes = job.scene.n_boxes <= max(group.run.capacities.get(_kind(job), [0]))
+            has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
+            return known and has_lanes and has_times and job.record is None and group.recorder.idle
 
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
         taken = list(takewhile(fits, waiting(free)))
@@ -303,12 +306,11 @@ class MjxWarpEngine(MjxEngine):
                 if not is_out_of_memory(error):
                     raise
                 if not self._kept:
-                    fewer = tuple(replace(each, lanes=max(each.lanes // 2, MIN_LANES)) for each in fleets)
-                    if all(few.lanes >= each.lanes for few, each in zip(fewer, fleets, strict=True)):
+                    more, fleets = fleets, tuple(_halved(fleet) for fleet in fleets)
+                    if fleets == more:
                         if len(fleets) > 1:
                             raise  # each size alone may have room
                         return None
-                    fleets = tuple(min(pair, key=lambda each: each.lanes) for pair in zip(fewer, fleets, strict=True))
                 self._drop()  # programs of other sizes may be what takes the memory: once more without them
                 self.stages.clear()
                 self._warm.clear()

@@ -26,7 +26,6 @@ class Queues:
 
     def __init__(self, kinds: Sequence[str], kind_of: Callable[[Job], str], rows: int) -> None:
         self._kinds, self._kind_of = kinds, kind_of
-        self._lengths = [0] * len(kinds)
         self._host = np.full((len(kinds), rows), -1, np.int32)
         self.order: Int[jax.Array, "queue world"] = uploaded(self._host.copy())
 
@@ -36,7 +35,6 @@ class Queues:
         by_cost = np.argsort(-MEASURED.of_jobs(jobs, sim), kind="stable")
         for queue, kind in enumerate(self._kinds):
             rows = first_row + by_cost[kinds[by_cost] == kind]
-            begin = self._lengths[queue]
-            self._lengths[queue] += len(rows)
-            self._host[queue, begin : self._lengths[queue]] = rows
+            begin = np.count_nonzero(self._host[queue] >= 0)
+            self._host[queue, begin : begin + len(rows)] = rows
         self.order = uploaded(self._host.copy())
