@@ -92,6 +92,7 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
         pose=poses[0],
         vel=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)) * slow, jnp.float32),
         warm=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)) * hard, jnp.float32),
+        ahead=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)), jnp.float32),
         step=jnp.asarray(step),
         placed=jnp.asarray(np.where(some(0.5) | driven, n_boxes, rng.integers(0, n_boxes + 1)), jnp.int32),
         last_placed_at=jnp.asarray(landed, jnp.int32),

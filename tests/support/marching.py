@@ -65,9 +65,11 @@ class OneStep:
             carrier_pose=carrier_pose,
             carrier_vel=carrier_vel,
             carrier_warm=carrier_warm,
+            carrier_ahead=carrier_warm + 0,
             pose=pose,
             vel=vel,
             warm=warm,
+            ahead=warm + 0,
             step=jnp.zeros(1, jnp.int32),
             rest_from=jnp.zeros(1, jnp.int32),
         )

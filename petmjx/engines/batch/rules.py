@@ -67,6 +67,7 @@ class Rules:
             pose=jnp.where(chosen, worlds.start, state.pose),
             vel=jnp.where(chosen, 0.0, state.vel),
             warm=jnp.where(chosen, 0.0, state.warm),
+            ahead=jnp.where(chosen, 0.0, state.ahead),
             placed=state.placed + where,
             last_placed_at=jnp.where(where, state.step, state.last_placed_at),
             quiet_steps=jnp.where(where, 0, state.quiet_steps),

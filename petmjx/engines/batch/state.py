@@ -86,13 +86,16 @@ class Metrics(NamedTuple):
 class State(NamedTuple):
     """The state of worlds between stages. Steps are counted from the end of the soft start."""
 
-    # Positions and velocities as MuJoCo's qpos and qvel of free bodies, and the accelerations the solver starts from.
+    # Positions and velocities as MuJoCo's qpos and qvel of free bodies; the accelerations of the last step, from which the
+    # solver starts; and where they are heading, if it starts from there (mjx-warp).
     pose: Float[Array, "world box 7"]
     vel: Float[Array, "world box 6"]
     warm: Float[Array, "world box 6"]
+    ahead: Float[Array, "world box 6"]
     carrier_pose: Float[Array, "world 7"]
     carrier_vel: Float[Array, "world 6"]
     carrier_warm: Float[Array, "world 6"]
+    carrier_ahead: Float[Array, "world 6"]
 
     # Where bodies stand in the system of equations, for a solver that orders them (mjx-warp): a permutation of those
     # that are placed, in which a box that is placed comes last.
@@ -270,9 +273,11 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         pose=worlds.start,
         vel=jnp.zeros((n, width, 6)),
         warm=jnp.zeros((n, width, 6)),
+        ahead=jnp.zeros((n, width, 6)),
         carrier_pose=jnp.concatenate([worlds.carrier_pos, upright], axis=-1),
         carrier_vel=jnp.zeros((n, 6)),
         carrier_warm=jnp.zeros((n, 6)),
+        carrier_ahead=jnp.zeros((n, 6)),
         position=jnp.broadcast_to(jnp.arange(1, width + 1, dtype=jnp.int32), (n, width)),
         carrier_position=ints,
         step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),

@@ -147,9 +147,9 @@ def begin_step(
         start = vec6()
         for i in range(6):
             if geom == 1:
-                start[i] = state.carrier_warm[world, i]
+                start[i] = state.carrier_ahead[world, i]
             else:
-                start[i] = state.warm[world, geom - 2, i]
+                start[i] = state.ahead[world, geom - 2, i]
         turn = rotation(q)
         # as far as the box with its skin reaches, less the depth at which its contacts begin
         skin = skin_of(model, geom)
@@ -197,6 +197,9 @@ def _is_number(x: float) -> bool:
 def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bool) -> bool:
     """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
 
+    The solver's next start continues the line through the accelerations of this step and the last one. It takes a quarter
+    fewer iterations so than from those of this step (docs/performance.md).
+
     Args:
         measured: find the force on each box's top, too.
     """
@@ -243,6 +246,7 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
             for i in range(4):
                 state.carrier_pose[world, 3 + i] = after[i]
             for i in range(6):
+                state.carrier_ahead[world, i] = 2.0 * a[i] - state.carrier_warm[world, i]
                 state.carrier_warm[world, i] = a[i]
         else:
             box = geom - 2
@@ -253,6 +257,7 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
             for i in range(4):
                 state.pose[world, box, 3 + i] = after[i]
             for i in range(6):
+                state.ahead[world, box, i] = 2.0 * a[i] - state.warm[world, box, i]
                 state.warm[world, box, i] = a[i]
             if measured:
                 work.top_force[lane, box] = _top_force(work, lane, geom, block, at.held)

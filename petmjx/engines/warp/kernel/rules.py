@@ -138,6 +138,7 @@ def place_next(tables: Tables, state: State, world: int, step: int) -> None:
     for i in range(6):
         state.vel[world, box, i] = 0.0
         state.warm[world, box, i] = 0.0
+        state.ahead[world, box, i] = 0.0
     state.position[world, box] = box + 1
     state.placed[world] = box + 1
     state.last_placed_at[world] = step
