@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from petmjx.config import Simulation
+from petmjx.engines.base import GrowingJobs
 from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group
 from petmjx.errors import InputError
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
@@ -214,7 +215,8 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     small_device(monkeypatch, lambda _, room: room <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
-    jobs = [Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)]
+    # in jobs that may become more no slice begins before the one before was looked at, so the drive has not begun
+    jobs = GrowingJobs([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
     large, waits, ended = run_all(MjxWarpEngine(allow_cpu=True, slice_ns=LONG_NS), jobs, SHORT)
     assert large.reason is waits.reason is Reason.OUT_OF_MEMORY
     assert_same(ended, crowd["hand-one-box"])

@@ -212,8 +212,9 @@ class MjxWarpEngine(MjxEngine):
 
     def _march(self, run: Run, jobs: list[Job], waiting: Waiting, *, simulate: bool = True) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
-        worlds that ended in the one before, and from these more jobs may follow. With ``simulate`` off all worlds are
-        given up, since memory has run out."""
+        worlds that ended in the one before, and from these more jobs may follow. Where none can, and no world is
+        recorded, the next slice is under way already, so that the device does not wait for the host. With ``simulate``
+        off all worlds are given up, since memory has run out."""
         rows = min(SPARE_ROWS * len(jobs), self.group_size) if isinstance(run.jobs, GrowingJobs) else 0
         run = replace(run, capacities={kind: run.capacities[kind] for kind in {_kind(job) for job in jobs}})
         group = self._load_group(run, jobs, rows)
@@ -221,17 +222,19 @@ class MjxWarpEngine(MjxEngine):
         queues.add(jobs, 0, run.sim)
         emitted = np.zeros(len(group.table.status), bool)
         rollout = self._rollout(group) if simulate else None
+        at_once = 2 if group.recorder.idle and not isinstance(run.jobs, GrowingJobs) else 1
         try:
             if rollout is None:
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
-                rollout.start(group, queues.order)
+                self._begin(rollout, group, queues, at_once)
             while not emitted[: len(jobs)].all():
                 status = group.status() if rollout is None else rollout.wait(group)
                 frames = None if rollout is None or group.recorder.idle else pick_frames(rollout.frames)
-                full = np.flatnonzero(status == Status.OVERFLOWED)
-                if len(full):
-                    rollout = self._make_room(group, full)
+                if rollout is not None and (status == Status.OVERFLOWED).any():
+                    while rollout.under_way:
+                        status = rollout.wait(group)
+                    rollout = self._make_room(group, np.flatnonzero(status == Status.OVERFLOWED))
                     status = group.status()
                 ended = np.flatnonzero(group.handed_on(status) & ~emitted[: len(jobs)])
                 emitted[ended] = True
@@ -239,15 +242,23 @@ class MjxWarpEngine(MjxEngine):
                 if rollout is not None:
                     self._take(group, queues, waiting)
                     if not emitted[: len(jobs)].all():
-                        rollout.start(group, queues.order)
+                        self._begin(rollout, group, queues, at_once)
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield from outcomes(ended, picked, jobs, 0, run.timetable, run.sim, group.recorder)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
-                    rollout.start(group, queues.order)
+                    self._begin(rollout, group, queues, at_once)
+            while rollout is not None and rollout.under_way:
+                rollout.wait(group)  # no world runs in it
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
+
+    @staticmethod
+    def _begin(rollout: Rollout, group: Group, queues: Queues, at_once: int) -> None:
+        """Begin slices of time, so that this many are under way."""
+        while rollout.under_way < at_once:
+            rollout.start(group, queues.order)
 
     def _take(self, group: Group, queues: Queues, waiting: Waiting) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""

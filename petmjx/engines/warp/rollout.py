@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -89,8 +90,17 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     }
 
 
+class Slice(NamedTuple):
+    """What a slice of time that is under way will give beside states."""
+
+    began: float
+    status: Int[Array, " world"]
+    frames: dict[str, jax.Array]
+    counts: dict[str, jax.Array]
+
+
 class Rollout:
-    """Programs and buffers of a run.
+    """Programs and buffers of a run, and its slices of time that are under way, in their order.
 
     Args:
         fleets: those for the largest worlds first.
@@ -103,9 +113,16 @@ class Rollout:
         self.workspace = self.march.workspace().block_until_ready()
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._programs: dict[tuple[int, ...], Any] = {}
+        self._slices: deque[Slice] = deque()
+        self._last_end = 0.0
+
+    @property
+    def under_way(self) -> int:
+        """Slices that have begun and were not waited for."""
+        return len(self._slices)
 
     def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
-        """Begin a slice of time for all worlds of a group that run. ``wait`` waits for its end."""
+        """Begin a slice of time for all worlds of a group that run: behind those that are under way."""
         lanes = self.march.lanes
         if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
             group.frames = room_for(group, lanes)
@@ -117,8 +134,9 @@ class Rollout:
             self.march.load()
             self._programs[shapes] = self._advancing.lower(*arguments).compile()
             progress.compile_s += time.perf_counter() - begin
-        self.began = time.perf_counter()
-        group.table, self.workspace, self.status, self.frames, self.counts = self._programs[shapes](*arguments)
+        began = time.perf_counter()
+        group.table, self.workspace, status, frames, counts = self._programs[shapes](*arguments)
+        self._slices.append(Slice(began, status, frames, counts))
 
     def close(self) -> None:
         """Wait for a slice that is under way, and free the lanes' memory."""
@@ -127,15 +145,17 @@ class Rollout:
             self.workspace.delete()
 
     def wait(self, group: Group) -> NDArray[np.int32]:
-        """Statuses of a group's worlds after the slice."""
-        status = np.array(self.status)[: len(group.jobs)]
+        """Statuses of a group's worlds after the first slice that is under way. Its frames and counts are there then."""
+        began, statuses, self.frames, self.counts = self._slices.popleft()
+        status = np.array(statuses)[: len(group.jobs)]
+        self._last_end, began = time.perf_counter(), max(began, self._last_end)
         progress = group.run.progress
         steps, iterations, contacts = (int(self.counts[name][0]) for name in ("steps", "iterations", "contacts"))
         running = int((status == Status.RUNNING).sum())
         progress.message = f"{running} worlds to go"
         progress.world_steps += steps
         extra = progress.extra
-        sums = {"seconds": time.perf_counter() - self.began, "steps": steps, "iterations": iterations}
+        sums = {"seconds": self._last_end - began, "steps": steps, "iterations": iterations}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
         extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
