@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -299,9 +300,10 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     left = TABLES_BYTES + whole // 2
     ballast = []
     for piece in (1 << 30, 1 << 26, 1 << 22):
-        while (free := free_bytes()) > left + piece:
-            ballast.append(jax.block_until_ready(jnp.zeros(piece, jnp.uint8)))
-    assert free < left + (1 << 22)
+        with suppress(jax.errors.JaxRuntimeError):  # what is free may be in smaller pieces
+            while free_bytes() > left + piece:
+                ballast.append(jax.block_until_ready(jnp.zeros(piece, jnp.uint8)))
+    assert free_bytes() < left + (1 << 22)
     tried = []
 
     def look(n_boxes: int, room: int, wanted: int) -> None:

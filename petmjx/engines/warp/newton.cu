@@ -181,22 +181,70 @@ inline CUDA_CALLABLE void hessian(const World& world, const System& system, int 
     wait_for_all();
 }
 
+// What stays while contacts and the order of bodies do.
+template <int PANELS>
+struct Layout {
+    int top[PANELS], base[PANELS + 1];  // of the system
+    int widest;  // most panels that reach up to those of a row
+    int pairs;  // of moving bodies that touch
+    double trace;  // of M
+};
+
+// Finds it, and the first contact of each pair: the contacts of a pair follow one another. `low`: by position, the lowest
+// that a body touches, or its own. `at_once`: panels that are factored at a time.
+template <int PANELS>
+inline CUDA_CALLABLE void lay_out(
+    const World& world, const int* low, int at_once, Layout<PANELS>& layout, double* partial, int thread, int threads
+) {
+    const int panels = (world.n + B - 1) / B;
+    int* top = layout.top;
+    #pragma unroll 1
+    for (int K = thread; K < panels; K += threads) {
+        int first = low[K * B / 6];
+        const int end = (K * B + B - 1) / 6, last = end < world.bodies - 1 ? end : world.bodies - 1;
+        #pragma unroll 1
+        for (int b = K * B / 6 + 1; b <= last; ++b) first = low[b] < first ? low[b] : first;
+        top[K] = 6 * first / B;
+        layout.base[K] = (K + 1 - top[K]) * B * B;
+    }
+    if (thread == 0) layout.pairs = layout.widest = 0;
+    wait_for_all();
+    prefix_sums(layout.base, panels, thread);
+    #pragma unroll 1
+    for (int K = at_once * thread; K < panels; K += at_once * threads) {
+        int reaching = 0;
+        #pragma unroll 1
+        for (int J = K + at_once; J < panels; ++J) reaching += top[J] < K + at_once;
+        take_larger(layout.widest, reaching);
+    }
+    const int* block = world.block;
+    #pragma unroll 1
+    for (int k = thread; k < world.contacts; k += threads) {
+        const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
+        if (begins && block[2 * k] >= 0) world.pair[take_number(layout.pairs)] = k;
+    }
+    double trace[1] = {0.0};
+    #pragma unroll 1
+    for (int i = thread; i < world.n; i += threads) trace[0] += world.mass[i];
+    sum_over_block(thread, threads, partial, trace);
+    if (thread == 0) layout.trace = trace[0];
+    wait_for_all();
+}
+
 // Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
-// sizes on the Python side. `limit`: most iterations. `near`: shared memory for `near_words` numbers, where the strip and
-// the Hessian go if they fit.
+// sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
+// last call. `near`: shared memory for `near_words` numbers, where the strip and the Hessian go if they fit.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    int lane, int thread, int threads, int limit, const Model& model, const Workspace& work, float* near, int near_words
+    int lane, int thread, int threads, int limit, bool changed, const Model& model, const Workspace& work, float* near,
+    int near_words
 ) {
     static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;
     PETMJX_SHARED alignas(16) float rhs[PANELS * B];
-    PETMJX_SHARED int top[PANELS];
-    PETMJX_SHARED int base[PANELS + 1];
-    PETMJX_SHARED int pairs;
-    PETMJX_SHARED int widest;  // most panels that reach up to those of a row
     PETMJX_SHARED double partial[3 * MOST_WARPS];
+    PETMJX_SHARED Layout<PANELS> layout;
 
     const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
@@ -231,49 +279,23 @@ inline CUDA_CALLABLE void newton(
     double* jv = world.jv;
     System system;
     system.panels = (n + B - 1) / B;
-    system.top = top;
-    system.base = base;
+    system.top = layout.top;
+    system.base = layout.base;
     system.rhs = rhs;
 
     if (thread == 0) work.iterations.data[at] = 0;
     if (bodies == 0) return;
-    double trace[1] = {0.0};
     #pragma unroll 1
-    for (int i = thread; i < n; i += threads) {
-        trace[0] += world.mass[i];
+    for (int i = thread; i < n; i += threads)
         if (world.begin_of[i / 6] == world.begin_of[i / 6 + 1]) a[i] = world.idle[i];
-    }
-    #pragma unroll 1
-    for (int K = thread; K < system.panels; K += threads) {
-        int first = low[K * B / 6];
-        const int last = (K * B + B - 1) / 6 < bodies - 1 ? (K * B + B - 1) / 6 : bodies - 1;
-        #pragma unroll 1
-        for (int b = K * B / 6 + 1; b <= last; ++b) first = low[b] < first ? low[b] : first;
-        top[K] = 6 * first / B;
-        base[K] = (K + 1 - top[K]) * B * B;
-    }
-    if (thread == 0) pairs = widest = 0;
-    wait_for_all();
-    prefix_sums(base, system.panels, thread);
-    #pragma unroll 1
-    for (int K = at_once * thread; K < system.panels; K += at_once * threads) {
-        int reaching = 0;
-        #pragma unroll 1
-        for (int J = K + at_once; J < system.panels; ++J) reaching += top[J] < K + at_once;
-        take_larger(widest, reaching);
-    }
-    sum_over_block(thread, threads, partial, trace);
-    const double enough = model.tolerance * trace[0];  // MuJoCo measures costs in units of the inertia's trace
-    const int strip_words = at_once * widest * TILE;
-    const bool strip_fits = strip_words <= near_words, fits = base[system.panels] + strip_words <= near_words;
+    // On a CPU nothing is shared, and so nothing is kept.
+    if (changed || WARP == 1) lay_out(world, low, at_once, layout, partial, thread, threads);
+    else wait_for_all();
+    const double enough = model.tolerance * layout.trace;  // MuJoCo measures costs in units of the inertia's trace
+    const int strip_words = at_once * layout.widest * TILE, pairs = layout.pairs;
+    const bool strip_fits = strip_words <= near_words, fits = layout.base[system.panels] + strip_words <= near_words;
     system.strip = strip_fits ? near : work.strip.data + at * work.strip.shape[1];
     system.A = fits ? near + strip_words : work.hessian.data + at * work.hessian.shape[1];
-    // The first contact of each pair of moving bodies: the contacts of a pair follow one another.
-    #pragma unroll 1
-    for (int k = thread; k < contacts; k += threads) {
-        const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
-        if (begins && block[2 * k] >= 0) world.pair[take_number(pairs)] = k;
-    }
     #pragma unroll 1
     for (int k = thread; k < contacts; k += threads) {
         relative(row + ROW * k, block + 2 * k, a, jar + 3 * k);

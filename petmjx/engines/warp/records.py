@@ -187,6 +187,7 @@ class Workspace:
     pair_of: Annotated[wp.array2d[int], "lane geom_end"]  # the first pair of each lower geom
     lower: Annotated[wp.array2d[int], "lane pair"]  # the pairs of each higher geom
     lower_of: Annotated[wp.array2d[int], "lane geom_end"]  # where they begin
+    touching: Annotated[wp.array2d[int], "lane pair"]  # contacts of each pair
     contact_of: Annotated[wp.array2d[int], "lane pair_end"]  # the first contact of each pair
     pair_at: Annotated[wp.array2d[int], "lane slot"]  # of a contact
     blocks: Annotated[wp.array3d[int], "lane slot 2"]  # of a contact, lower first; negative: does not move

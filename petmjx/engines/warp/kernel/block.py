@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from petmjx.engines.warp.records import Lane
+
 
 @wp.func_native("petmjx::wait_for_all();")
 def wait_for_all() -> None: ...
@@ -19,3 +21,9 @@ def prefix_sums(values: wp.array2d[int], row: int, count: int, thread: int) -> N
 
 @wp.func_native("return petmjx::elapsed(clock.data);")
 def elapsed(clock: wp.array[int]) -> wp.int64: ...
+
+
+@wp.func
+def among_warps(at: Lane) -> int:
+    """A thread's number if neighbours are in different warps: each warp gets as much of what is too little for all threads."""
+    return at.thread % 32 * (at.threads // 32) + at.thread // 32

@@ -14,7 +14,7 @@ import warp as wp
 from mujoco.mjx.third_party.mujoco_warp._src.collision_primitive_core import box_box, mat83f, plane_box, vec8f
 from mujoco.mjx.third_party.mujoco_warp._src.math import make_frame
 
-from petmjx.engines.warp.kernel.block import prefix_sums, wait_for_all
+from petmjx.engines.warp.kernel.block import among_warps, any_of_all, prefix_sums, wait_for_all
 from petmjx.engines.warp.kernel.motion import ROOM, angular_velocity, half_size, linear_velocity, mass_of, skin_of
 from petmjx.engines.warp.kernel.ordering import block_position
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
@@ -93,18 +93,24 @@ def list_pairs(model: Model, work: Workspace, at: Lane, apart: float) -> int:
 
 
 @wp.func
-def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: int) -> int:
-    """Find where pairs touch; returns the number of contacts, which may be more than fit.
+def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: int, anew: bool) -> bool:
+    """Find where pairs touch; returns whether contacts have other places than a step ago.
 
     Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
-    petmjx/world/model.py). ``pair_at`` is the pair of each contact that fits.
+    petmjx/world/model.py). ``contact_of`` of the pair behind the last one is the number of contacts, which may be more than
+    fit. ``pair_at`` is the pair of each contact that fits.
+
+    Args:
+        anew: pairs were listed for this step.
     """
     lane = at.lane
-    for pair in range(at.thread, n_pairs, at.threads):
+    changed = bool(anew)
+    for pair in range(among_warps(at), n_pairs, at.threads):
         one = work.first[lane, pair]
         two = work.second[lane, pair]
         if not _near(model, work, at, one, two, NEAR):
-            work.contact_of[lane, pair] = 0
+            changed = changed or work.touching[lane, pair] != 0
+            work.touching[lane, pair] = 0
             continue
         found = int(8)
         distances = vec8f()
@@ -135,7 +141,12 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
                 work.points[lane, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
                 count += 1
         work.normal[lane, pair] = normal
-        work.contact_of[lane, pair] = count
+        changed = changed or work.touching[lane, pair] != count
+        work.touching[lane, pair] = count
+    if not any_of_all(changed):
+        return False
+    for pair in range(at.thread, n_pairs, at.threads):
+        work.contact_of[lane, pair] = work.touching[lane, pair]
     wait_for_all()
     prefix_sums(work.contact_of, lane, n_pairs, at.thread)
     wait_for_all()
@@ -145,7 +156,7 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         for slot in range(begin, end):
             work.pair_at[lane, slot] = pair
     wait_for_all()
-    return work.contact_of[lane, n_pairs]
+    return True
 
 
 @wp.func

@@ -83,7 +83,8 @@ def advance(
     measured = sample or step > state.rest_from[at.world] or every > 0
     left = any_of_all(begin_step(model, tables, state, work, at, gravity, push, sample))
     n_pairs = listed
-    if left or n_pairs < 0:
+    anew = left or n_pairs < 0
+    if anew:
         n_pairs = list_pairs(model, work, at, APART)
         listed = n_pairs
         if n_pairs > model.pairs:
@@ -93,7 +94,8 @@ def advance(
         if n_pairs > model.pairs:
             overflow(state, at)
             return -1
-    n_contacts = collide(model, tables, work, at, n_pairs)
+    changed = collide(model, tables, work, at, n_pairs, anew)
+    n_contacts = work.contact_of[at.lane, n_pairs]
     if at.thread == 0:
         work.contacts[at.lane] = n_contacts
         wp.atomic_max(counts.contacts, 0, n_contacts)
@@ -103,9 +105,11 @@ def advance(
     make_rows(model, tables, state, work, at, n_contacts)
     if step % RENEWED_EVERY == 0:
         renew_order(state, work, at, n_pairs)
-    link_blocks(state, work, at)
+        changed = True
+    if changed:
+        link_blocks(state, work, at)
     limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
-    newton(at.lane, at.thread, at.threads, limit, model, work, near, near_words)
+    newton(at.lane, at.thread, at.threads, limit, changed, model, work, near, near_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
     after_step(model, tables, state, work, at, astray)

@@ -12,12 +12,22 @@ from petmjx.engines.warp.records import PANEL, ROW_WORDS, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {ROW_WORDS}>"
-    "(lane, thread, threads, limit, model, work, near.data.ptr, near_words);"
+    "(lane, thread, threads, limit, changed, model, work, near.data.ptr, near_words);"
 )
 def newton(
-    lane: int, thread: int, threads: int, limit: int, model: Model, work: Workspace, near: Any, near_words: int
+    lane: int,
+    thread: int,
+    threads: int,
+    limit: int,
+    changed: bool,
+    model: Model,
+    work: Workspace,
+    near: Any,
+    near_words: int,
 ) -> None:
     """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
+
+    ``changed``: contacts, or the order of blocks, are others than at the last call.
 
     Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of
     each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as scratch, and
