@@ -234,11 +234,12 @@ inline CUDA_CALLABLE void lay_out(
 // Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
 // sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
-// last call. `near`: shared memory for `near_words` numbers, where the strip and the Hessian go if they fit.
+// last call. `forces`: they are wanted, too. `near`: shared memory for `near_words` numbers, where the strip and the Hessian
+// go if they fit.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    int lane, int thread, int threads, int limit, bool changed, const Model& model, const Workspace& work, float* near,
-    int near_words
+    int lane, int thread, int threads, int limit, bool changed, bool forces, const Model& model, const Workspace& work,
+    float* near, int near_words
 ) {
     static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;
@@ -304,6 +305,8 @@ inline CUDA_CALLABLE void newton(
     bool last = false;
     #pragma unroll 1
     for (int iteration = 0;; ++iteration) {
+        const bool ends = last || iteration >= limit;
+        if (ends && !forces) break;
         #pragma unroll 1
         for (int k = thread; k < contacts; k += threads) {
             double push[3], bend[6];
@@ -314,7 +317,7 @@ inline CUDA_CALLABLE void newton(
             for (int i = 0; i < 6; ++i) world.curve[6 * k + i] = (float)bend[i];
         }
         wait_for_all();
-        if (last || iteration >= limit) break;
+        if (ends) break;
         double bound[1] = {gradient(world, rhs, thread, threads)};
         sum_over_block(thread, threads, partial, bound);
         // Since H ≥ M, the cost can decrease by at most this.

@@ -145,7 +145,7 @@ class Rollout:
             self.workspace.delete()
 
     def wait(self, group: Group) -> NDArray[np.int32]:
-        """Statuses of a group's worlds after the first slice that is under way. Its frames and counts are there then."""
+        """Statuses of a group's worlds after the first slice under way, whose frames and counts are there then."""
         began, statuses, self.frames, self.counts = self._slices.popleft()
         status = np.array(statuses)[: len(group.jobs)]
         self._last_end, began = time.perf_counter(), max(began, self._last_end)

@@ -25,5 +25,5 @@ def elapsed(clock: wp.array[int]) -> wp.int64: ...
 
 @wp.func
 def among_warps(at: Lane) -> int:
-    """A thread's number if neighbours are in different warps: each warp gets as much of what is too little for all threads."""
+    """A thread's number if neighbours are in different warps, which share evenly what is too little for all threads."""
     return at.thread % 32 * (at.threads // 32) + at.thread // 32

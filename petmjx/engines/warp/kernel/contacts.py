@@ -97,8 +97,8 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
     """Find where pairs touch; returns whether contacts have other places than a step ago.
 
     Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
-    petmjx/world/model.py). ``contact_of`` of the pair behind the last one is the number of contacts, which may be more than
-    fit. ``pair_at`` is the pair of each contact that fits.
+    petmjx/world/model.py). ``contact_of`` of the pair behind the last one is the number of contacts, which may be more
+    than fit. ``pair_at`` is the pair of each contact that fits.
 
     Args:
         anew: pairs were listed for this step.

@@ -109,7 +109,7 @@ def advance(
     if changed:
         link_blocks(state, work, at)
     limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
-    newton(at.lane, at.thread, at.threads, limit, changed, model, work, near, near_words)
+    newton(at.lane, at.thread, at.threads, limit, changed, measured, model, work, near, near_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
     after_step(model, tables, state, work, at, astray)

@@ -197,8 +197,8 @@ def _is_number(x: float) -> bool:
 def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bool) -> bool:
     """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
 
-    The solver's next start continues the line through the accelerations of this step and the last one. It takes a quarter
-    fewer iterations so than from those of this step (docs/performance.md).
+    The solver's next start continues the line through the accelerations of the last step and this one. From there it
+    takes a quarter fewer iterations than from those of this step (docs/performance.md).
 
     Args:
         measured: find the force on each box's top, too.

@@ -12,7 +12,7 @@ from petmjx.engines.warp.records import PANEL, ROW_WORDS, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {ROW_WORDS}>"
-    "(lane, thread, threads, limit, changed, model, work, near.data.ptr, near_words);"
+    "(lane, thread, threads, limit, changed, forces, model, work, near.data.ptr, near_words);"
 )
 def newton(
     lane: int,
@@ -20,6 +20,7 @@ def newton(
     threads: int,
     limit: int,
     changed: bool,
+    forces: bool,
     model: Model,
     work: Workspace,
     near: Any,
@@ -27,7 +28,8 @@ def newton(
 ) -> None:
     """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
 
-    ``changed``: contacts, or the order of blocks, are others than at the last call.
+    ``changed``: contacts, or the order of blocks, are others than at the last call. ``forces``: those of contacts are
+    wanted, too.
 
     Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of
     each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as scratch, and
