@@ -9,17 +9,20 @@ import numpy as np
 import pytest
 
 from petmjx.engines.base import GrowingJobs
+from petmjx.history import Record
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Excitation, Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
-from support.fake_stepper import assert_same
-from support.plans import make_scene
+from support.fake_stepper import assert_same, run_all
+from support.plans import heap, make_scene
 from support.tiny_worlds import (
+    LONG_NS,
     SHORT,
     TINY,
     assert_equal_worlds,
+    devices,
     engine,
     shared_engine,
     sizes_apart,
@@ -30,6 +33,7 @@ from support.worlds import simulate
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.queues import Queues
+from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.shape import Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
@@ -41,6 +45,39 @@ def test_slices_of_any_length_give_the_same(slice_ns: int, crowd: dict[str, Outc
     """On a CPU 7 ms are eight steps, since there each look at the clock but the first takes a millisecond."""
     some = ("hand-overhang-45", "hand-falls-off")
     assert_equal_worlds(simulate(engine(slice_ns=slice_ns), tiny_scenes(some), SHORT), crowd)
+
+
+@pytest.mark.slow
+@devices
+def test_what_is_kept_from_step_to_step_changes_nothing(device: str) -> None:
+    """In a slice of one step nothing is kept; in a long one the order of bodies changes, and contacts come and go."""
+    options = {} if device == "gpu" else {"allow_cpu": True}
+    scene = {"heap": make_scene(heap(24))}
+    static = SHORT.changed(check="static", duration_s=0.3)
+    kept, anew = (simulate(MjxWarpEngine(1, slice_ns=time, **options), scene, static) for time in (LONG_NS, 0))
+    assert_equal_worlds(kept, anew)
+    assert kept["heap"].boxes.shift_m.max() > 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["a list", "jobs that may become more", "a recorded world"])
+def test_the_next_slice_is_under_way_where_nothing_can_come_between(
+    kind: str, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    under_way: list[int] = []
+    wait = Rollout.wait
+
+    def watched(self: Rollout, group: Any) -> Any:
+        under_way.append(self.under_way)
+        return wait(self, group)
+
+    monkeypatch.setattr(Rollout, "wait", watched)
+    record = Record(0.05) if kind == "a recorded world" else None
+    jobs = [Job(scene, record=record) for scene in tiny_scenes(TINY[:2]).values()]
+    found = run_all(engine(slice_ns=100_000_000), GrowingJobs(jobs) if "more" in kind else jobs, SHORT)
+    assert_equal_worlds(dict(zip(TINY[:2], found, strict=True)), crowd)
+    assert len(under_way) > 3
+    assert set(under_way[:-1]) == ({2} if kind == "a list" else {1})
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -41,6 +42,7 @@ from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.march import March
 from petmjx.engines.warp.records import MAX_BOXES, lane_bytes
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.shape import Shape
@@ -208,18 +210,20 @@ def test_a_device_without_any_room_gives_invalid_worlds(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("grows", [False, True])
 def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
-    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+    grows: bool, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """One world has its outcome already, one waits for its drive, and one needs more room than there is."""
+    """One world has its outcome already, one waits for its drive, and one needs more room than there is. If no more
+    jobs may come the slice in which the drive ends is under way when that is seen."""
     monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 2)
     small_device(monkeypatch, lambda _, room: room <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
-    # in jobs that may become more no slice begins before the one before was looked at, so the drive has not begun
-    jobs = GrowingJobs([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
+    jobs = (GrowingJobs if grows else list)([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
     large, waits, ended = run_all(MjxWarpEngine(allow_cpu=True, slice_ns=LONG_NS), jobs, SHORT)
-    assert large.reason is waits.reason is Reason.OUT_OF_MEMORY
+    assert large.reason is Reason.OUT_OF_MEMORY
+    assert (waits.reason is Reason.OUT_OF_MEMORY) == grows
     assert_same(ended, crowd["hand-one-box"])
 
 
@@ -241,6 +245,26 @@ def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
     found = run_all(engine(slice_ns=100_000_000), [Job(scene) for scene in tiny_scenes().values()], SHORT)
     assert_equal_worlds(dict(zip(TINY, found, strict=True)), crowd)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slice_number", [1, 2, 4])
+def test_a_slice_in_which_memory_runs_out_loses_nothing(
+    slice_number: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """The lanes' memory and the tables are lost with it; another slice may have begun behind it."""
+    launch, launched = March.launch, itertools.count(1)
+
+    def fails_once(self: March, arrays: dict[str, Any]) -> None:
+        if next(launched) == slice_number:
+            raise out_of_memory()
+        launch(self, arrays)
+
+    monkeypatch.setattr(March, "launch", fails_once)
+    begun = engine(slice_ns=100_000_000)
+    assert_equal_worlds(simulate(begun, tiny_scenes(), SHORT), crowd)
+    assert_equal_worlds(simulate(begun, tiny_scenes(TINY[:2]), SHORT), crowd)
+    assert next(launched) > slice_number + 2
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 from support.marching import OneStep
-from support.plans import Box
+from support.plans import Box, heap
 from support.worlds import make_plan
 
 from petmjx.engines.batch.capacities import GRANULE
@@ -75,20 +75,6 @@ BRICKS: tuple[Box, ...] = (
     ((400, 180, 90), (320, 10, 250), 6.0),
 )
 """Two rows of bricks, a light box between heavy ones, and one that leans over the edge and tips."""
-
-
-def heap(n: int = 40) -> tuple[Box, ...]:
-    """Boxes of random sizes in uneven layers, which fall a little, tip and slide."""
-    rng = np.random.default_rng(3)
-    boxes = []
-    for k in range(n):
-        layer, place = divmod(k, 12)
-        x, y = divmod(place, 4)
-        size = rng.integers(140, 260, 3)
-        aside = rng.integers(0, 60, 2)
-        corner = (280.0 * x + aside[0], 200.0 * y + aside[1], 265.0 * layer)
-        boxes.append((tuple(map(float, size)), corner, rng.uniform(1, 10)))
-    return tuple(boxes)
 
 
 def exact(scene: Scene, physics: Physics) -> tuple[mujoco.MjModel, mujoco.MjData]:

@@ -50,6 +50,20 @@ def make_plan(plan_id: str = "00000001", boxes: int | Sequence[Box] = 3) -> Plan
     )
 
 
+def heap(n: int = 40) -> tuple[Box, ...]:
+    """Boxes of random sizes in uneven layers, which fall a little, tip and slide."""
+    rng = np.random.default_rng(3)
+    boxes = []
+    for k in range(n):
+        layer, place = divmod(k, 12)
+        x, y = divmod(place, 4)
+        size = rng.integers(140, 260, 3)
+        aside = rng.integers(0, 60, 2)
+        corner = (280.0 * x + aside[0], 200.0 * y + aside[1], 265.0 * layer)
+        boxes.append((tuple(map(float, size)), corner, rng.uniform(1, 10)))
+    return tuple(boxes)
+
+
 def make_scene(boxes: int | Sequence[Box], sim: Simulation | None = None) -> Scene:
     """The unchanged scene of these boxes."""
     return build_scene(make_plan(boxes=boxes), sim or Simulation())

@@ -286,9 +286,11 @@ class Stage:
             pose=pose,
             vel=vel,
             warm=warm,
+            ahead=warm,
             carrier_pose=carrier_pose,
             carrier_vel=carrier_vel,
             carrier_warm=carrier_warm,
+            carrier_ahead=carrier_warm,
             step=state.step + state.running,
         )
         # Read in every step, though few count: a condition would make the host wait for the device in each step.

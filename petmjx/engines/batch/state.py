@@ -86,8 +86,8 @@ class Metrics(NamedTuple):
 class State(NamedTuple):
     """The state of worlds between stages. Steps are counted from the end of the soft start."""
 
-    # Positions and velocities as MuJoCo's qpos and qvel of free bodies; the accelerations of the last step, from which
-    # the solver starts; and where they are heading, if it starts from there (mjx-warp).
+    # Positions and velocities as MuJoCo's qpos and qvel of free bodies; the accelerations of the last step; and those
+    # from which mjx-warp's solver starts in the next one. Other solvers start from the last step's.
     pose: Float[Array, "world box 7"]
     vel: Float[Array, "world box 6"]
     warm: Float[Array, "world box 6"]

@@ -134,9 +134,9 @@ class MjxWarpEngine(MjxEngine):
 
     def _drop(self) -> None:
         """Free the memory of the programs that are kept."""
-        for _, rollout in self._kept.values():
+        while self._kept:
+            _, (_, rollout) = self._kept.popitem()
             rollout.close()
-        self._kept.clear()
 
     def default_lanes(self, capacity: int) -> int:
         return STOCK_LANES
@@ -243,13 +243,14 @@ class MjxWarpEngine(MjxEngine):
                     self._take(group, queues, waiting)
                     if not emitted[: len(jobs)].all():
                         self._begin(rollout, group, queues, at_once)
+                    else:
+                        while rollout.under_way:  # no world runs in it
+                            rollout.wait(group)
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield from outcomes(ended, picked, jobs, 0, run.timetable, run.sim, group.recorder)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
                     self._begin(rollout, group, queues, at_once)
-            while rollout is not None and rollout.under_way:
-                rollout.wait(group)  # no world runs in it
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise

@@ -36,7 +36,7 @@ from petmjx.engines.warp.shape import Shape, kernel
 from petmjx.engines.warp.streams import load_streams, side_by_side
 
 SLICE_NS = 250_000_000
-"""Time of a call: short enough for a progress bar, and to stop. The device waits some milliseconds between two."""
+"""Time of a call: short enough for a progress bar, and to stop."""
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,8 @@ inline CUDA_CALLABLE void hessian(const World& world, const System& system, int 
     wait_for_all();
 }
 
-// What stays while contacts and the order of bodies do.
+// What a lane's system looks like, from call to call: found again when a world's contacts or the order of its bodies have
+// changed. They always have in a lane's first step of a world.
 template <int PANELS>
 struct Layout {
     int top[PANELS], base[PANELS + 1];  // of the system
@@ -190,8 +191,8 @@ struct Layout {
     double trace;  // of M
 };
 
-// Finds it, and the first contact of each pair: the contacts of a pair follow one another. `low`: by position, the lowest
-// that a body touches, or its own. `at_once`: panels that are factored at a time.
+// Finds the layout, and the first contact of each pair: the contacts of a pair follow one another. `low`: by position, the
+// lowest that a body touches, or its own. `at_once`: panels that are factored at a time.
 template <int PANELS>
 inline CUDA_CALLABLE void lay_out(
     const World& world, const int* low, int at_once, Layout<PANELS>& layout, double* partial, int thread, int threads
@@ -234,7 +235,7 @@ inline CUDA_CALLABLE void lay_out(
 // Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
 // sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
-// last call. `forces`: they are wanted, too. `near`: shared memory for `near_words` numbers, where the strip and the Hessian
+// last call. `forces`: those of the accelerations that it ends with are wanted, too. `near`: shared memory for `near_words` numbers, where the strip and the Hessian
 // go if they fit.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(

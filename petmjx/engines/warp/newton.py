@@ -5,15 +5,16 @@ without contacts, r the reference accelerations of the contacts, and s the cost 
 "Computation", section "Constraint model"). Newton's direction solves H·x = gradient with H = M + Jᵀ·s″·J; a line
 search follows.
 
-Four things make it fast:
+Five things make it fast:
 
+- It starts where accelerations are heading: on the line through those of the last two steps. While boxes come to rest
+  they change smoothly, and the start is off by what bends the line.
 - A contact touches two bodies. So J is kept as 27 numbers per contact, and a product with J costs that much.
 - H is block-sparse, and bodies are in order of their contacts (kernel/ordering.py), so H has a narrow envelope: a
   column is zero above the rows of the first body that its body touches, and its factor fills in only below them.
   Cholesky runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This says before each
-  factorisation whether it can help. At rest it seldom can.
-
+  factorisation whether it can help.
 - Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm, μ·p·|j|. Its curvature
   μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to that of sticking within a tiny step, so that line searches end
   at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and more while a pallet slides. So j/|j| in it is

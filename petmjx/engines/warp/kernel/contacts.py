@@ -14,7 +14,7 @@ import warp as wp
 from mujoco.mjx.third_party.mujoco_warp._src.collision_primitive_core import box_box, mat83f, plane_box, vec8f
 from mujoco.mjx.third_party.mujoco_warp._src.math import make_frame
 
-from petmjx.engines.warp.kernel.block import among_warps, any_of_all, prefix_sums, wait_for_all
+from petmjx.engines.warp.kernel.block import any_of_all, prefix_sums, wait_for_all, warp_by_warp
 from petmjx.engines.warp.kernel.motion import ROOM, angular_velocity, half_size, linear_velocity, mass_of, skin_of
 from petmjx.engines.warp.kernel.ordering import block_position
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
@@ -94,18 +94,18 @@ def list_pairs(model: Model, work: Workspace, at: Lane, apart: float) -> int:
 
 @wp.func
 def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: int, anew: bool) -> bool:
-    """Find where pairs touch; returns whether contacts have other places than a step ago.
+    """Find where pairs touch; returns whether contacts have other slots than a step ago.
 
     Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
-    petmjx/world/model.py). ``contact_of`` of the pair behind the last one is the number of contacts, which may be more
-    than fit. ``pair_at`` is the pair of each contact that fits.
+    petmjx/world/model.py). ``contact_of[lane, n_pairs]`` is the number of contacts, which may be more than fit.
+    ``pair_at`` is the pair of each contact that fits.
 
     Args:
         anew: pairs were listed for this step.
     """
     lane = at.lane
     changed = bool(anew)
-    for pair in range(among_warps(at), n_pairs, at.threads):
+    for pair in range(warp_by_warp(at), n_pairs, at.threads):
         one = work.first[lane, pair]
         two = work.second[lane, pair]
         if not _near(model, work, at, one, two, NEAR):

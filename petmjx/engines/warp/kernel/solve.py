@@ -29,7 +29,7 @@ def newton(
     """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
 
     ``changed``: contacts, or the order of blocks, are others than at the last call. ``forces``: those of contacts are
-    wanted, too.
+    wanted, too; else ``force`` may be of the accelerations before the last iteration.
 
     Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of
     each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as scratch, and
