@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 from collections.abc import Callable
 from contextlib import suppress
@@ -318,6 +319,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     some = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(20)}
     some["large"] = make_scene(120)
     alone = simulate(MjxWarpEngine(), some, SHORT)
+    gc.collect()  # that engine's memory, which would else become free in the middle of the next run
     crowded = MjxWarpEngine()
     lanes, room = Shape.here(120).lanes, 120 + mjx_warp.MORE_BOXES
     whole = lanes * lane_bytes(120, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
