@@ -147,7 +147,8 @@ def _outcomes(
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
     """A group's first states: fresh ones, and for jobs that start from a kept state that one.
 
-    Kept states are on the host, and are forked there (see ``upload_worlds``).
+    Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device only
+    if a job needs them: rows behind the jobs', which never run, may have any state.
     """
     starts: list[Any] = list({id(job.start): job.start for job in jobs if job.start is not None}.values())
     if not starts:
@@ -155,7 +156,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     row_of = {id(start): row for row, start in enumerate(starts)}
     spare = [0] * (len(fresh.step) - len(jobs))
     source = np.array([row_of.get(id(job.start), 0) for job in jobs] + spare)
-    forked = np.array([job.start is not None for job in jobs] + spare, bool)
+    forked = np.array([job.start is not None for job in jobs] + [True] * len(spare))
 
     def fork(new: jax.Array, *kept: Any) -> jax.Array:
         stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)

@@ -235,8 +235,8 @@ inline CUDA_CALLABLE void lay_out(
 // Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
 // sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
-// last call. `forces`: those of the accelerations that it ends with are wanted, too. `near`: shared memory for `near_words` numbers, where the strip and the Hessian
-// go if they fit.
+// last call. `forces`: those of the accelerations that it ends with are wanted, too. `near`: shared memory for
+// `near_words` numbers, where the strip and the Hessian go if they fit.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
     int lane, int thread, int threads, int limit, bool changed, bool forces, const Model& model, const Workspace& work,

@@ -29,8 +29,8 @@ TOLERANCE = 1e-8
 
 DRIVEN_ITERATIONS = 7
 """Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20 and more for the last
-digits of accelerations, and what becomes of it does not depend on them. What the limit costs in accuracy and gains in
-speed: docs/performance.md."""
+digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,598 have the verdict of ``mujoco``, which takes as many as it
+needs. What the limit costs and gains: docs/performance.md, "Sliding contacts"."""
 
 
 def friction_damping(physics: Physics) -> float:
