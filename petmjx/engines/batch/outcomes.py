@@ -147,8 +147,8 @@ def _outcomes(
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
     """A group's first states: fresh ones, and for jobs that start from a kept state that one.
 
-    Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device only
-    if a job needs them: rows behind the jobs', which never run, may have any state.
+    Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device
+    only if a job needs them: rows behind the jobs', which never run, may have any state.
     """
     starts: list[Any] = list({id(job.start): job.start for job in jobs if job.start is not None}.values())
     if not starts:
