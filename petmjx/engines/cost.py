@@ -175,9 +175,9 @@ class Costs:
 MEASURED = Costs()
 """Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two. Measured there:
 mjx-warp compiles for 13 to 20 s (0.5 s with a kernel kept from an earlier run) and runs 3.1 s for 500 generated plans,
-5.6 s for 2,000 and 25 s for 10,003, adaptive (estimated: 2.6, 5.6 and 22 s); 16 s for 2,000 with the schedule fixed
-(14); 25 s for 63 plans of 156 boxes on average, 55 s for 630 of them (47, 78); 4.5 s for 4,032 drives of EUMOS's
-profile. Not fitted to other devices.
+5.4 s for 2,000 and 20 s for 10,003, adaptive (estimated: 2.6, 5.6 and 22 s); 14 s for 2,000 with the schedule fixed
+(14); 47 s for 630 plans of 156 boxes on average (78), and took 25 s for 63 of them when these took 55 (47); 4.2 s for
+4,032 drives of EUMOS's profile. Not fitted to other devices.
 
 CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
 16 to 241 boxes and 110 generated ones, box by box, both schedules; static checks of 8 to 12 generated plans and 4 to 9

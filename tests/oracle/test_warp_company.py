@@ -51,10 +51,9 @@ def test_slices_of_any_length_give_the_same(slice_ns: int, crowd: dict[str, Outc
 @devices
 def test_what_is_kept_from_step_to_step_changes_nothing(device: str) -> None:
     """In a slice of one step nothing is kept; in a long one the order of bodies changes, and contacts come and go."""
-    options = {} if device == "gpu" else {"allow_cpu": True}
     scene = {"heap": make_scene(heap(24))}
     static = SHORT.changed(check="static", duration_s=0.3)
-    kept, anew = (simulate(MjxWarpEngine(1, slice_ns=time, **options), scene, static) for time in (LONG_NS, 0))
+    kept, anew = (simulate(engine(slice_ns=time), scene, static) for time in (LONG_NS, 0))
     assert_equal_worlds(kept, anew)
     assert kept["heap"].boxes.shift_m.max() > 0.01
 

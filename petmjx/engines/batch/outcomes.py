@@ -154,9 +154,9 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     if not starts:
         return fresh
     row_of = {id(start): row for row, start in enumerate(starts)}
-    spare = [0] * (len(fresh.step) - len(jobs))
-    source = np.array([row_of.get(id(job.start), 0) for job in jobs] + spare)
-    forked = np.array([job.start is not None for job in jobs] + [True] * len(spare))
+    spare = len(fresh.step) - len(jobs)
+    source = np.array([row_of.get(id(job.start), 0) for job in jobs] + [0] * spare)
+    forked = np.array([job.start is not None for job in jobs] + [True] * spare)
 
     def fork(new: jax.Array, *kept: Any) -> jax.Array:
         stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)

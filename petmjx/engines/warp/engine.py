@@ -227,14 +227,13 @@ class MjxWarpEngine(MjxEngine):
             if rollout is None:
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
-                self._begin(rollout, group, queues, at_once)
+                rollout.keep_under_way(at_once, group, queues.order)
             while not emitted[: len(jobs)].all():
                 status = group.status() if rollout is None else rollout.wait(group)
                 frames = None if rollout is None or group.recorder.idle else pick_frames(rollout.frames)
                 if rollout is not None and (status == Status.OVERFLOWED).any():
-                    while rollout.under_way:
-                        status = rollout.wait(group)
-                    rollout = self._make_room(group, np.flatnonzero(status == Status.OVERFLOWED))
+                    rollout.finish(group)
+                    rollout = self._make_room(group, np.flatnonzero(group.status() == Status.OVERFLOWED))
                     status = group.status()
                 ended = np.flatnonzero(group.handed_on(status) & ~emitted[: len(jobs)])
                 emitted[ended] = True
@@ -242,24 +241,17 @@ class MjxWarpEngine(MjxEngine):
                 if rollout is not None:
                     self._take(group, queues, waiting)
                     if not emitted[: len(jobs)].all():
-                        self._begin(rollout, group, queues, at_once)
+                        rollout.keep_under_way(at_once, group, queues.order)
                     else:
-                        while rollout.under_way:  # no world runs in it
-                            rollout.wait(group)
+                        rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield from outcomes(ended, picked, jobs, 0, run.timetable, run.sim, group.recorder)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
-                    self._begin(rollout, group, queues, at_once)
+                    rollout.keep_under_way(at_once, group, queues.order)
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
-
-    @staticmethod
-    def _begin(rollout: Rollout, group: Group, queues: Queues, at_once: int) -> None:
-        """Begin slices of time, so that this many are under way."""
-        while rollout.under_way < at_once:
-            rollout.start(group, queues.order)
 
     def _take(self, group: Group, queues: Queues, waiting: Waiting) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""

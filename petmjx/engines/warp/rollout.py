@@ -138,6 +138,16 @@ class Rollout:
         group.table, self.workspace, status, frames, counts = self._programs[shapes](*arguments)
         self._slices.append(Slice(began, status, frames, counts))
 
+    def keep_under_way(self, count: int, group: Group, order: Int[Array, "queue world"]) -> None:
+        """Begin slices until so many are under way."""
+        while self.under_way < count:
+            self.start(group, order)
+
+    def finish(self, group: Group) -> None:
+        """Wait for all slices that are under way."""
+        while self.under_way:
+            self.wait(group)
+
     def close(self) -> None:
         """Wait for slices that are under way, and free the lanes' memory."""
         while self._slices:
