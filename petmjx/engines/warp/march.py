@@ -33,7 +33,7 @@ from petmjx.engines.warp.records import (
     filled,
 )
 from petmjx.engines.warp.shape import Shape, kernel
-from petmjx.engines.warp.streams import load_streams, side_by_side
+from petmjx.engines.warp.streams import own_kernels, side_by_side
 
 SLICE_NS = 250_000_000
 """Time of a call: short enough for a progress bar, and to stop."""
@@ -87,11 +87,10 @@ class March:
         return jnp.zeros((rows, records.BUFFER_WORDS), jnp.float32)
 
     def load(self) -> None:
-        """Compile the kernels, or take them from Warp's cache."""
-        for fleet in self.fleets:
-            kernel(fleet.shape).module.load(wp.get_device(), fleet.shape.threads)
-        if len(self.fleets) > 1:
-            load_streams()
+        """Compile the kernels, at the same time, or take them from Warp's cache."""
+        kernels = [kernel(fleet.shape) for fleet in self.fleets] + own_kernels(len(self.fleets))
+        modules = list(dict.fromkeys(each.module for each in kernels))
+        wp.force_load(wp.get_device(), modules, max_workers=len(modules))
 
     def __call__(
         self,

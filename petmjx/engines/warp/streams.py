@@ -20,9 +20,9 @@ def _more_streams(device: str, count: int) -> list[wp.Stream]:
     return [wp.Stream(device) for _ in range(count)]
 
 
-def load_streams() -> None:
-    """Compile what is needed for it, or take it from Warp's cache."""
-    pause.module.load(wp.get_device(), 1)
+def own_kernels(count: int) -> list[wp.Kernel]:
+    """What ``side_by_side`` launches itself."""
+    return [pause] if count > 1 else []
 
 
 @contextmanager

@@ -15,7 +15,7 @@ import warp as wp
 def _let_pass(time_ns: wp.int64) -> None: ...
 
 
-@wp.kernel(enable_backward=False, module="unique")
+@wp.kernel(enable_backward=False, module="unique", module_options={"block_dim": 1})
 def pause(time_ns: wp.int64) -> None:
     """Let a time pass, ns; none on a CPU."""
     _let_pass(time_ns)

@@ -1,0 +1,52 @@
+"""How the kernels of a run are loaded."""
+
+from __future__ import annotations
+
+from threading import Barrier
+from typing import Any
+
+import pytest
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+import warp as wp
+
+from petmjx.engines.warp import march
+from petmjx.engines.warp.kernel.pause import pause
+from petmjx.engines.warp.march import Fleet, March
+from petmjx.engines.warp.shape import Shape, with_cpp
+
+LONG_S = 20
+"""Longer than all threads take to begin."""
+
+
+def _tiny(number: int, threads: int) -> Any:
+    def fill(values: wp.array[int]) -> None:
+        values[wp.tid()] = number  # type: ignore[call-overload]  # one number in a kernel of one dimension
+
+    return with_cpp(fill, f"// {number}\n", threads=threads)
+
+
+def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels = {threads: _tiny(threads, threads) for threads in (128, 256)}
+    shapes = [Shape(1, threads, 1, 256, 2) for threads in (256, 128, 128)]
+    begun, loaded, load = Barrier(3, timeout=LONG_S), [], wp.Module.load
+
+    def watched(module: Any, *args: Any, **options: Any) -> Any:
+        begun.wait()  # breaks if one begins only after another one
+        loaded.append(module)
+        return load(module, *args, **options)
+
+    marching = March.__new__(March)
+    marching.fleets = tuple(Fleet(shape, 1, 8, 80, 64) for shape in shapes)
+    with monkeypatch.context() as patched:
+        patched.setattr(wp.Module, "load", watched)
+        patched.setattr(march, "kernel", lambda shape: kernels[shape.threads])
+        marching.load()
+    assert len(loaded) == 3
+    assert set(loaded) == {kernels[128].module, kernels[256].module, pause.module}
+    for number, kernel in kernels.items():
+        assert kernel.module.execs
+        values = wp.zeros(2, int)
+        wp.launch(kernel, dim=2, inputs=[values], block_dim=number)
+        assert values.numpy().tolist() == [number] * 2
