@@ -87,10 +87,10 @@ class Shape:
         """For worlds of up to so many boxes on Warp's current device. On a CPU a lane is one thread: Warp runs the
         threads of a block one after the other, so a barrier cannot work."""
         device = wp.get_device()
-        if not device.is_cuda:
-            return cls(1, 1, 1, PANEL**2, most_panels(MAX_BOXES))
         size = size_for(n_boxes)
         panels = most_panels(size.most_boxes)
+        if not device.is_cuda:
+            return cls(1, 1, 1, PANEL**2, panels)
         near = min(size.near_bytes, device.max_shared_memory_per_block // size.together - own_bytes(panels))
         return cls(size.together * device.sm_count, size.threads, size.together, near // 4, panels)
 
