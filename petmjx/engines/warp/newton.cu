@@ -36,6 +36,8 @@ const int ROW = 32;  // numbers of a contact
 // still decreases there. Smaller shares save no iteration.
 const double ENOUGH_SLOPE = 0.1;
 
+const size_t DRIVER_BYTES = 1024;  // of a block's shared memory (CUDA C++ Programming Guide, "Compute capability 9.0")
+
 const double INFINITE = 1e300;  // what a singular Hessian may make of a step: no NaN
 
 // Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
@@ -247,6 +249,8 @@ inline CUDA_CALLABLE void newton(
     PETMJX_SHARED alignas(16) float rhs[PANELS * B];
     PETMJX_SHARED double partial[3 * MOST_WARPS];
     PETMJX_SHARED Layout<PANELS> layout;
+    const size_t own = sizeof factoring + sizeof rhs + sizeof partial + sizeof layout;
+    static_assert(own + DRIVER_BYTES <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
 
     const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
@@ -306,6 +310,7 @@ inline CUDA_CALLABLE void newton(
     bool last = false;
     #pragma unroll 1
     for (int iteration = 0;; ++iteration) {
+        // The forces that are there are of the accelerations before the last iteration: found once more only if wanted.
         const bool ends = last || iteration >= limit;
         if (ends && !forces) break;
         #pragma unroll 1

@@ -36,6 +36,8 @@ from __future__ import annotations
 import re
 from importlib import resources
 
+from petmjx.engines.warp.records import PANEL
+
 PANELS_MACRO = "PETMJX_MOST_PANELS"
 """What C++ calls the panels of a kernel's largest system: its shared memory has room for as many."""
 
@@ -45,9 +47,16 @@ FEW_PANELS = 40
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
+def own_bytes(panels: int) -> int:
+    """Shared memory that the threads of a lane take for systems of up to so many panels, beside the tile of
+    ``kernel.solve.newton``; with what the driver keeps for itself. newton.cu checks that it is enough."""
+    return 4 * (PANEL + 4) * panels + ((9 if panels <= FEW_PANELS else 18) << 10)
+
+
 def text_for(panels: int) -> str:
     """The solver's C++ for systems of up to so many panels."""
-    return f"#define {PANELS_MACRO} {panels}\n#define PETMJX_FEW_PANELS {FEW_PANELS}\n" + source("newton.cu")
+    numbers = {PANELS_MACRO: panels, "PETMJX_FEW_PANELS": FEW_PANELS, "PETMJX_OWN_BYTES": own_bytes(panels)}
+    return "".join(f"#define {name} {number}\n" for name, number in numbers.items()) + source("newton.cu")
 
 
 def source(name: str, included: set[str] | None = None) -> str:

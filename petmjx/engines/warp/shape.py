@@ -56,15 +56,6 @@ def size_for(n_boxes: int) -> Size:
     return next(size for size in SIZES if n_boxes <= size.most_boxes)
 
 
-def own_bytes(panels: int) -> int:
-    """Shared memory that a lane takes beside these, and what the driver keeps for itself.
-
-    The solver has a right-hand side of 16 numbers for each panel, four more of its lists, and what newton.cu,
-    by_two.cuh and diagonal.cuh share in addition; with by_one.cuh it is less.
-    """
-    return 4 * (PANEL + 4) * panels + ((9 if panels <= newton.FEW_PANELS else 18) << 10)
-
-
 @dataclass(frozen=True)
 class Shape:
     """How a device runs lanes.
@@ -91,7 +82,7 @@ class Shape:
         panels = most_panels(size.most_boxes)
         if not device.is_cuda:
             return cls(1, 1, 1, PANEL**2, panels)
-        near = min(size.near_bytes, device.max_shared_memory_per_block // size.together - own_bytes(panels))
+        near = min(size.near_bytes, device.max_shared_memory_per_block // size.together - newton.own_bytes(panels))
         return cls(size.together * device.sm_count, size.threads, size.together, near // 4, panels)
 
 
