@@ -229,8 +229,12 @@ class MjxWarpEngine(MjxEngine):
             else:
                 rollout.keep_under_way(at_once, group, queues.order)
             while not emitted[: len(jobs)].all():
-                status = group.status() if rollout is None else rollout.wait(group)
-                frames = None if rollout is None or group.recorder.idle else pick_frames(rollout.frames)
+                frames = None
+                if rollout is None:
+                    status = group.status()
+                else:
+                    status, written = rollout.wait(group)
+                    frames = None if group.recorder.idle else pick_frames(written)
                 if rollout is not None and (status == Status.OVERFLOWED).any():
                     rollout.finish(group)
                     rollout = self._make_room(group, np.flatnonzero(group.status() == Status.OVERFLOWED))

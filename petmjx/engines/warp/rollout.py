@@ -158,13 +158,13 @@ class Rollout:
                 self.workspace.block_until_ready()
             self.workspace.delete()
 
-    def wait(self, group: Group) -> NDArray[np.int32]:
-        """Statuses of a group's worlds after the first slice under way, whose frames and counts are there then."""
-        began, statuses, self.frames, self.counts = self._slices.popleft()
+    def wait(self, group: Group) -> tuple[NDArray[np.int32], dict[str, jax.Array]]:
+        """Statuses of a group's worlds after the first slice under way, and the frames that it has written."""
+        began, statuses, frames, counts = self._slices.popleft()
         status = np.array(statuses)[: len(group.jobs)]
         self._last_end, began = time.perf_counter(), max(began, self._last_end)
         progress = group.run.progress
-        steps, iterations, contacts = (int(self.counts[name][0]) for name in ("steps", "iterations", "contacts"))
+        steps, iterations, contacts = (int(counts[name][0]) for name in ("steps", "iterations", "contacts"))
         running = int((status == Status.RUNNING).sum())
         progress.message = f"{running} worlds to go"
         progress.world_steps += steps
@@ -174,7 +174,7 @@ class Rollout:
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
         extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
-        return status
+        return status, frames
 
     def _advance(
         self,
