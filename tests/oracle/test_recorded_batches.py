@@ -206,9 +206,9 @@ def test_room_is_next_to_nothing_where_no_world_is_recorded(monkeypatch: pytest.
     wait, rooms = rollout.wait, []
 
     def watched(self: Any, group: Any) -> Any:
-        status, frames = wait(self, group)
-        rooms.append((len(frames["of"]), int(frames["used"][0])))
-        return status, frames
+        status, ended = wait(self, group)
+        rooms.append((len(ended.frames["of"]), int(ended.frames["used"][0])))
+        return status, ended
 
     monkeypatch.setattr(rollout, "wait", watched)
     run_all(engine, piles()[:1], SIM)

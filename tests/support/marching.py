@@ -74,8 +74,8 @@ class OneStep:
             rest_from=jnp.zeros(1, jnp.int32),
         )
         self.rollout.start(self.group, jnp.zeros((1, 1), jnp.int32))
-        self.rollout.wait(self.group)
-        after, counts = jax.device_get((self.group.table, self.rollout.counts))
+        _, ended = self.rollout.wait(self.group)
+        after, counts = jax.device_get((self.group.table, ended.counts))
         assert int(after.step[0]) == int(counts["steps"][0]) == 1
 
         def joined(carrier: FloatArray, boxes: FloatArray) -> FloatArray:

@@ -233,8 +233,8 @@ class MjxWarpEngine(MjxEngine):
                 if rollout is None:
                     status = group.status()
                 else:
-                    status, written = rollout.wait(group)
-                    frames = None if group.recorder.idle else pick_frames(written)
+                    status, ended_slice = rollout.wait(group)
+                    frames = None if group.recorder.idle else pick_frames(ended_slice.frames)
                 if rollout is not None and (status == Status.OVERFLOWED).any():
                     rollout.finish(group)
                     rollout = self._make_room(group, np.flatnonzero(group.status() == Status.OVERFLOWED))

@@ -91,7 +91,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 
 class Slice(NamedTuple):
-    """What a slice of time that is under way will give beside states. ``began``: when the host began it, s."""
+    """What a slice of time gives beside states, when it has ended. ``began``: when the host began it, s."""
 
     began: float
     status: Int[Array, " world"]
@@ -158,13 +158,13 @@ class Rollout:
                 self.workspace.block_until_ready()
             self.workspace.delete()
 
-    def wait(self, group: Group) -> tuple[NDArray[np.int32], dict[str, jax.Array]]:
-        """Statuses of a group's worlds after the first slice under way, and the frames that it has written."""
-        began, statuses, frames, counts = self._slices.popleft()
-        status = np.array(statuses)[: len(group.jobs)]
-        self._last_end, began = time.perf_counter(), max(began, self._last_end)
+    def wait(self, group: Group) -> tuple[NDArray[np.int32], Slice]:
+        """Statuses of a group's worlds after the first slice under way, and that slice, which has ended."""
+        ended = self._slices.popleft()
+        status = np.array(ended.status)[: len(group.jobs)]
+        self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
         progress = group.run.progress
-        steps, iterations, contacts = (int(counts[name][0]) for name in ("steps", "iterations", "contacts"))
+        steps, iterations, contacts = (int(ended.counts[name][0]) for name in ("steps", "iterations", "contacts"))
         running = int((status == Status.RUNNING).sum())
         progress.message = f"{running} worlds to go"
         progress.world_steps += steps
@@ -174,7 +174,7 @@ class Rollout:
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
         extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
-        return status, frames
+        return status, ended
 
     def _advance(
         self,
