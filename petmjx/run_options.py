@@ -36,7 +36,7 @@ def _share(text: str | None) -> str | None:
         return None
     found = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text)
     if not found or not 1 <= int(found[1]) <= int(found[2]):
-        raise ValueError(f"must be I/N with 1 ≤ I ≤ N, such as 3/16, {got(text)}")
+        raise ValueError(f"must be I/N with 1 ≤ I ≤ N < 10⁹, such as 3/16, {got(text)}")
     return f"{found[1]}/{found[2]}"
 
 

@@ -48,6 +48,16 @@ def is_text(text: str) -> bool:
     return True
 
 
+def number_in(text: str) -> float | None:
+    """The number that a file has as text; None if it is none. Python's own reads more: "1_000", and other digits."""
+    if not text.isascii() or "_" in text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
 def one_line(error: BaseException) -> str:
     """An error's kind and text, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())

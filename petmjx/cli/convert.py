@@ -10,6 +10,7 @@ import typer
 from petmjx.cli import options as opt
 from petmjx.errors import InputError
 from petmjx.text import counted, printable
+from petmjx.whole import check_free
 
 SHOWN_SKIPPED = 10
 """Most skipped plans that are shown."""
@@ -27,15 +28,17 @@ def convert(
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at the first unusable plan instead of skipping it.")
     ] = False,
+    overwrite: opt.Overwrite = False,
 ) -> None:
     """Write packing plans in another form: BED-BPP's JSON, or a table with a row a box as CSV or Parquet.
 
-    Nothing is lost: plans that are read from the new file are the same to the last bit. Unusable plans are skipped,
-    and each gets a line.
+    Plans that are read from the new file are the same to the last bit. Unusable plans are skipped, and the first ones
+    get a line each.
     """
     from petmjx.plans.read import load_plans
     from petmjx.plans.write import save_plans
 
+    check_free(out, overwrite, plans)
     found = load_plans(plans, limit=limit, strict=strict)
     print_skipped([str(skipped) for skipped in found.skipped])
     for note in found.notes:

@@ -10,6 +10,7 @@ import typer
 from petmjx.cli import options as opt
 from petmjx.errors import InputError
 from petmjx.text import counted, printable
+from petmjx.whole import check_free
 
 
 @opt.takes("physics", "size_reduction_mm", "carrier")
@@ -20,6 +21,7 @@ def export(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="File to write.", show_default="standard output"),
     ] = None,
+    overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
     """Write the exact MuJoCo model of one plan as MJCF, every box at its place; MuJoCo's viewer opens it."""
@@ -29,6 +31,8 @@ def export(
     from petmjx.world.model import to_mjcf
     from petmjx.world.scene import build_scene
 
+    if out is not None:
+        check_free(out, overwrite, plans or ())
     sim = Simulation(**options)
     plan = find_plan(usable_plans(plans or None, sim, RunOptions()), plan_id)
     mjcf = to_mjcf(build_scene(plan, sim), sim.physics)

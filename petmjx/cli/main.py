@@ -133,7 +133,10 @@ def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) ->
 
 def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
     try:
-        result = application(args=None if arguments is None else list(arguments), standalone_mode=False)
+        given = sys.argv[1:] if arguments is None else list(arguments)
+        if "" in given:  # a path would be the current folder
+            raise InputError(f"argument {given.index('') + 1} is empty: a variable of the shell that is not set?")
+        result = application(args=given, standalone_mode=False)
         sys.stdout.flush()  # an error shows here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:

@@ -27,6 +27,7 @@ PlanPaths = Annotated[
     list[Path] | None,
     typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples.", show_default=False),
 ]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file that is there.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 SIMULATED = "What is simulated"
@@ -127,8 +128,12 @@ def takes(
                     typed[".".join(option.path)] = option.flag.name.partition("/")[0]
             for setting in given.pop("settings", None) or ():
                 path, value = _setting(setting, settable)
+                name = ".".join(path)
+                if name in typed:
+                    also = "twice" if typed[name].startswith("--set ") else f"beside {typed[name]}"
+                    raise InputError(f"--set {printable(name)}: is given {also}; drop one of them")
                 _put(tables, path, value)
-                typed[".".join(path)] = f"--set {'.'.join(path)}"
+                typed[name] = f"--set {name}"
             try:
                 command(**given, **tables)
             except InputError as error:
@@ -204,9 +209,10 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """An error's line with the option as it was typed, in place of the field at its beginning."""
+    """An error's line with the option as it was typed, in place of the field at its beginning. A line that names a file
+    is about what stands there."""
     for path, option in typed.items():
-        named = re.match(rf"(?:(?:.*: )?simulation\.)?{re.escape(path)}(?=[ :])", line)
+        named = re.match(rf"(?:simulation\.)?{re.escape(path)}(?=[ :])", line)
         if named:
             return option + line[named.end() :]
     return line

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from petmjx.cli import options as opt
+
 
 def report(
     runs: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Folders of runs.")],
@@ -19,7 +21,7 @@ def report(
             help="File or folder with the runs' plans; can be given again. By default the files that the runs name.",
         ),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file that is there.")] = False,
+    overwrite: opt.Overwrite = False,
 ) -> None:
     """Write one offline page about runs: what came out, charts, all plans in a table and in 3D.
 

@@ -7,10 +7,12 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from petmjx.cli import options as opt
 from petmjx.errors import InputError
 from petmjx.plans.samples import DEFAULT_LOOSE_SHARE, LeftOut
 from petmjx.plans.samples.packers import BASELINE
 from petmjx.text import counted, printable
+from petmjx.whole import check_free
 
 MOST_SHOWN: Final = 10
 """Drawn orders with boxes left out that get a line of their own."""
@@ -53,6 +55,7 @@ def samples(
             show_default=False,
         ),
     ] = None,
+    overwrite: opt.Overwrite = False,
 ) -> None:
     """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a simple packer.
 
@@ -66,6 +69,7 @@ def samples(
 
     if is_csv(out) or is_parquet_name(out):
         raise InputError(f"{out}: samples are written as JSON; petmjx convert makes a table of them")
+    check_free(out, overwrite, [orders] if orders is not None else ())
     bad: list[InputError] = []
     left_out: list[LeftOut] = []
     written = 0

@@ -17,12 +17,12 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from petmjx.plans.fields import LONGEST_NAME
-from petmjx.text import is_text
+from petmjx.text import is_text, number_in
 from petmjx.units import FloatArray
 
 _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
-_WHOLE: Final = re.compile(r"[+-]?\d+")
+_WHOLE: Final = re.compile(r"[+-]?[0-9]+")
 _MOST_EXACT: Final = 2.0**53
 """Up to here float64 has every whole number."""
 
@@ -173,10 +173,8 @@ def _as_number(text: str, decimal: str) -> Any:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:
         return int(text)
-    try:
-        return float(text.replace(decimal, "."))
-    except ValueError:
-        return text
+    number = number_in(text.replace(decimal, "."))
+    return text if number is None else number
 
 
 def _each(

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
-from petmjx.text import printable
+from petmjx.text import printable, shown
 from petmjx.whole import gzipped, whole_file
 
 _PLANS_AT_A_TIME: Final = 1_000
@@ -33,18 +33,23 @@ _UNITS: Final = {
 }
 
 
-def save_plans(plans: Iterable[Plan], path: str | os.PathLike[str]) -> None:
+def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> None:
     """Write plans to one file, whose name says in which form: ``.json``, ``.csv`` (both also ``.gz``) or ``.parquet``.
 
     The file appears whole or not at all. Numbers are written so that they are read again to the last bit.
 
     Raises:
-        InputError: another ending, no plan, or a path that cannot be written.
+        InputError: another ending, no plan, two of one id, or a path that cannot be written.
     """
-    file, chosen = Path(path), list(plans)
+    file, chosen = Path(path), [plans] if isinstance(plans, Plan) else list(plans)
     write = _writer_for(file)
     if not chosen:
         raise InputError(f"{printable(str(file))}: there is no plan to write")
+    ids: set[str] = set()
+    for plan in chosen:
+        if plan.plan_id in ids:
+            raise InputError(f"{printable(str(file))}: plan {shown(plan.plan_id)} is there twice")
+        ids.add(plan.plan_id)
     write(chosen, file)
 
 

@@ -11,6 +11,7 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +25,7 @@ from petmjx.errors import InputError
 from petmjx.plans.fields import kind, listed
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
 from petmjx.plans.unpack import read_text_bytes
-from petmjx.text import printable, shown
+from petmjx.text import number_in, printable, shown
 
 MCKEE: Final = 5.87
 """Of McKee's formula in its simple form; it has no unit."""
@@ -134,9 +135,13 @@ def _strength(where: str, row: Mapping[str, Any]) -> tuple[str, str, Strength]:
 
 def _number(where: str, field: str, value: Any) -> float:
     low, high = _NUMBERS[field]
-    try:
-        number = float(value) if not isinstance(value, bool) else math.nan
-    except (TypeError, ValueError, OverflowError):
+    number: float | None = None
+    if isinstance(value, str):
+        number = number_in(value)
+    elif not isinstance(value, bool):
+        with suppress(TypeError, ValueError, OverflowError):
+            number = float(value)
+    if number is None:
         number = math.nan
     if not (low < number <= high or number == low == 1.0):
         least = "≥ 1" if low else "> 0"
@@ -171,14 +176,18 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
         raise InputError(f"{name}: is not UTF-8 text") from None
     header = text.partition("\n")[0]
     delimiter = max(",;\t", key=header.count)
+    number = 0
     try:
-        for number, row in enumerate(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), start=1):
+        rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        for number, row in enumerate(rows, start=1):
             if number == 1:
                 names = row
             elif row:
                 yield f"row {number}", _named(name, number, names, row, delimiter)
     except csv.Error as error:
-        raise InputError(f"{name}: not CSV: {reason(error)}") from None
+        unclosed = "unexpected end of data" in str(error)
+        why = "has a quotation mark that nothing closes" if unclosed else f"not CSV: {reason(error)}"
+        raise InputError(f"{name}: row {number + 1}: {why}") from None
 
 
 def _named(name: str, number: int, names: Sequence[str], row: Sequence[str], delimiter: str) -> dict[str, Any]:

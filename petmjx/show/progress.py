@@ -161,7 +161,8 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
                 print(_broken(text), file=sys.stderr)
         if start.recorded:
             with suppress(OSError):
-                print(f"{counted(start.recorded, start.what)} of an earlier run are there already", file=sys.stderr)
+                are = "is" if start.recorded == 1 else "are"
+                print(f"{counted(start.recorded, start.what)} of an earlier run {are} there already", file=sys.stderr)
         left = None if start.total is None else start.total - start.recorded
         shown = self._until_exit.enter_context(progress(left, start.what))
         stop = threading.Event()

@@ -16,6 +16,7 @@ import pytest
 
 from petmjx.config import Simulation
 from petmjx.engines.base import GrowingJobs
+from petmjx.engines.batch.capacities import GRANULE
 from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group
 from petmjx.errors import InputError
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
@@ -46,7 +47,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.march import March
 from petmjx.engines.warp.records import MAX_BOXES, lane_bytes
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape
+from petmjx.engines.warp.shape import SIZES, Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -112,7 +113,24 @@ def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> 
     small = engine()
     found = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (found.verdict, found.reason) == (Verdict.INVALID, Reason.OVERFLOW)
-    assert list(small._room.values()) == [MAX_GROWTH]
+    (growth,) = small._room.values()
+    room, most = GRANULE + mjx_warp.MORE_BOXES, MAX_GROWTH * (SIZES[0].most_boxes + mjx_warp.MORE_BOXES)
+    assert growth // 2 * room < most <= growth * room
+
+
+OVERLAPPING = 48
+
+
+@pytest.mark.slow
+def test_what_overflows_does_not_depend_on_larger_plans_beside_it() -> None:
+    """Boxes in the same place have four contacts and more with each other."""
+    packed = make_scene([((300, 300, 300), (0, 0, 0), 1.0)] * OVERLAPPING)
+    sim = Simulation(check="static", schedule="fixed", duration_s=0.02)
+    alone = simulate(engine(), {"packed": packed}, sim)["packed"]
+    beside = simulate(engine(), {"packed": packed, "larger": make_scene(SIZES[0].most_boxes)}, sim)["packed"]
+    assert alone.flags & Flag.RERUN_AFTER_OVERFLOW
+    assert alone.reason is not Reason.OVERFLOW
+    assert_same(alone, beside)
 
 
 MARKED = "hand-bridge"

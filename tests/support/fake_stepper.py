@@ -144,7 +144,7 @@ def run_all(engine: MjxEngine, jobs: Sequence[Job], sim: Simulation, progress: P
 
 def assert_same(found: Outcome, expected: Outcome, relative: float = 0.0, absolute: float = 0.0) -> None:
     """Verdict, times and every metric of two worlds are the same."""
-    for name in ("verdict", "reason", "culprit", "n_boxes", "n_placed", "n_steps"):
+    for name in ("verdict", "reason", "culprit", "n_boxes", "n_placed", "n_steps", "sim_time_s"):
         assert getattr(found, name) == getattr(expected, name), name
     np.testing.assert_equal(found.first_sign_s, expected.first_sign_s)
     for name, values in vars(expected.boxes).items():

@@ -71,6 +71,8 @@ def test_the_article_counts_before_its_group() -> None:
         ("milk,,-1,,,", 'strength_n must be a number > 0 and at most 1e+09, got "-1"'),
         ("milk,,nan,,,", 'strength_n must be a number > 0 and at most 1e+09, got "nan"'),
         ("milk,,many,,,", 'strength_n must be a number > 0 and at most 1e+09, got "many"'),
+        ("milk,,1_0,,,", 'strength_n must be a number > 0 and at most 1e+09, got "1_0"'),
+        ('"milk,,5,,,\njam,,5,,,', "has a quotation mark that nothing closes"),
         ("milk,,900,,,0.5", 'safety_factor must be a number ≥ 1 and at most 1000, got "0.5"'),
         ("milk,dairy,900,,,", "must name either an article or a product_group"),
         (",,900,,,", "must name either an article or a product_group"),

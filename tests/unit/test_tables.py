@@ -167,6 +167,9 @@ def test_orientation_swaps_length_and_width() -> None:
 FAULTS = [
     ({"weight_kg": -1}, "weight_kg must be > 0, got -1"),
     ({"weight_kg": "six"}, 'weight_kg must be a number, got "six"'),
+    ({"weight_kg": "1_0"}, 'weight_kg must be a number, got "1_0"'),
+    ({"length_mm": "٤"}, 'length_mm must be a number, got "\\u0664"'),
+    ({"sequence": "1_0"}, 'sequence must be an integer, got "1_0"'),
     ({"length_mm": 0.6}, "length_mm must be from 1 to 4000 (millimetres), got 0.6"),
     ({"height_mm": "nan"}, "height_mm must be finite, got NaN"),
     ({"width_mm": "inf"}, "width_mm must be finite, got Infinity"),

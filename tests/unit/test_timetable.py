@@ -42,6 +42,28 @@ def test_the_table_reaches_to_the_last_placement_of_the_largest_plan() -> None:
     assert table.clock[step] >= (BOXES + 1) * 0.7
 
 
+@pytest.mark.parametrize("timestep_s", [0.002, 0.005, 0.01])
+@pytest.mark.parametrize("interval_s", [0.011, 0.1, 0.2, 0.7])
+def test_the_last_boxes_are_due_as_with_a_longer_table(interval_s: float, timestep_s: float) -> None:
+    """Placements take whole steps, so many of them take longer than their intervals."""
+    sim = Simulation(interval_s=interval_s, settle_s=0.0, physics={"name": "pallet", "timestep_s": timestep_s})
+    boxes = 200
+    table, longer = (build_timetable(sim, n) for n in (boxes, 3 * boxes))
+    step = 0
+    for _ in range(boxes + 1):
+        assert table.due[step] == longer.due[step]
+        step = int(table.due[step])
+    assert table.settled[step] == longer.settled[step]
+
+
+def test_times_go_on_behind_the_table_as_a_running_sum() -> None:
+    table, longer = (build_timetable(Simulation(), n) for n in (1, 20))
+    time_s = table.time_s_until(len(longer.clock) - 1)
+    assert len(table.clock) < len(longer.clock)
+    assert [time_s(step) for step in range(len(longer.clock))] == longer.clock.tolist()
+    assert table.time_s_until(3)(3) == table.clock[3]
+
+
 def test_steps_between_samples_and_of_the_rest_window() -> None:
     table = build_timetable(Simulation(sample_interval_s=0.032, rest_window_s=0.2), 1)
     assert (table.sample_every, table.rest_steps) == (16, 100)

@@ -21,7 +21,7 @@ from petmjx.engines.batch.outcomes import handed_on, outcomes, pick, started_sta
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
-from petmjx.engines.batch.stage import Queue, Stage, Stepper
+from petmjx.engines.batch.stage import OVERFLOW_BITS, Queue, Stage, Stepper
 from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, put_rows, upload_worlds, uploaded
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.verdict import Flag, Outcome
@@ -38,8 +38,6 @@ MIN_LANES = 16
 """With fewer lanes than this, no useful amount of memory is saved."""
 
 _put = jax.jit(put_rows)
-
-OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
 
 @dataclass(frozen=True)
@@ -273,6 +271,7 @@ class MjxEngine(ABC):
             try:
                 stage = self._stage(group, capacity, lanes, drive, growth)
                 self._drive_lanes(group, stage, rows, may_drain=may_drain)
+                group.table.status.block_until_ready()  # what runs out of memory is known at the latest now
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
@@ -375,6 +374,8 @@ class MjxEngine(ABC):
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error of JAX, XLA or Warp says that device memory ran out."""
+    """Whether an error of JAX, XLA or Warp says that device memory ran out, or one of Python that the host's did."""
     text = str(error).lower()
-    return any(words in text for words in ("resource_exhausted", "out of memory", "failed to allocate"))
+    return isinstance(error, MemoryError) or any(
+        words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")
+    )

@@ -97,11 +97,8 @@ def _outcomes(
     sim: Simulation,
     recorder: Recorder,
 ) -> Iterator[Outcome]:
-    m, clock, dt = host.metrics, timetable.clock, sim.physics.timestep_s
-
-    def seconds(step: int) -> float:
-        return float(clock[step]) if step < len(clock) else step * dt
-
+    m = host.metrics
+    seconds = timetable.time_s_until(int(host.step.max(initial=0)))
     for i, row in enumerate(rows):
         job = jobs[row]
         n = job.scene.n_boxes

@@ -192,34 +192,37 @@ class Rules:
             status=jnp.where(last | stopped | exploded, Status.FINISHED, state.status),
         )
 
-    def count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> State:
+    def count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> tuple[State, Bool[Array, " lane"]]:
         """In lanes with ``poll``, count the steps for which all boxes were slow. If one creeps, start again.
 
-        A pallet is quiet from ``quiet.steps`` on, counted in ``state.quiet_steps``.
+        A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps.
         """
         quiet = self.sim.quiet
         pace = jnp.where(self.standing(state), motion.pace_squared(state.vel, quiet), 0.0)
         count = jnp.where((pace < 1).all(-1), state.quiet_steps + quiet.poll_steps, 0)
+        enough = poll & (count >= quiet.steps)
         if not self.sim.waits_for_creep:
-            return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps))
+            return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps)), enough
 
         at_begin = jnp.where((count <= quiet.poll_steps)[:, None], pace, state.quiet_pace)
         slowed = pace < jnp.maximum(quiet.rest_share**2, quiet.slowing**2 * at_begin)
-        anew = (count >= quiet.steps) & ~slowed.all(-1) & (state.metrics.culprit < 0)
+        anew = enough & ~slowed.all(-1) & (state.metrics.culprit < 0)
         count = jnp.where(anew, quiet.poll_steps, count)
         at_begin = jnp.where(anew[:, None], pace, at_begin)
-        return state._replace(
+        counted = state._replace(
             quiet_steps=jnp.where(poll, count, state.quiet_steps),
             quiet_pace=jnp.where(poll[:, None], at_begin, state.quiet_pace),
         )
+        return counted, enough & ~anew
 
     def _proceed(self, state: State, worlds: Worlds) -> State:
         """Place the next box, hand the world on, or let it come to rest."""
         quiet, table = self.sim.quiet, self.timetable
         counted = state.running & (state.step > 0)
         poll = counted & (state.step % quiet.poll_steps == 0)
+        still = jnp.zeros_like(poll)
         if self.sim.schedule is not Schedule.FIXED:
-            state = self.count_quiet(state, poll)
+            state, still = self.count_quiet(state, poll)
         more = state.placed < worlds.n_boxes
         due = state.step >= jnp.asarray(table.due)[state.last_placed_at]
         if self.sim.schedule is Schedule.FIXED:
@@ -229,9 +232,7 @@ class Rules:
         if self.sim.check == "static":
             due = state.step >= table.static_end
         due = jnp.where(~more & worlds.settles, settled, due)
-        if self.sim.schedule is not Schedule.FIXED:
-            waited = state.step - state.last_placed_at >= quiet.min_steps
-            due = due | (poll & (state.quiet_steps >= quiet.steps) & waited)
+        due = due | (still & (state.step - state.last_placed_at >= quiet.min_steps))
         go = counted & due
         full = state.placed >= self.capacity
         rests = go & ~more & ~worlds.settles & (state.end == NEVER)

@@ -19,6 +19,9 @@ from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State, Status, Worlds, choose_rows, narrow, put_rows, take_rows
 from petmjx.engines.batch.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fields
+from petmjx.verdict import Flag
+
+OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
 
 @runtime_checkable
@@ -187,7 +190,9 @@ class Stage:
         failed = lanes.state.status == Status.OVERFLOWED
         table = put_rows(table, jnp.where(where & ~failed, lanes.row, n_rows), lanes.state)
         row = jnp.where(where & failed, lanes.row, n_rows)
-        return table._replace(flags=table.flags.at[row].set(lanes.state.flags, mode="drop"))
+        # what else the void step may have shown does not count
+        flags = jnp.take(table.flags, row, mode="clip") | (lanes.state.flags & OVERFLOW_BITS)
+        return table._replace(flags=table.flags.at[row].set(flags, mode="drop"))
 
     def _park_idle(self, state: State) -> State:
         """Put the carriers of idle lanes into the air too: a world without contacts costs almost nothing."""

@@ -7,6 +7,7 @@ float64 comparisons over.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,12 +41,24 @@ class Timetable:
     one_by_one_end: Int32[np.ndarray, " n_boxes"]
     static_end: int
 
+    def time_s_until(self, last_step: int) -> Callable[[int], float]:
+        """The time after a step up to this one, s. The tables end before drives and rests do."""
+        more = max(last_step + 1 - len(self.clock), 0)
+        # cumsum adds one by one, as MuJoCo does
+        behind = np.cumsum(np.concatenate([self.clock[-1:], np.full(more, self.clock[1])]))[1:]
+        clock = np.concatenate([self.clock, behind]).tolist()
+        return lambda step: clock[step]
+
 
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
     """Tables long enough for a plan of ``max_boxes`` boxes, settling included."""
     dt = sim.physics.timestep_s
-    placement = (max_boxes + 2) * sim.interval_s if sim.check is Check.ONE_BY_ONE else sim.duration_s
-    n = seconds_to_steps(placement + sim.settle_s, dt) + 4
+    if sim.check is Check.ONE_BY_ONE:
+        # a placement takes whole steps, and the clock's rounding may make it one more
+        placement = (max_boxes + 2) * (seconds_to_steps(sim.interval_s, dt) + 2)
+    else:
+        placement = seconds_to_steps(sim.duration_s, dt)
+    n = placement + seconds_to_steps(sim.settle_s, dt) + 4
     clock = np.concatenate([[0.0], np.cumsum(np.full(n, dt))])
     # searchsorted compares a time with (earlier time + interval), which rounds differently from the difference of
     # times in the rule. So its answer is corrected with the comparison of the rule.

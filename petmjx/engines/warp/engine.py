@@ -81,6 +81,12 @@ def _kind(job: Job) -> str:
     return str(size_for(job.scene.n_boxes).most_boxes)
 
 
+def _most_room(kind: str) -> int:
+    """Boxes for which a world of a size may have contacts and pairs at most: the same in all runs, so that the largest
+    plan of a run has no say in which of its worlds are given up."""
+    return MAX_GROWTH * (int(kind) + MORE_BOXES)
+
+
 def _kinds(run: Run) -> list[str]:
     """The sizes of a run's lanes, those for the largest worlds first."""
     return sorted(run.capacities, key=int, reverse=True)
@@ -278,13 +284,14 @@ class MjxWarpEngine(MjxEngine):
         return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
-        """Larger buffers for worlds that are stopped since they need them; at ``MAX_GROWTH`` they are given up."""
+        """Larger buffers for worlds that are stopped since they need them; at ``_most_room`` they are given up."""
         cone = group.run.sim.physics.cone
         kinds = np.array([_kind(group.jobs[row]) for row in rows.tolist()])
         for kind in sorted(set(kinds)):
             some = rows[kinds == kind]
             growth = self._room.get((cone, kind), 1)
-            if growth >= MAX_GROWTH:
+            (n_boxes,) = group.run.capacities[kind]
+            if growth * (n_boxes + MORE_BOXES) >= _most_room(kind):
                 group.give_up(some, Flag.NONE)
                 continue
             self._room[cone, kind] = growth = 2 * growth
@@ -333,6 +340,6 @@ class MjxWarpEngine(MjxEngine):
         """Lanes of a size, as many as there can be."""
         (n_boxes,) = run.capacities[kind]
         shape = Shape.here(n_boxes)
-        boxes = self._room.get((run.sim.physics.cone, kind), 1) * (n_boxes + MORE_BOXES)
+        boxes = min(self._room.get((run.sim.physics.cone, kind), 1) * (n_boxes + MORE_BOXES), _most_room(kind))
         lanes = min(self.lanes or shape.lanes, shape.lanes)
         return Fleet(shape, lanes, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes)

@@ -62,7 +62,7 @@ def report(
     if path.is_dir():
         raise InputError(f"{printable(str(path))}: is a folder; name a file for the report")
     if path.exists() and not overwrite:
-        raise InputError(f"{printable(str(path))}: exists already; name another file, or overwrite it")
+        raise InputError(f"{printable(str(path))}: exists already; name another file, or pass --overwrite")
     if why := why_unwritable(path):  # now, and not after the work of a large report
         raise InputError(f"{printable(str(path))}: cannot be written: {printable(why)}")
     given = [runs] if isinstance(runs, str | Path | RunResults) else list(runs)

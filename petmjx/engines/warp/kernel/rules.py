@@ -101,8 +101,9 @@ def _pace_squared(model: Model, state: State, world: int, box: int) -> float:
 
 
 @wp.func
-def _count_quiet(model: Model, state: State, at: Lane, quiet_steps: int, signs: bool) -> int:
-    """Steps for which all boxes have been slow, at a poll. If one creeps, the count starts again."""
+def _count_quiet(model: Model, state: State, at: Lane, quiet_steps: int, signs: bool) -> tuple[int, bool]:
+    """Steps for which all boxes have been slow, at a poll, and whether the pallet is quiet. If a box creeps it is not,
+    and the count starts again."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
@@ -111,8 +112,9 @@ def _count_quiet(model: Model, state: State, at: Lane, quiet_steps: int, signs: 
     count = int(0)
     if not any_of_all(fast):
         count = quiet_steps + model.poll_steps
+    quiet = count >= model.quiet_steps
     if model.waits_for_creep == 0:
-        return count
+        return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
         pace = _pace_squared(model, state, world, box)
@@ -121,12 +123,12 @@ def _count_quiet(model: Model, state: State, at: Lane, quiet_steps: int, signs: 
         slow = model.slowing * model.slowing * state.quiet_pace[world, box]
         if not pace < wp.max(model.rest_share * model.rest_share, slow):
             creeps = True
-    anew = any_of_all(creeps) and count >= model.quiet_steps and not signs
-    if anew:
+    if any_of_all(creeps) and quiet and not signs:
+        quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
             state.quiet_pace[world, box] = _pace_squared(model, state, world, box)
-    return count
+    return count, quiet
 
 
 @wp.func
@@ -205,8 +207,9 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
     goes = bool(False)
     if not finished and not driven and step > 0:
         poll = step % model.poll_steps == 0
+        quiet = bool(False)
         if model.fixed == 0 and poll:
-            quiet_steps = _count_quiet(model, state, at, quiet_steps, culprit >= 0)
+            quiet_steps, quiet = _count_quiet(model, state, at, quiet_steps, culprit >= 0)
         if at.placed == n_boxes and tables.settles[world]:
             if model.fixed != 0:
                 goes = step >= model.settled_nominally[n_boxes]
@@ -216,7 +219,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
             goes = step >= model.static_end
         else:
             goes = step >= model.due[landed]
-        if model.fixed == 0 and poll and quiet_steps >= model.quiet_steps and step - landed >= model.min_steps:
+        if quiet and step - landed >= model.min_steps:
             goes = True
 
     wait_for_all()
