@@ -11,6 +11,7 @@ import typer
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.text import printable
+from petmjx.whole import check_free
 
 
 def kpis(
@@ -46,6 +47,7 @@ def kpis(
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at the first unusable plan or order instead of skipping it.")
     ] = False,
+    overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
     """Rate plans as BED-BPP does: its KPIs for each plan, their means, and the leaderboard's score.
@@ -63,8 +65,10 @@ def kpis(
 
     if xlsx and out is None:
         raise InputError("--xlsx needs --out: where is it to be written?")
+    if out is not None:
+        check_free(out / "kpis.parquet", overwrite)
     if leaderboard is not None:
-        parse_name(leaderboard)
+        check_free((out or Path()) / parse_name(leaderboard).file_name, overwrite)
     found = rate(plans, orders, run, assume_stable=assume_stable, strict=strict)
     if out is not None:
         write_kpis(found, out, xlsx=xlsx)

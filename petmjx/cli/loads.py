@@ -11,6 +11,7 @@ import typer
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.text import printable
+from petmjx.whole import check_free
 
 
 def loads(
@@ -34,6 +35,7 @@ def loads(
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="Folder for box_loads and plan_loads, as Parquet and CSV."),
     ] = None,
+    overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
     """Say which boxes bear more than they can: force on top at rest / strength.
@@ -45,6 +47,8 @@ def loads(
     from petmjx.show.layout import print_each
     from petmjx.show.load_tables import load_tables
 
+    if out is not None:
+        check_free(out / "box_loads.parquet", overwrite)
     found = compare(run, articles, plans or None)
     if out is not None:
         found.write(out)

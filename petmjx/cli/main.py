@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -154,8 +155,16 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
     except (BrokenPipeError, SystemExit):
         # The reader of the output has closed it (petmjx … | head); typer and rich then exit.
         return ExitCode.OK
+    except OSError as error:
+        if error.filename is not None or error.errno != errno.ENOSPC:  # of files that are named there is an InputError
+            return _report(_inside(error), ExitCode.FAILURE)
+        return _report(f"what is printed cannot be written: {error.strerror}", ExitCode.FAILURE)
     except Exception as error:
-        return _report(f"failure inside petmjx: {one_line(error)}; petmjx --debug … shows where", ExitCode.FAILURE)
+        return _report(_inside(error), ExitCode.FAILURE)
+
+
+def _inside(error: Exception) -> str:
+    return f"failure inside petmjx: {one_line(error)}; petmjx --debug … shows where"
 
 
 def _report(message: str, code: ExitCode) -> int:

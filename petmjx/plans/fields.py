@@ -44,8 +44,10 @@ def text_fault(field: str, value: object) -> str | None:
 
 def plan_id_fault(value: str) -> str | None:
     """What is wrong with a plan id; None if nothing is."""
-    if not value or not is_text(value):
+    if not value:
         return "the plan id must be text and not empty"
+    if not is_text(value):
+        return "the plan id is not UTF-8 text"
     if len(value) > LONGEST_NAME:
         return f"the plan id must have at most {LONGEST_NAME:,} characters, got {len(value):,}"
     return None

@@ -362,7 +362,11 @@ def test_names_that_are_none(text: str) -> None:
 def submit(plans: dict[str, Any], orders: dict[str, Any], task: str = "offline3dbp") -> int:
     write(Path("plans.json"), plans)
     write(Path("orders.json"), orders)
-    return run("kpis", "plans.json", "--orders", "orders.json", "--leaderboard", f"2026-02-03_doe_x_{task}", "-o", "s")
+    name = f"2026-02-03_doe_x_{task}"
+    asked = ("kpis", "plans.json", "--orders", "orders.json", "--leaderboard", name, "-o", "s")
+    if (Path("s") / f"{name}.json").exists():
+        assert run(*asked) == 2  # what is there is replaced only if asked
+    return run(*asked, "--overwrite")
 
 
 def test_a_submission_is_written_as_the_orders_have_it(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -146,7 +146,7 @@ FILE_FAULTS = [
     (b"[" * 200_000, "p.json: not JSON at line 1, column 1 (expected {)"),
     (b'{"A": ' + b"9" * 5000 + b"}", "p.json: plan A: must be a list of placements, got Infinity"),
     (b'{"A\nB": [{}]}', "p.json: plan A\\nB: not JSON at line 1, column 4 (Invalid control character"),
-    (b'{"\\ud800": [{}]}', "p.json: plan \\ud800: the plan id must be text and not empty"),
+    (b'{"\\ud800": [{}]}', "p.json: plan \\ud800: the plan id is not UTF-8 text"),
     (b'{"": [{}]}', "p.json: plan : the plan id must be text and not empty"),
 ]
 
