@@ -110,7 +110,10 @@ def make_room(folder: Path, overwrite: bool) -> None:
     """
     if holds_run(folder):
         if not overwrite:
-            raise InputError(f"{folder}: holds a run already; name another folder with --out, or pass --overwrite")
+            what = "a run already"
+            if not (folder / RUN_FILE).exists():
+                what = f"tables of a run without its {RUN_FILE}, so that it cannot be resumed"
+            raise InputError(f"{folder}: holds {what}; name another folder with --out, or pass --overwrite")
         (folder / RUN_FILE).unlink(missing_ok=True)
         for file in (file for table in TABLES for file in part_files(folder, table)):
             file.unlink()

@@ -27,7 +27,6 @@ from petmjx.results.files import (
     RUN_FILE,
     copy_file,
     drop_unfinished_parts,
-    holds_run,
     make_room,
     part_files,
     part_name,
@@ -160,7 +159,7 @@ class RunWriter:
                 if not until_exit.enter_context(locked(self.out_dir)):
                     self.warn("the file system has no locks: another run into the same folder is not noticed")
                 tidy(self.out_dir)
-                if self._resume and holds_run(self.out_dir):
+                if self._resume and (self.out_dir / RUN_FILE).exists():
                     self._go_on()
                 else:
                     make_room(self.out_dir, self._overwrite)

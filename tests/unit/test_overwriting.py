@@ -53,3 +53,14 @@ def test_a_file_in_a_folder_that_is_read_is_not_replaced(folder: Path, capsys: p
 
 def test_standard_output_may_be_written(folder: Path) -> None:
     assert main(["export", "00000001", "plans.json", "--out", "/dev/stdout"]) == 0
+
+
+@pytest.mark.parametrize("options", [(), ("--resume",)])
+def test_tables_without_a_run_are_neither_resumed_nor_replaced(
+    options: tuple[str, ...], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "run" / "worlds").mkdir(parents=True)
+    (folder / "run" / "worlds" / "part-00000.parquet").write_bytes(b"mine")
+    assert main(["score", "plans.json", "--out", "run", *options]) == 2
+    assert "run: holds tables of a run without its run.json, so that it cannot be resumed; " in capsys.readouterr().err
+    assert (folder / "run" / "worlds" / "part-00000.parquet").read_bytes() == b"mine"
