@@ -46,8 +46,8 @@ class Timetable:
         more = max(last_step + 1 - len(self.clock), 0)
         # cumsum adds one by one, as MuJoCo does
         behind = np.cumsum(np.concatenate([self.clock[-1:], np.full(more, self.clock[1])]))[1:]
-        clock = np.concatenate([self.clock, behind]).tolist()
-        return lambda step: clock[step]
+        clock = np.concatenate([self.clock, behind])
+        return lambda step: float(clock[step])
 
 
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
