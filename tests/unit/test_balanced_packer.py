@@ -309,12 +309,12 @@ def test_the_command_tells_what_is_left_out(tmp_path: Path, capsys: pytest.Captu
     assert capsys.readouterr().out == f"12 plans in {packed}\n"
     assert list(json.loads(packed.read_text())) == [f"s0-{index:06d}" for index in range(12)]
     tall = write(tmp_path / "orders.json", {"tall": order(3, **{"height/mm": 2500})})
-    assert run("samples", "--orders", tall, "--packer", "balanced", "-o", packed) == 0
+    assert run("samples", "--orders", tall, "--packer", "balanced", "-o", packed, "--overwrite") == 0
     assert capsys.readouterr().out.splitlines() == [
         "order tall: 1 of 3 boxes is left out: item 2",
         f"1 plan in {packed}; 1 box of 1 order left out",
     ]
-    assert run("samples", "-n", "1", "--packer", "best", "-o", packed) == 2
+    assert run("samples", "-n", "1", "--packer", "best", "-o", packed, "--overwrite") == 2
     assert "unknown packer best" in only_line(capsys.readouterr().err)
 
 

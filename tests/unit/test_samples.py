@@ -255,7 +255,7 @@ def test_a_bad_item_is_named_and_the_other_orders_are_packed(
 def test_without_a_usable_order_no_file_is_touched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     orders = write(tmp_path / "orders.json", {"bad": order(id=None)})
     (tmp_path / "plans.json").write_text("kept")
-    assert run("samples", "--orders", str(orders), "-o", str(tmp_path / "plans.json")) == 2
+    assert run("samples", "--orders", str(orders), "-o", str(tmp_path / "plans.json"), "--overwrite") == 2
     skipped, error = capsys.readouterr().err.splitlines()
     assert skipped.startswith(f"skipped: {orders}: order bad, item 2: id")
     assert error == f"petmjx: {tmp_path / 'plans.json'}: there is no plan to write"
