@@ -18,10 +18,10 @@ from support.plans import make_scene, stack
 
 from petmjx.config import PHYSICS, Carrier, Cone, Schedule, Simulation, Thresholds
 from petmjx.engines.base import GrowingJobs, Progress
+from petmjx.engines.clock import Clock
 from petmjx.engines.cpu import live as mujoco_live
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.engines.cpu.world import Clock
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge

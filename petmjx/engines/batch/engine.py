@@ -203,7 +203,7 @@ class MjxEngine(ABC):
             rows = np.flatnonzero(group.handed_on(group.status()) & ~emitted)
             emitted[rows] = True
             picked = pick(rows, group.table, group.worlds, run.sim)
-            yield from outcomes(rows, picked, jobs, first_job, run.timetable, run.sim, group.recorder)
+            yield from outcomes(rows, picked, jobs, first_job, run.sim, group.recorder)
 
         n_boxes = np.array([job.scene.n_boxes for job in jobs])
         for kind in sorted(run.capacities, key=("", "force", "acceleration").index):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.state import State, Status, Worlds, narrow, take_rows, uploaded
-from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.clock import Clock
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
@@ -77,14 +77,14 @@ def outcomes(
     picked: Sequence[tuple[State, Reduced]],
     jobs: Sequence[Job],
     first_job: int,
-    timetable: Timetable,
     sim: Simulation,
     recorder: Recorder,
 ) -> Iterator[Outcome]:
     """Outcomes of rows of a table that ``pick`` has picked, with their histories."""
+    clock = Clock(sim.physics.timestep_s)
     for batch, first in zip(picked, range(0, len(rows), PICKED), strict=True):
         state, found = jax.device_get(batch)
-        yield from _outcomes(rows[first : first + PICKED], state, found, jobs, first_job, timetable, sim, recorder)
+        yield from _outcomes(rows[first : first + PICKED], state, found, jobs, first_job, clock, sim, recorder)
 
 
 def _outcomes(
@@ -93,12 +93,11 @@ def _outcomes(
     found: Reduced,
     jobs: Sequence[Job],
     first_job: int,
-    timetable: Timetable,
+    clock: Clock,
     sim: Simulation,
     recorder: Recorder,
 ) -> Iterator[Outcome]:
-    m = host.metrics
-    seconds = timetable.time_s_until(int(host.step.max(initial=0)))
+    m, seconds = host.metrics, clock.time_s
     for i, row in enumerate(rows):
         job = jobs[row]
         n = job.scene.n_boxes

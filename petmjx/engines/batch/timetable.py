@@ -7,7 +7,6 @@ float64 comparisons over.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,14 +39,6 @@ class Timetable:
     rest_steps: int
     one_by_one_end: Int32[np.ndarray, " n_boxes"]
     static_end: int
-
-    def time_s_until(self, last_step: int) -> Callable[[int], float]:
-        """The time after a step up to this one, s. The tables end before drives and rests do."""
-        more = max(last_step + 1 - len(self.clock), 0)
-        # cumsum adds one by one, as MuJoCo does
-        behind = np.cumsum(np.concatenate([self.clock[-1:], np.full(more, self.clock[1])]))[1:]
-        clock = np.concatenate([self.clock, behind])
-        return lambda step: float(clock[step])
 
 
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.engines.clock import Clock
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.recorder import Recorder
@@ -25,28 +26,6 @@ _FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
 
 class Cancelled(Exception):
     """The run was interrupted; the world has no outcome."""
-
-
-class Clock:
-    """MuJoCo's time after each step: the float64 running sum of the timestep."""
-
-    def __init__(self, timestep_s: float) -> None:
-        self._dt = timestep_s
-        self._time = np.zeros(1)
-
-    def time_s(self, step: int) -> float:
-        if step >= len(self._time):
-            # cumsum adds one by one, as mj_step does: a product step × dt differs in the last digits.
-            self._time = np.concatenate(([0.0], np.cumsum(np.full(2 * step + 1000, self._dt))))
-        return float(self._time[step])
-
-    def first_after(self, step: int, interval_s: float) -> int:
-        """The first step at which at least ``interval_s`` have passed since ``step``."""
-        start = self.time_s(step)
-        candidate = step + max(int(interval_s / self._dt) - 2, 0)
-        while self.time_s(candidate) - start < interval_s:
-            candidate += 1
-        return candidate
 
 
 @dataclass(frozen=True, eq=False)

@@ -256,7 +256,7 @@ class MjxWarpEngine(MjxEngine):
                         rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                yield from outcomes(ended, picked, jobs, 0, run.timetable, run.sim, group.recorder)
+                yield from outcomes(ended, picked, jobs, 0, run.sim, group.recorder)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
                     rollout.keep_under_way(at_once, group, queues.order)
         except BaseException:
@@ -290,8 +290,7 @@ class MjxWarpEngine(MjxEngine):
         for kind in sorted(set(kinds)):
             some = rows[kinds == kind]
             growth = self._room.get((cone, kind), 1)
-            (n_boxes,) = group.run.capacities[kind]
-            if growth * (n_boxes + MORE_BOXES) >= _most_room(kind):
+            if self._boxes_of_room(group.run, kind) == _most_room(kind):
                 group.give_up(some, Flag.NONE)
                 continue
             self._room[cone, kind] = growth = 2 * growth
@@ -336,10 +335,15 @@ class MjxWarpEngine(MjxEngine):
                 self._kept[shapes] = (key, rollout)
                 return rollout
 
+    def _boxes_of_room(self, run: Run, kind: str) -> int:
+        """Boxes for which a world of a size has contacts and pairs, as far as buffers have grown."""
+        (n_boxes,) = run.capacities[kind]
+        return min(self._room.get((run.sim.physics.cone, kind), 1) * (n_boxes + MORE_BOXES), _most_room(kind))
+
     def _fleet(self, run: Run, kind: str) -> Fleet:
         """Lanes of a size, as many as there can be."""
         (n_boxes,) = run.capacities[kind]
         shape = Shape.here(n_boxes)
-        boxes = min(self._room.get((run.sim.physics.cone, kind), 1) * (n_boxes + MORE_BOXES), _most_room(kind))
+        boxes = self._boxes_of_room(run, kind)
         lanes = min(self.lanes or shape.lanes, shape.lanes)
         return Fleet(shape, lanes, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes)
