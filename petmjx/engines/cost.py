@@ -173,10 +173,11 @@ class Costs:
 
 
 MEASURED = Costs()
-"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two. Measured there:
-mjx-warp compiles for 13 to 20 s (0.5 s with a kernel kept from an earlier run) and runs 3.1 s for 500 generated plans,
+"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two but for 63 large plans,
+which take less than half of what is estimated since the kernels became faster. Measured there:
+mjx-warp compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier run) and runs 3.1 s for 500 generated plans,
 5.4 s for 2,000 and 20 s for 10,003, adaptive (estimated: 2.6, 5.6 and 22 s); 14 s for 2,000 with the schedule fixed
-(14); 47 s for 630 plans of 156 boxes on average (78), and took 25 s for 63 of them when these took 55 (47); 4.2 s for
+(14); 47 s for 630 plans of 156 boxes on average (78), and 21 s for 63 of them (47); 3.8 to 4.4 s for
 4,032 drives of EUMOS's profile. Not fitted to other devices.
 
 CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
