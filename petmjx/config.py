@@ -136,8 +136,8 @@ class Physics(Checked):
     """Contacts, carrier, floor, gravity and timestep.
 
     The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
-    cone, the carrier's friction, and the five of contacts (solref, solreffriction, solimp, impratio, skin_m). Friction
-    of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    cone, the carrier's friction, the five of contacts (solref, solreffriction, solimp, impratio, skin_m), and whether
+    boxes fall into their places. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
     Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
@@ -173,6 +173,11 @@ class Physics(Checked):
         0.0001,
         description="by how much boxes are larger for the collider, which then prefers faces to edges, and half as "
         "much as the carrier is; contacts of faces begin where the boxes themselves touch; m",
+    )
+    falls_into_place: bool = Field(
+        False,
+        description="whether a box falls into its place when it is released, by size_reduction_mm at least, as it is "
+        "lower by that; else it is released as it will rest on what bears it",
     )
 
     @property
@@ -220,6 +225,7 @@ PHYSICS["reference"] = Physics(
     solimp=(0.99, 0.99, 0.01),
     impratio=1.0,
     skin_m=0.0,
+    falls_into_place=True,
 )
 """The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md):
 elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, friction that gives way 250 times less than
@@ -250,26 +256,24 @@ class Thresholds(Checked):
 
 
 class Quiet(Checked):
-    """When a pallet is quiet enough for the next box.
+    """When a pallet is quiet enough for the next box, and when a world rests.
 
-    The rule, to the step: docs/rules.md, section 5. In short: the pace of a box is the larger of its linear and its
-    angular speed, each divided by its limit. A pallet is quiet when all paces were below 1 for ``steps`` steps.
+    The rules, to the step: docs/rules.md, section 5. In short: a pallet is quiet when all boxes were slower than
+    ``quiet_m_s`` for ``steps`` steps. A box is as fast as its fastest point.
 
-    With the schedule ``adaptive`` and elliptic cones each box must also be at rest then, or have slowed down. A box
-    that does neither creeps. On a fixed schedule of half a minute, 1 mm/s (a tenth of the limit) is a shift of more
-    than 20 mm, so boxes that creep get the whole interval. Once a box has crossed a threshold, the result of the creep
-    is known, so it is not waited for.
+    With elliptic cones each box must also be slow or have slowed down then, and one that moves must not have become
+    faster, as a box does that begins to topple. A box for which this does not hold creeps. Once a box has crossed a
+    threshold, the result of the creep is known, so it is not waited for.
+
+    A world rests if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` of its rest window.
     """
 
-    lin_vel_m_s: Annotated[float, within(0, 100)] = Field(
-        0.01, gt=0, description="linear speed below which a box is quiet, m/s"
+    quiet_m_s: Annotated[float, within(0, 100)] = Field(
+        0.01, gt=0, description="speed of a box's fastest point below which it is quiet, m/s"
     )
-    ang_vel_rad_s: Annotated[float, within(0, 100)] = Field(
-        0.05, gt=0, description="angular speed below which a box is quiet, rad/s"
-    )
-    rest_share: Annotated[float, within(0, 1000)] = Field(0.1, ge=0, description="pace below which a box is at rest")
+    slow_m_s: Annotated[float, within(0, 100)] = Field(0.001, ge=0, description="the same below which it is slow, m/s")
     slowing: Annotated[float, within(0, 1000)] = Field(
-        0.5, ge=0, description="a faster box creeps unless it slows to this share of its pace"
+        0.5, ge=0, description="a faster box creeps unless it slows to this share of its speed"
     )
     steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         25, ge=1, description="steps for which all boxes must have been quiet"
@@ -278,6 +282,12 @@ class Quiet(Checked):
         50, ge=1, description="steps after a placement before which no pallet is quiet"
     )
     poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(5, ge=1, description="steps between two looks")
+    still_m_s: Annotated[float, within(0, 100)] = Field(
+        0.0001, ge=0, description="speed of a box's fastest point up to which it is still, m/s"
+    )
+    still_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
+        50, ge=1, description="steps before a world's end for which all boxes must have been still"
+    )
 
 
 class Simulation(Checked):
@@ -302,16 +312,22 @@ class Simulation(Checked):
         "rollcontainer: 800×700 mm (x × y)",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), Flag("--size-reduction-mm", "MM")] = Field(
-        0.1, ge=0, description="each box dimension is reduced by this, so that neighbours do not start in contact, mm"
+        0.1, ge=0, description="boxes are smaller by this along x and y, so that neighbours start apart, mm"
     )
     interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), Flag("--interval", "S")] = Field(
-        0.7, gt=0, description="time between two placements, s; at most, unless the schedule is fixed"
+        0.7, gt=0, description="time between two placements, s; adaptive: the longest wait once a box has failed"
+    )
+    longest_wait_s: Annotated[float, within(0, LONGEST_INTERVAL_S), Flag("--longest-wait", "S")] = Field(
+        10.0,
+        ge=0,
+        description="longest wait for a pallet to come to rest: adaptive, before the next box; always, before the end, "
+        "s. A world that still moves then has the flag moving",
     )
     duration_s: Annotated[float, within(0, LONGEST_S), Flag("--duration", "S")] = Field(
         10.0, gt=0, description="length of the static check, s"
     )
     settle_s: Annotated[float, within(0, LONGEST_S), Flag("--settle", "S")] = Field(
-        2.0, ge=0, description="rest between the last placement and a profile, s; at most, unless fixed"
+        2.0, ge=0, description="rest between the last placement and a profile, s; adaptive: of a pallet that has failed"
     )
     rest_s: Annotated[float, within(0, LONGEST_S), Flag("--rest", "S")] = Field(
         1.0, ge=0, description="time to come to rest after a profile's last sample, s"
@@ -329,6 +345,11 @@ class Simulation(Checked):
     )
     early_stop: Annotated[bool, Flag("--early-stop/--no-early-stop")] = Field(
         True, description="stop a world once a box has dropped, instead of going on to the end of the schedule"
+    )
+    check_timestep: Annotated[bool, Flag("--check-timestep")] = Field(
+        False,
+        description="simulate worlds with a margin below a half again at half the timestep, and name those that change "
+        "(flag timestep)",
     )
     thresholds: Thresholds = Field(Thresholds(), description="where a plan stops being stable")
     quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
@@ -367,10 +388,9 @@ class Simulation(Checked):
         return self
 
     @property
-    def waits_for_creep(self) -> bool:
-        """Whether the next box waits for boxes that creep.
+    def waits_for_rest(self) -> bool:
+        """Whether what follows waits for boxes that creep: the next box (schedule adaptive), a profile, and the end.
 
-        Not with pyramidal cones: there every box creeps a little, and waiting for it changed very few verdicts
-        (docs/performance.md).
+        Not with pyramidal cones: there every box creeps a little (docs/performance.md).
         """
-        return self.schedule is Schedule.ADAPTIVE and self.physics.cone is Cone.ELLIPTIC
+        return self.physics.cone is Cone.ELLIPTIC

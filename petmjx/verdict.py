@@ -58,6 +58,13 @@ class Flag(IntFlag):
     """The simulation ended with an exception; ``Outcome.message`` has its text."""
     TIMEOUT = 2048
     """The world took longer than ``RunOptions.world_timeout_s``."""
+    MOVING = 4096
+    """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
+    depend on how long one looked."""
+    KNIFE_EDGE = 8192
+    """A load acts within half a millimetre of the edge of what bears it (petmjx.engines.edges)."""
+    TIMESTEP = 16384
+    """At half the timestep the verdict is another one (``Simulation.check_timestep``)."""
 
 
 @dataclass(eq=False)
@@ -95,12 +102,19 @@ class Outcome:
     n_steps: int
     flags: Flag
     boxes: BoxMetrics
+    n_at_sign: int = 0
+    """Boxes that were placed when the culprit crossed a threshold; 0: none did at a sample."""
     solver: str = "newton"
     attempt: int = 1
+    engine: str = ""
+    """Which engine made this attempt; filled in where outcomes arrive (petmjx.engines.retry)."""
     state: Any = None
-    """The settled state, if the job asked for it. Only the engine that made it can use it."""
+    """The settled state, if the job asked for it: a ``KeptState`` where outcomes have arrived."""
     margin: float = math.nan
     """See :func:`margin_of`; filled in for all engines where their outcomes arrive (petmjx.engines.retry)."""
+    plan_edge_m: float = math.nan
+    rest_edge_m: float = math.nan
+    """Least distances of loads from edges, m (petmjx.engines.edges); filled in there, too."""
     message: str = ""
     """Why there is no result, in one line, if ``reason`` is ``failed``."""
     history: History | None = None
@@ -168,6 +182,7 @@ class Attempt:
     """One attempt at a world. The last attempt gives the verdict."""
 
     attempt: int
+    engine: str
     solver: str
     timestep_s: float
     verdict: Verdict

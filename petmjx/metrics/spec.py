@@ -29,6 +29,7 @@ TEXT: Final = ""
 class When(StrEnum):
     """When in a run a metric is taken."""
 
+    PLAN = "plan"
     SAMPLES = "samples"
     SAMPLES_AND_END = "samples, end"
     REST = "rest window"
@@ -135,6 +136,15 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "margin", DIMENSIONLESS,
         "distance to the nearest threshold as a share of it: 1 nothing moved, 0 on it, < 0 beyond; null if invalid",
         When.SAMPLES_AND_END,
+    ),
+    WorldMetric(
+        "plan_edge_m", "m",
+        "least distance of a box's load from the edge of what bears it, by the plan; < 0 beyond it; null if invalid",
+        When.PLAN, compared=False,
+    ),
+    WorldMetric(
+        "rest_edge_m", "m", "the same where the boxes came to rest; null unless the world is stable and was not shaken",
+        When.END, compared=False,
     ),
     WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.SAMPLES_AND_END),
     BoxMetric(

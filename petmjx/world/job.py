@@ -64,13 +64,21 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
+class KeptState:
+    """A settled state and the name of the engine that made it, which alone can start from it."""
+
+    engine: str
+    state: Any
+
+
+@dataclass(frozen=True, eq=False)
 class Job:
     """One world to simulate.
 
-    ``start`` is the ``state`` of an earlier outcome of the same engine: the world then skips soft start and placement,
-    and begins with its drive. ``keep_state`` asks for such a state, taken when the placement has settled. A job with
-    ``keep_state`` and no drive may end at that moment, without a rest window. ``record`` asks for the world's history;
-    it changes nothing else.
+    ``start`` is the ``state`` of an earlier outcome: the world then skips soft start and placement, and begins with its
+    drive. An engine gets a state of its own; before that it is a ``KeptState``. ``keep_state`` asks for such a state,
+    taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
+    window. ``record`` asks for the world's history; it changes nothing else.
     """
 
     scene: Scene

@@ -60,11 +60,12 @@ class Scene:
 def build_scene(plan: Plan, sim: Simulation) -> Scene:
     """The nominal scene of a plan.
 
-    Each size is reduced by ``sim.size_reduction_mm``; the front-left-bottom corner stays. Half sizes and centres are
-    rounded half up to 1 µm, as the reference implementation writes them.
+    Length and width are reduced by ``sim.size_reduction_mm``, and the height if boxes fall into their places; the
+    front-left-bottom corner stays. Half sizes and centres are rounded half up to 1 µm, as the reference implementation
+    writes them.
     """
     physics = sim.physics
-    size = plan.size_mm - sim.size_reduction_mm
+    size = plan.size_mm - sim.size_reduction_mm * np.array([1.0, 1.0, float(physics.falls_into_place)])
     half_size = round_to_micrometre(mm_to_m(size / 2))
     target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
     carrier_half_size, carrier_pos = _carrier(plan, sim)

@@ -53,6 +53,7 @@ def make_outcome(
         "n_steps": 750,
         "flags": Flag.NONE,
         "boxes": make_boxes(n, **of_boxes),
+        "engine": "mujoco",
     }
     outcome = Outcome(**values | changes)
     outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, Thresholds())

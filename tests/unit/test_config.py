@@ -148,7 +148,7 @@ def test_changes_are_checked(changes: dict[str, Any], line: str) -> None:
     assert line in str(caught.value)
 
 
-def test_creep_is_waited_for_with_elliptic_cones_only() -> None:
-    assert Simulation().waits_for_creep
-    assert not Simulation(physics="reference").waits_for_creep
-    assert not Simulation(schedule="fixed").waits_for_creep
+def test_rest_is_waited_for_with_elliptic_cones_only() -> None:
+    assert Simulation().waits_for_rest
+    assert Simulation(schedule="fixed").waits_for_rest
+    assert not Simulation(physics="reference").waits_for_rest

@@ -64,7 +64,7 @@ def test_a_new_metric_reaches_files_units_and_comparison(tmp_path: Path, monkeyp
         values = np.array([[1.0, -2.0], [0.5, 0.0], [np.nan, np.nan]]) * 100 * factor
         outcome.boxes = MoreMetrics(**vars(outcome.boxes), spin=values)
         with RunWriter(tmp_path / folder, {}) as run:
-            run.add(make_plan(), 0, "mujoco", "fixed", outcome)
+            run.add(make_plan(), 0, "fixed", outcome)
     results = load_run(tmp_path / "a")
     assert results.boxes["spin_y"].tolist()[:2] == [-200.0, 0.0]
     assert results.boxes["spin_y"].isna().tolist() == [False, False, True]
@@ -117,7 +117,8 @@ def test_reasons_are_looked_at_in_their_order() -> None:
     for flag, reason in steps:
         assert judge(flags, boxes, 3, Thresholds()) == (Verdict.INVALID, reason)
         flags &= ~flag
-    assert flags == Flag.EARLY_STOP | Flag.RERUN_AFTER_OVERFLOW | Flag.FORKED | Flag.SINKING
+    harmless = Flag.EARLY_STOP | Flag.RERUN_AFTER_OVERFLOW | Flag.FORKED | Flag.SINKING | Flag.MOVING
+    assert flags == harmless | Flag.KNIFE_EDGE | Flag.TIMESTEP
     assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.DROP)
     boxes.dropped[:] = False
     assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.TILT)

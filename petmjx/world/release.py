@@ -1,0 +1,77 @@
+"""Where boxes are released: as they will rest on what bears them.
+
+Contacts are soft. Under the loads so far a pile has come down by up to some tenths of a millimetre, and a box's own
+contacts are a tenth of a millimetre deep once they carry it. A box that appeared where the plan has it would fall by
+both, land with centimetres a second, and might rock over an edge on which it stands. So it is released as deep in what
+bears it as its weight will press it, and it follows how far that has come down since.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Check, Simulation
+from petmjx.history import CARRIER
+from petmjx.units import FloatArray
+from petmjx.world.bearing import TOUCH_M
+from petmjx.world.contact import CONTACTS_PER_FACE, cone_factor, depth_m
+from petmjx.world.scene import Scene
+
+NOTHING: Final = -2
+"""In place of a support: the box hangs in the air, or falls into its place."""
+
+MOST_FOLLOWED_M: Final = 0.002
+"""How far a box follows its support at most, m: a pile that has moved by more no longer bears it as planned."""
+
+
+class Release(NamedTuple):
+    """How n boxes are released.
+
+    Attributes:
+        support: (n,) the box that a box follows, ``CARRIER``, or ``NOTHING``: the one with which it shares most area.
+        pos: (n, 3) centres of boxes whose support is where the plan has it, m.
+    """
+
+    support: NDArray[np.intp]
+    pos: FloatArray
+
+    def place_of(self, box: int, scene: Scene, boxes_z: FloatArray, carrier_z: float) -> FloatArray:
+        """(3,) centre of a box that is released now, m.
+
+        Args:
+            boxes_z, carrier_z: heights of the centres of the boxes before it, and of the carrier's, m.
+        """
+        place: FloatArray = self.pos[box].copy()
+        support = self.support[box]
+        if support != NOTHING:
+            on_carrier = support == CARRIER
+            moved = carrier_z - scene.carrier_pos[2] if on_carrier else boxes_z[support] - scene.target[support, 2]
+            place[2] += np.clip(moved, -MOST_FOLLOWED_M, MOST_FOLLOWED_M)
+        return place
+
+
+def release_of(scene: Scene, sim: Simulation) -> Release:
+    """How the boxes of a scene are released, one by one. In a static check all stand at their planned places."""
+    if sim.physics.falls_into_place or sim.check is Check.STATIC:
+        return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
+    support = _supports(scene)
+    touches = (support != NOTHING) & (scene.start_pos[:, 2] <= scene.target[:, 2])
+    physics, friction = sim.physics, (scene.box_friction[0], scene.carrier_friction[0])
+    share = 1.0 + scene.mass / np.where(support == CARRIER, scene.carrier_mass, scene.mass[np.maximum(support, 0)])
+    soft = np.where(support == CARRIER, cone_factor(physics, *friction), cone_factor(physics, friction[0]))
+    pos = scene.start_pos.copy()
+    pos[:, 2] -= np.where(touches, depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE), 0.0)
+    return Release(support, pos)
+
+
+def _supports(scene: Scene) -> NDArray[np.intp]:
+    """(n,) what each box lies on by the planned places, or most of it."""
+    low, high = scene.target - scene.half_size, scene.target + scene.half_size
+    shared = np.minimum(high[:, None, :2], high[None, :, :2]) - np.maximum(low[:, None, :2], low[None, :, :2])
+    area = np.maximum(shared, 0.0).prod(axis=-1)
+    area *= np.triu(np.abs(high[:, None, 2] - low[None, :, 2]) <= TOUCH_M, k=1)
+    found = np.where(area.any(axis=0), area.argmax(axis=0), NOTHING)
+    return np.where(low[:, 2] <= TOUCH_M, CARRIER, found)

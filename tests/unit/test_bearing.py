@@ -1,0 +1,104 @@
+"""What bears what by the plan, where loads act, and where boxes are released."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from support.plans import Box, make_scene, stack
+
+from petmjx.config import PHYSICS, Simulation
+from petmjx.engines.cpu.live import LiveWorld
+from petmjx.history import CARRIER
+from petmjx.world.bearing import bearing_of
+from petmjx.world.release import MOST_FOLLOWED_M, NOTHING, release_of
+from petmjx.world.scene import Scene
+
+EXACT = Simulation(size_reduction_mm=0.0)
+MM = 1e-3
+
+
+def scene_of(*boxes: Box) -> Scene:
+    return make_scene(boxes, EXACT)
+
+
+def edges_mm(scene: Scene) -> list[float]:
+    bearing = bearing_of(scene)
+    return (bearing.edges_m(bearing.loads(scene.n_boxes)) / MM).tolist()
+
+
+def test_a_tower_s_loads_act_at_their_common_centres() -> None:
+    """Centres at 200, 300 and 350 mm of boxes 400 mm long: 12 kg of 2 × 5 kg on 300 mm and 350 mm."""
+    scene = scene_of(
+        ((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (100, 0, 200), 5.0), ((400, 300, 200), (150, 0, 400), 5.0)
+    )
+    bearing = bearing_of(scene)
+    assert bearing.lower.tolist() == [CARRIER, 0, 1]
+    load = bearing.loads(3)
+    np.testing.assert_allclose(load[:, 0], [15.0, 10.0, 5.0])
+    np.testing.assert_allclose(load[:, 1] / load[:, 0], [0.85 / 3, 0.325, 0.35])
+    # of the tops that bear them: to 400, and from 100, and to 500 mm
+    assert edges_mm(scene) == pytest.approx([400 - 850 / 3, 75.0, 150.0])
+    # the third box is not there yet
+    assert bearing.loads(2)[:, 0].tolist() == [10.0, 5.0, 0.0]
+
+
+def test_a_bridge_is_borne_within_the_hull_of_its_supports() -> None:
+    """Supports to 200 and from 400 mm; the load acts at 300 mm, over the gap, as far from the sides as it can be."""
+    scene = scene_of(
+        ((200, 300, 200), (0, 0, 0), 5.0), ((200, 300, 200), (400, 0, 0), 5.0), ((600, 300, 200), (0, 0, 200), 8.0)
+    )
+    assert edges_mm(scene) == pytest.approx([100.0 - 100.0 * 4 * 0 / 9, 100.0, 150.0], abs=0.01)
+    assert bearing_of(scene).loads(3)[:, 0].tolist() == pytest.approx([9.0, 9.0, 8.0])
+
+
+def test_a_corner_hull_is_not_its_bounding_box() -> None:
+    """Two supports at opposite corners: the other corners of the square between them bear nothing."""
+    small = (100.0, 100.0, 100.0)
+    top: Box = ((400, 400, 100), (0, 0, 100), 1.0)
+    weight: Box = (small, (300, 0, 200), 1000.0)
+    scene = scene_of((small, (0, 0, 0), 1.0), (small, (300, 300, 0), 1.0), top, weight)
+    found = edges_mm(scene)[2]
+    # the hull's edge from (100, 0) to (400, 300); the load acts near (350, 50)
+    point = (1000 * np.array([350.0, 50.0]) + np.array([200.0, 200.0])) / 1001
+    assert found == pytest.approx((point[1] - point[0] + 100) / 2**0.5)
+    assert found < 0
+
+
+def test_what_hangs_in_the_air_has_no_edge() -> None:
+    scene = scene_of(((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 201), 5.0))
+    assert np.isnan(edges_mm(scene)[1])
+    assert release_of(scene, EXACT).support.tolist() == [CARRIER, NOTHING]
+
+
+@pytest.mark.parametrize("boxes", [stack(5), stack(4, size_mm=(100, 100, 400), kg=(0.5, 5.0, 2.0, 1.0))])
+def test_boxes_are_released_as_they_will_rest(boxes: Sequence[Box]) -> None:
+    """They do not fall: a step later, and at rest, each is where it was released, to 2 % of what it has come down."""
+    scene = make_scene(boxes, EXACT)
+    live = LiveWorld(scene, EXACT)
+    live.step(200)
+    for box in range(scene.n_boxes):
+        live.place_next()
+        released = live.pose[box, 2]
+        live.step(300)
+        down = scene.target[box, 2] - released
+        assert 0 < down < 1 * MM
+        assert live.pose[box, 2] == pytest.approx(released, abs=max(0.15 * down, 2e-6))
+
+
+def test_the_reference_lets_boxes_fall() -> None:
+    scene = make_scene(stack(3), sim := Simulation(physics=PHYSICS["reference"]))
+    release = release_of(scene, sim)
+    assert release.support.tolist() == [NOTHING] * 3
+    np.testing.assert_array_equal(release.pos, scene.start_pos)
+
+
+def test_a_box_does_not_follow_a_support_that_has_gone() -> None:
+    scene = make_scene(stack(2), EXACT)
+    live = LiveWorld(scene, EXACT)
+    live.step(100)
+    live.place_next()
+    live._poses[live._row[0], 2] -= 0.05
+    live.place_next()
+    assert live.pose[1, 2] == pytest.approx(release_of(scene, EXACT).pos[1, 2] - MOST_FOLLOWED_M, abs=1e-9)
