@@ -215,6 +215,7 @@ class _Run:
                 if watcher is not None:
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=self.progress.compile_s)
+            self._take_notes(writer)
             if self.plan.plans:  # a shard may have none
                 self._summarise(writer, folder)
         return load_run(folder)
@@ -248,10 +249,16 @@ class _Run:
         outcome = self.recording.kept(world.outcome)
         if self.recording.of(world.plan) and world.outcome.history is None and not world.outcome.message:
             writer.warn(f"the engine {self.choice.name} records no histories")
-        writer.add(world.plan, index, self.choice.name, schedule, outcome, world.attempts, values)
+        writer.add(world.plan, index, schedule, outcome, world.attempts, values)
         if world.outcome.message:
             variant = f", variant {index}" if self.columns else ""
             writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
+        self._take_notes(writer)
+
+    def _take_notes(self, writer: RunWriter) -> None:
+        """Write into ``run.json`` what the engine did otherwise than asked for."""
+        for note in self.progress.notes:
+            writer.warn(note)
 
     def _summarise(self, writer: RunWriter, folder: Path) -> None:
         """Write the table ``summary``, which is made of what is on disk."""

@@ -18,13 +18,19 @@ takes 16 kB."""
 
 @dataclass
 class Progress:
-    """Totals that an engine updates while it runs. ``message`` says what it is doing (compiling, …)."""
+    """Totals that an engine updates while it runs.
+
+    Attributes:
+        message: what it is doing (compiling, …).
+        notes: lines for the results, each once: what was done otherwise than asked for.
+    """
 
     worlds_done: int = 0
     world_steps: int = 0
     compile_s: float = 0.0
     message: str = ""
     extra: dict[str, float] = field(default_factory=dict)
+    notes: dict[str, None] = field(default_factory=dict)
 
 
 class RunLock:

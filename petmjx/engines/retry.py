@@ -1,9 +1,9 @@
 """Simulates worlds with an engine, repeats the invalid ones with other settings, and yields each world's last outcome.
 
 The attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each), and then one with half the
-timestep. Worlds that sank (``petmjx.engines.sinking``) have an attempt of their own. The second attempts of the
-reference implementation repeat the same deterministic run. Here they differ: the solver gets up to
-``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
+timestep. Worlds whose verdict may come from soft contacts (``petmjx.engines.sinking``) have two attempts of their own.
+The second attempts of the reference implementation repeat the same deterministic run. Here they differ: the solver gets
+up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 """
 
 from __future__ import annotations
@@ -15,12 +15,17 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from petmjx.config import Simulation, Solver
+from petmjx.config import Cone, Simulation, Solver
 from petmjx.engines.base import Engine, GrowingJobs, Progress
-from petmjx.engines.sinking import note_sinking, stiffened
+from petmjx.engines.edges import note_edges
+from petmjx.engines.failing import failed_outcome
+from petmjx.engines.sinking import note_softness, stiffened
+from petmjx.engines.stand_in import Engines, ready_for
+from petmjx.errors import PetmjxError
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Attempt, Outcome, Reason, Verdict, margin_of
-from petmjx.world.job import Excitation, Job
+from petmjx.text import one_line
+from petmjx.verdict import Attempt, Flag, Outcome, Reason, Verdict, margin_of
+from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
 """Most solver iterations per step in a second attempt: four times MuJoCo's default, with which CG stops so
@@ -29,9 +34,16 @@ early that boxes of ``pallet`` slide apart which should stand."""
 CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
 
+NEAR = 0.5
+"""Worlds whose margin is smaller are checked at half the timestep. ``Outcome.margin`` of invalid ones is NaN."""
+
 DEFAULT_CHUNK_WORLDS = 32_768
 """Worlds given to an engine at once. With 43 boxes each their scenes take 160 MB, for any number of plans. With smaller
 chunks the MJX engines would choose (and compile) their shapes more often."""
+
+
+_COUNTED_IN_STEPS = ("steps", "min_steps", "poll_steps", "still_steps")
+"""Fields of ``Quiet``."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +54,20 @@ class AttemptRecipe:
     solver: Solver | None
     careful: bool = False
     timestep_divisor: int = 1
-    stiff: bool = False
-    """With contacts that bear light boxes under heavy ones: for worlds that sank, and for no others."""
+    stiff: float | None = None
+    """With stiffer contacts, of this share of the time constant: for worlds whose verdict may come from soft ones
+    (``Flag.SINKING``), and for no others."""
+    checks: bool = False
+    """Whether it leaves the verdict as it is, and says whether it would be another one (``Flag.TIMESTEP``)."""
 
-    def is_for(self, outcome: Outcome) -> bool:
+    def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give what the one before did not. More time is not given to a world."""
-        if outcome.verdict is not Verdict.INVALID or outcome.reason is Reason.TIMEOUT:
-            return False
-        return self.stiff == (outcome.reason is Reason.SINKING)
+        if self.checks:
+            return sim.check_timestep and abs(outcome.margin) < NEAR
+        soft = bool(outcome.flags & Flag.SINKING) and sim.physics.cone is Cone.ELLIPTIC
+        if self.stiff is not None or soft:
+            return self.stiff is not None and soft
+        return outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
         """The run's options with this attempt's changes. Times in seconds stay the same."""
@@ -64,10 +82,10 @@ class AttemptRecipe:
             factor = self.timestep_divisor
             # not checked again: a fraction of the smallest timestep may be below what users may give
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
-            quiet = {name: getattr(sim.quiet, name) * factor for name in ("steps", "min_steps", "poll_steps")}
+            quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
-        if self.stiff:
-            update["physics"] = stiffened(sim.physics)
+        if self.stiff is not None:
+            update["physics"] = stiffened(update.get("physics", sim.physics), self.stiff)
         return sim.changed(**update)
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
@@ -91,9 +109,11 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(3, Solver.CG),
     AttemptRecipe(4, Solver.CG, careful=True),
     AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2),
-    AttemptRecipe(6, None, stiff=True),
+    AttemptRecipe(6, None, stiff=0.5),
+    AttemptRecipe(7, None, stiff=0.05, timestep_divisor=8),
+    AttemptRecipe(8, None, timestep_divisor=2, checks=True),
 )
-"""The attempts, in order. Attempts 1 and 6 use the run's own solver (Newton by default)."""
+"""The attempts, in order. Attempts 1 and 6 to 8 use the run's own solver (Newton by default)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,22 +159,30 @@ def score_worlds(
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
 
+    An error of an engine that has a stand-in (petmjx/engines/stand_in.py) does not end the run: the stand-in simulates
+    what was left unanswered. Nor does an error at a further attempt: without a stand-in such worlds are invalid by
+    ``failed``.
+
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
+        PetmjxError: the engine refuses the worlds at the first attempt.
+        Exception: that of an engine without a stand-in at the first attempt.
     """
     progress = progress or Progress()
+    engines = Engines(engine, progress)
     first, *retries = attempts
     source = iter(worlds)
     waiting: list[_Pending[AnyWorld]] = []
+    aside: list[AnyWorld] = []
 
     def attempt_at(
         batch: list[_Pending[AnyWorld]], attempt: AttemptRecipe, later: Sequence[AttemptRecipe]
     ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
         """Yield results that are final; return the worlds for which there is a later attempt."""
         again: list[_Pending[AnyWorld]] = []
-        arriving = more if attempt is first else None
-        for world, outcome, records in _run_attempt(batch, attempt, sim, engine, progress, arriving):
-            if any(each.is_for(outcome) for each in later):
+        making = _Making(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
+        for world, outcome, records in making.run(batch):
+            if any(each.is_for(outcome, sim) for each in later):
                 again.append((world, outcome, records))
             else:
                 yield WorldResult(world, outcome, records)
@@ -165,14 +193,15 @@ def score_worlds(
             chosen: list[_Pending[AnyWorld]] = []
             others: list[_Pending[AnyWorld]] = []
             for pending in batch:
-                fits = pending[1] is not None and attempt.is_for(pending[1])
+                fits = pending[1] is not None and attempt.is_for(pending[1], sim)
                 (chosen if fits else others).append(pending)
             if chosen:
-                progress.message = f"{len(chosen)} invalid again, attempt {attempt.number} of {attempts[-1].number}"
+                progress.message = f"{len(chosen)} again, attempt {attempt.number}"
                 batch = others + (yield from attempt_at(chosen, attempt, retries[number:]))
 
     while True:
-        chunk = list(islice(source, chunk_worlds)) or list(more() if more else ())
+        chunk = list(islice(source, chunk_worlds)) or aside.copy() or list(more() if more else ())
+        aside.clear()
         if chunk:
             waiting += yield from attempt_at([(world, None, ()) for world in chunk], first, retries)
         elif not waiting:
@@ -182,38 +211,104 @@ def score_worlds(
             yield from retry(invalid)  # from whose results more may follow
 
 
-def _run_attempt(
-    batch: list[_Pending[AnyWorld]],
-    attempt: AttemptRecipe,
-    sim: Simulation,
-    engine: Engine,
-    progress: Progress,
-    more: Callable[[], Iterable[AnyWorld]] | None = None,
-) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-    """Make one attempt at each world of a batch: yield world, outcome, and its records with this attempt's record.
+@dataclass(eq=False)
+class _Making(Generic[AnyWorld]):
+    """One attempt at a batch of worlds.
 
-    Worlds of ``more`` are appended to the batch, if the engine takes them while it runs.
+    Attributes:
+        sim: the run's options with the attempt's changes.
+        more: worlds that follow from the results so far, if they may be added to the batch.
+        aside: those of them that another engine simulates are put here.
     """
-    attempt_sim = attempt.apply_to_sim(sim)
-    unanswered = set(range(len(batch)))
-    jobs = attempt.apply_to_jobs([pending[0].job for pending in batch])
-    if not getattr(engine, "takes_more", False):
-        more = None
-    if more:
-        jobs = GrowingJobs(jobs)
-    for answer in engine.run(jobs, attempt_sim, progress):
-        if answer.job not in unanswered:
-            raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
-        unanswered.remove(answer.job)
-        world, _, records = batch[answer.job]
-        outcome = note_sinking(answer, world.job.scene, attempt_sim)
-        outcome.attempt = attempt.number
-        outcome.solver = attempt_sim.solver.value
-        outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, attempt_sim.thresholds)
-        yield world, outcome, (*records, Attempt.of(outcome, attempt_sim.physics.timestep_s))
-        for each in more() if more else ():
-            unanswered.add(len(batch))
-            batch.append((each, None, ()))
-            jobs.append(each.job)
-    if unanswered:
-        raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")
+
+    attempt: AttemptRecipe
+    sim: Simulation
+    engines: Engines
+    more: Callable[[], Iterable[AnyWorld]] | None
+    aside: list[AnyWorld]
+    _message: str = ""
+    """Of the last error of an engine."""
+
+    def run(self, batch: Sequence[_Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+        """Yield world, outcome, and its records with this attempt's record."""
+        own, stand_in = self.engines.own, self.engines.stand_in
+        chosen = [self._engine_for(world) for world, _, _ in batch]
+        left = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is own]
+        others = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is not own]
+        if left:
+            left = yield from self._run_on(own, left)
+        if stand_in is not None and (left or others):
+            left = yield from self._run_on(stand_in, left + others)
+        for pending in left:
+            failed = failed_outcome(0, pending[0].job, self.sim, self._message)
+            yield self._made(pending, failed, stand_in or own)
+
+    def _engine_for(self, world: AnyWorld) -> Engine:
+        return self.engines.for_job(world.job, self.sim, again=self.attempt.number > 1)
+
+    def _run_on(
+        self, engine: Engine, batch: list[_Pending[AnyWorld]]
+    ) -> Generator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]], None, list[_Pending[AnyWorld]]]:
+        """Yield what an engine made of worlds; return those that an error of the engine left unanswered."""
+        jobs = self.attempt.apply_to_jobs([ready_for(engine, pending[0].job) for pending in batch])
+        takes_more = self.more is not None and getattr(engine, "takes_more", False)
+        if takes_more:
+            jobs = GrowingJobs(jobs)
+        unanswered = set(range(len(batch)))
+        answers = engine.run(jobs, self.sim, self.engines.progress)
+        while True:
+            try:
+                answer = next(answers, None)
+            except Exception as error:
+                refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
+                if self.attempt.number == 1 and refused:
+                    raise  # the user's to change: what the engine refuses, or the user's own engine
+                self._message = one_line(error)
+                self.engines.note_failure(engine, self.attempt.number, len(unanswered), self._message)
+                return [batch[index] for index in sorted(unanswered)]
+            if answer is None:
+                break
+            if answer.job not in unanswered:
+                raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
+            unanswered.remove(answer.job)
+            yield self._made(batch[answer.job], answer, engine)
+            for world in self._following(engine) if takes_more else ():
+                unanswered.add(len(batch))
+                batch.append((world, None, ()))
+                jobs.append(ready_for(engine, world.job))
+        if unanswered:
+            raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")
+        return []
+
+    def _following(self, engine: Engine) -> Iterator[AnyWorld]:
+        """Worlds that follow from the results so far, those of other engines left out."""
+        assert self.more is not None
+        for world in self.more():
+            if self._engine_for(world) is engine:
+                yield world
+            else:
+                self.aside.append(world)
+
+    def _made(
+        self, pending: _Pending[AnyWorld], answer: Outcome, engine: Engine
+    ) -> tuple[AnyWorld, Outcome, tuple[Attempt, ...]]:
+        world, before, records = pending
+        outcome = note_softness(answer, world.job.scene, self.sim)
+        outcome.attempt, outcome.engine = self.attempt.number, engine.name
+        outcome.solver = self.sim.solver.value
+        outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, self.sim.thresholds)
+        note_edges(outcome, world.job)
+        if outcome.state is not None:
+            outcome.state = KeptState(engine.name, outcome.state)
+        records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
+        if self.attempt.checks and before is not None:
+            outcome = self._checked(world, before, outcome)
+        return world, outcome, records
+
+    def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
+        """The outcome of a world that was checked at half the timestep: the one before, which says so if it changed."""
+        if checked.verdict is before.verdict:
+            return before
+        name = f"{world.plan.plan_id}, variant {world.variant}" if world.variant else world.plan.plan_id
+        self.engines.note(f"{name}: {before.verdict}, and {checked.verdict} at half the timestep")
+        return replace(before, flags=before.flags | Flag.TIMESTEP)

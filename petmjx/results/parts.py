@@ -19,7 +19,7 @@ from petmjx.results.schema import filled
 from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
 
-_OF_OUTCOME: Final = ("solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
+_OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
 """Columns of ``worlds`` that are fields of an outcome, beside its metrics."""
 
 
@@ -45,7 +45,6 @@ class Row:
         cls,
         plan: Plan,
         variant: int,
-        engine: str,
         schedule: str,
         outcome: Outcome,
         attempts: Sequence[Attempt],
@@ -60,7 +59,7 @@ class Row:
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
             raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
         culprit = outcome.culprit if outcome.culprit >= 0 else None
-        cells = {"plan_id": plan.plan_id, "variant": variant, "engine": engine, "schedule": schedule}
+        cells = {"plan_id": plan.plan_id, "variant": variant, "schedule": schedule}
         cells |= {name: getattr(outcome, name) for name in (*_OF_OUTCOME, *(metric.name for metric in world_metrics()))}
         cells |= {"culprit": culprit, **params}
         values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]

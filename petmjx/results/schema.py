@@ -74,7 +74,9 @@ _FLAGS = _counts(flags=f"bit mask of what happened: {_FLAG_BITS}")
 
 _WORLD_COLUMNS = (
     *_KEY,
-    *_texts(engine="what stepped the world", solver="constraint solver of the attempt that gave the verdict"),
+    *_texts(
+        engine="what stepped the world in the attempt that gave the verdict", solver="constraint solver of that attempt"
+    ),
     *_counts(attempt="which attempt gave the verdict, from 1"),
     *_texts(schedule=f"when the next box was placed: {_one_of(Schedule)}"),
     *_counts(n_boxes="boxes of the plan", n_placed="boxes placed before the world ended"),
@@ -95,7 +97,7 @@ _BOX_COLUMNS = (
 _ATTEMPT_COLUMNS = (
     *_KEY,
     *_counts(attempt="number of the attempt, from 1; the last one gave the verdict"),
-    *_texts(solver="constraint solver"),
+    *_texts(engine="what stepped the world", solver="constraint solver"),
     _column("timestep_s", pa.float64(), "s", "timestep of the simulation"),
     *_texts(verdict="what this attempt came to", reason="why it was not stable; empty where it was"),
     *_FLAGS,

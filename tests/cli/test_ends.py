@@ -54,7 +54,7 @@ def test_ctrl_c_in_the_end_is_put_off_until_the_last_part_is_written(
 
     def end_under_fire() -> None:
         with RunWriter(tmp_path, {}) as writer:
-            writer.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
+            writer.add(make_plan("a"), 0, "fixed", make_outcome())
             monkeypatch.setattr(files.os, "replace", replace)
 
     with pytest.raises(KeyboardInterrupt):

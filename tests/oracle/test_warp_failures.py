@@ -17,7 +17,7 @@ import pytest
 from petmjx.config import Simulation
 from petmjx.engines.base import GrowingJobs
 from petmjx.engines.batch.capacities import GRANULE
-from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group
+from petmjx.engines.batch.groups import MAX_GROWTH, MIN_LANES, Group
 from petmjx.errors import InputError
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
@@ -153,11 +153,6 @@ def in_release_pose(group: Group, row: int) -> Group:
     return group
 
 
-def in_mass(group: Group, row: int) -> Group:
-    group.worlds = group.worlds._replace(mass=group.worlds.mass.at[row, 1].set(NAN))
-    return group
-
-
 def in_carrier_velocity(group: Group, row: int) -> Group:
     group.table = group.table._replace(carrier_vel=group.table.carrier_vel.at[row, 2].set(NAN))
     return group
@@ -165,7 +160,7 @@ def in_carrier_velocity(group: Group, row: int) -> Group:
 
 @pytest.mark.slow
 @devices
-@pytest.mark.parametrize("poison", [in_release_pose, in_mass, in_carrier_velocity])
+@pytest.mark.parametrize("poison", [in_release_pose, in_carrier_velocity])
 def test_a_world_that_turns_into_no_number_harms_no_other(
     device: str, poison: Callable[[Group, int], Group], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,7 +21,8 @@ import numpy as np
 
 from petmjx.config import PHYSICS, Carrier, Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.batch.engine import MjxEngine
+from petmjx.engines.batch.engine import StageEngine
+from petmjx.engines.batch.groups import GroupEngine
 from petmjx.engines.batch.template import CARRIER_BODY, FIRST_BOX_BODY
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
@@ -113,7 +114,7 @@ class FakeStepper:
         return jnp.zeros(self.lanes, jnp.int32)
 
 
-class FakeEngine(MjxEngine):
+class FakeEngine(StageEngine):
     """The MJX engines' lanes, stages and rules over the fake stepper."""
 
     name = "fake"
@@ -135,7 +136,9 @@ def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
     return listed
 
 
-def run_all(engine: MjxEngine, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> list[Outcome]:
+def run_all(
+    engine: GroupEngine, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None
+) -> list[Outcome]:
     """Every job's outcome, in order."""
     outcomes = in_order(engine.run(jobs, sim, progress))
     assert len(outcomes) == len(jobs)

@@ -11,7 +11,7 @@ import numpy as np
 
 from petmjx.config import Check, Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.batch.engine import Group, Run
+from petmjx.engines.batch.groups import Group, Run
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
 from petmjx.engines.warp.march import Fleet

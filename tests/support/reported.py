@@ -91,7 +91,7 @@ def write_run(folder: Path, plans: Sequence[Plan], outcomes: Sequence[Outcome], 
     more: dict[str, Any] = {"manifest": manifest, "expected_worlds": len(plans), "device": "two threads"}
     with RunWriter(folder, config, **more | options) as run:
         for plan, outcome in zip(plans, outcomes, strict=True):
-            run.add(plan, 0, "mujoco", "adaptive", outcome)
+            run.add(plan, 0, "adaptive", outcome)
     return folder
 
 

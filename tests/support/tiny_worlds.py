@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.engine import Run
+from petmjx.engines.batch.groups import Run
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import shape
 from petmjx.engines.warp.engine import MjxWarpEngine

@@ -7,7 +7,7 @@ import functools
 import jax
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.engine import MjxEngine
+from petmjx.engines.batch.groups import GroupEngine
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.samples.handmade import HANDMADE
@@ -66,7 +66,7 @@ def scenes(physics: str = "pallet") -> dict[str, Scene]:
     return {name: make_scene(boxes, sim) for name, boxes in boxes_by_plan().items()}
 
 
-def simulate(engine: MjxEngine | MujocoEngine, some: dict[str, Scene], sim: Simulation) -> dict[str, Outcome]:
+def simulate(engine: GroupEngine | MujocoEngine, some: dict[str, Scene], sim: Simulation) -> dict[str, Outcome]:
     """Outcomes by name."""
     names = list(some)
     with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does

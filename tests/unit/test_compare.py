@@ -29,7 +29,7 @@ CONFIG = {"sim": Simulation().model_dump(mode="json")}
 def write(folder: Path, outcomes: dict[str, Outcome], config: dict[str, Any] = CONFIG, **options: Any) -> Path:
     with RunWriter(folder, config, **options) as run:
         for plan_id, outcome in outcomes.items():
-            run.add(make_plan(plan_id, outcome.n_boxes), 0, "mujoco", "fixed", outcome)
+            run.add(make_plan(plan_id, outcome.n_boxes), 0, "fixed", outcome)
     return folder
 
 
@@ -176,14 +176,14 @@ def test_notes_on_what_does_not_fit(tmp_path: Path) -> None:
 def test_notes_on_variants_that_mean_something_else(tmp_path: Path) -> None:
     for folder, level in (("a", 0.4), ("b", 0.5)):
         with RunWriter(tmp_path / folder, CONFIG, params=[Param("level_g", "g")]) as run:
-            run.add(make_plan(), 1, "mujoco", "fixed", make_outcome(), params={"level_g": level})
+            run.add(make_plan(), 1, "fixed", make_outcome(), params={"level_g": level})
     assert compare_runs(tmp_path / "a", tmp_path / "b").notes == ("variants of one number differ in level_g",)
 
 
 def test_a_world_twice_in_one_run_is_refused(tmp_path: Path) -> None:
     with RunWriter(tmp_path, CONFIG) as run:
         for _ in range(2):
-            run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+            run.add(make_plan(), 0, "fixed", make_outcome())
     with pytest.raises(InputError, match="more than once"):
         compare_runs(tmp_path, tmp_path)
 

@@ -38,7 +38,7 @@ def write(folder: Path, worlds: dict[str, Outcome], shapes: dict[str, Plan] | No
     made = {plan_id: (shapes or {}).get(plan_id, plans.make_plan(plan_id)) for plan_id in worlds}
     with RunWriter(folder, CONFIG | config, manifest=Manifest.of(IDENTITY, list(made.values()))) as run:
         for plan_id, outcome in worlds.items():
-            run.add(made[plan_id], 0, "mujoco", "adaptive", outcome)
+            run.add(made[plan_id], 0, "adaptive", outcome)
     return folder
 
 
@@ -198,7 +198,7 @@ def test_doubts_are_notes(tmp_path: Path) -> None:
 
 def test_runs_of_before_say_that_they_have_no_utilisation(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "old", CONFIG) as run:
-        run.add(plans.make_plan("x"), 0, "mujoco", "adaptive", stands())
+        run.add(plans.make_plan("x"), 0, "adaptive", stands())
     found = compare_packers([tmp_path / "old", write(tmp_path / "b", {"x": stands()})])
     assert any("no utilisation of old" in note for note in found.notes)
     assert np.isnan(only(found.packers, size=ALL_SIZES, packer="old")["kpi_2"])

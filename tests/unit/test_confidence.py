@@ -206,7 +206,7 @@ def written(folder: Path, counts: Sequence[int], nominal: Verdict = Verdict.STAB
         for plan_id, (variant, verdict) in itertools.product(ids, enumerate(verdicts)):
             reason = {Verdict.UNSTABLE: Reason.SHIFT, Verdict.INVALID: Reason.NONFINITE}.get(verdict, Reason.NONE)
             outcome = make_outcome(1, verdict, reason, flags=Flag.NONE)
-            run.add(make_plan(plan_id, 1), variant, "mujoco", "fixed", outcome)
+            run.add(make_plan(plan_id, 1), variant, "fixed", outcome)
     return folder
 
 

@@ -25,12 +25,12 @@ from petmjx.results.writer import RunWriter
 def write_run(folder: Path, *ids: str, **options: Any) -> None:
     with RunWriter(folder, {}, **options) as run:
         for plan_id in ids or ("a", "b"):
-            run.add(make_plan(plan_id), 0, "mujoco", "fixed", make_outcome())
+            run.add(make_plan(plan_id), 0, "fixed", make_outcome())
 
 
 def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}) as run:
-        run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
+        run.add(make_plan("a"), 0, "fixed", make_outcome())
         with pytest.raises(InputError, match=rf"{tmp_path}: another run \(process {os.getpid()}\) writes there"):
             write_run(tmp_path, overwrite=True)
     assert load_run(tmp_path).worlds.plan_id.tolist() == ["a"]
@@ -194,7 +194,7 @@ def test_a_folder_that_vanishes_ends_the_run_in_one_line(tmp_path: Path) -> None
     def vanish() -> None:
         with RunWriter(folder, {}) as run:
             folder.rename(tmp_path / "away")
-            run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+            run.add(make_plan(), 0, "fixed", make_outcome())
 
     with pytest.raises(PetmjxError, match="cannot write results: No such file"):
         vanish()
@@ -207,7 +207,7 @@ def test_a_disk_that_is_full_for_run_json_too(tmp_path: Path, monkeypatch: pytes
 
     def fill() -> None:
         with RunWriter(tmp_path, {}) as run:
-            run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+            run.add(make_plan(), 0, "fixed", make_outcome())
             monkeypatch.setattr(files.os, "fsync", full)
 
     with pytest.raises(PetmjxError, match="cannot write results: No space"):
@@ -216,12 +216,12 @@ def test_a_disk_that_is_full_for_run_json_too(tmp_path: Path, monkeypatch: pytes
 
 def test_a_part_is_written_after_a_while_though_no_world_finishes(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
-        run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
+        run.add(make_plan("a"), 0, "fixed", make_outcome())
         deadline = time.monotonic() + 20
         while not (tmp_path / "worlds/part-00000.parquet").exists() and time.monotonic() < deadline:
             time.sleep(0.05)
         assert load_run(tmp_path).info["counts"]["worlds"] == 1
-        run.add(make_plan("b"), 0, "mujoco", "fixed", make_outcome())
+        run.add(make_plan("b"), 0, "fixed", make_outcome())
     assert load_run(tmp_path).worlds.plan_id.tolist() == ["a", "b"]
 
 

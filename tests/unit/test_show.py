@@ -45,7 +45,7 @@ def words_of(renderables: RenderableType | Sequence[RenderableType], width: int 
 def written(folder: Path, outcomes: dict[str, Outcome], command: str = "score") -> Path:
     with RunWriter(folder, {"command": command}) as run:
         for plan_id, outcome in outcomes.items():
-            run.add(make_plan(plan_id, outcome.n_boxes), 0, "mujoco", "fixed", outcome)
+            run.add(make_plan(plan_id, outcome.n_boxes), 0, "fixed", outcome)
     return folder
 
 
@@ -131,8 +131,8 @@ def test_what_gives_way_when() -> None:
 
 def test_summary_table(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {"command": "score"}, expected_worlds=4) as run:
-        run.add(make_plan("a"), 0, "mujoco", "fixed", make_outcome())
-        run.add(make_plan("b"), 0, "mujoco", "fixed", dropped_outcome())
+        run.add(make_plan("a"), 0, "fixed", make_outcome())
+        run.add(make_plan("b"), 0, "fixed", dropped_outcome())
         run.skip(Skipped("plans.json", "c", "bad"))
     info = load_run(tmp_path).info
     info["timings"]["wall_s"] = 4.0

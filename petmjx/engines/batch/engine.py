@@ -1,43 +1,32 @@
-"""The base class of the MJX engines: groups of worlds, stages, hand-over between capacities, outcomes as they come."""
+"""Groups of worlds go through stages: hand-over between capacities, outcomes as they come."""
 
 from __future__ import annotations
 
-import math
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Check, Cone, Schedule, Simulation
-from petmjx.engines.base import GROUP_WORLDS, Progress, RunLock
+from petmjx.config import Check, Cone, Simulation
+from petmjx.engines.base import GROUP_WORLDS
 from petmjx.engines.batch.capacities import class_capacities, growing_capacities
-from petmjx.engines.batch.outcomes import handed_on, outcomes, pick, started_states
-from petmjx.engines.batch.recorder import Recorder
+from petmjx.engines.batch.groups import MAX_GROWTH, MIN_LANES, Group, GroupEngine, Run, is_out_of_memory
+from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.setup import set_up_jax
-from petmjx.engines.batch.stage import OVERFLOW_BITS, Queue, Stage, Stepper
-from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, put_rows, upload_worlds, uploaded
-from petmjx.engines.batch.timetable import Timetable, build_timetable
+from petmjx.engines.batch.stage import Queue, Stage, Stepper
+from petmjx.engines.batch.state import NEVER, Status
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
-
-MAX_GROWTH = 8
-"""Largest factor for buffers that overflow; they are doubled each time. A world that needs more is invalid."""
 
 MAX_STAGES = 6
 """Most capacities of a run; each is compiled once."""
 
-MAX_LANES = 1 << 16
-MIN_LANES = 16
-"""With fewer lanes than this, no useful amount of memory is saved."""
-
-_put = jax.jit(put_rows)
+DEFAULT_LANES = 256
+"""Number of lanes of a stage, if the user gives none."""
 
 
 @dataclass(frozen=True)
@@ -52,78 +41,8 @@ class StageKey:
     table_steps: int
 
 
-@dataclass
-class Run:
-    """One run: what its groups have in common.
-
-    ``capacities``: of the placement stages ("") and of the stages of each kind of drive, or by another key of the
-    engine's own. ``lane_limit``: most lanes, lowered when device memory runs out.
-    """
-
-    sim: Simulation
-    timetable: Timetable
-    capacities: dict[str, list[int]]
-    progress: Progress
-    jobs: Sequence[Job] = ()
-    """All jobs of the run, to which more may be appended: ``GrowingJobs``."""
-    lane_limit: int = MAX_LANES
-
-
-@dataclass
-class Group:
-    """Worlds that go through the stages together."""
-
-    run: Run
-    jobs: list[Job]
-    worlds: Worlds
-    table: State
-    profiles: jax.Array
-    profile_rows: dict[int, int]
-    """``id`` of an excitation → its row in ``profiles``."""
-    recorder: Recorder
-    frames: dict[str, jax.Array] | None = None
-    """Room for frames on the device, of engines that have some there."""
-
-    def status(self) -> NDArray[np.int32]:
-        """Statuses of the jobs' rows, on the host."""
-        return np.asarray(self.table.status)[: len(self.jobs)]
-
-    def handed_on(self, status: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Which jobs are at their end, by the statuses of their rows."""
-        return handed_on(status, self.driven)
-
-    @cached_property
-    def driven(self) -> NDArray[np.bool_]:
-        """Jobs with a drive."""
-        return np.array([job.drive is not None for job in self.jobs], bool)
-
-    def add(self, jobs: Sequence[Job], worlds: Worlds, table: State) -> None:
-        """Put more jobs into the rows behind those that are taken. Tables have a row for each of them at least."""
-        first, rows = len(self.jobs), np.full(len(table.status), len(self.table.status), np.int32)
-        rows[: len(jobs)] = np.arange(first, first + len(jobs))
-        self.worlds = _put(self.worlds, uploaded(rows), worlds)
-        self.table = _put(self.table, uploaded(rows), table)
-        self.jobs += jobs
-        self.__dict__.pop("driven", None)  # is worked out anew
-
-    def overflowed(self) -> NDArray[np.int64]:
-        """Rows that a stage returned unchanged, because a buffer was too small."""
-        flags = np.asarray(self.table.flags)[: len(self.jobs)]
-        return np.flatnonzero((flags & OVERFLOW_BITS != 0) & (self.status() != Status.FINISHED))
-
-    def retry(self, rows: NDArray[np.int64]) -> None:
-        """Clear the overflow bits and set the bit for a re-run: in larger buffers the result is valid."""
-        flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
-        self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
-
-    def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
-        """End worlds that cannot be simulated on this device."""
-        flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
-        self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
-
-
-class MjxEngine(ABC):
-    """Simulates worlds in batches on one JAX device.
+class StageEngine(GroupEngine):
+    """Simulates worlds side by side, in stages of padded models.
 
     Args:
         lanes: most worlds stepped side by side; fewer if there are fewer worlds, or if memory runs out.
@@ -134,8 +53,6 @@ class MjxEngine(ABC):
             next capacity. The last stage simulates all its worlds to their end.
     """
 
-    name = "mjx"
-
     def __init__(
         self,
         lanes: int | None = None,
@@ -145,40 +62,16 @@ class MjxEngine(ABC):
         chunk_steps: int = 25,
         drain_share: float = 0.25,
     ) -> None:
-        set_up_jax()
-        self.lanes, self.capacities, self.group_size = lanes, capacities, group_size
-        self.chunk_steps, self.drain_share = chunk_steps, drain_share
+        super().__init__(lanes, group_size)
+        self.capacities, self.chunk_steps, self.drain_share = capacities, chunk_steps, drain_share
         self.stages: dict[StageKey, Stage] = {}
         """The stages that are compiled, and kept for later runs."""
         self._warm: set[Stage] = set()
         self._growth: dict[tuple[Cone, int], int] = {}
-        self._running = RunLock(self.name)
 
     @abstractmethod
     def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
         """The stepper for a shape; ``growth`` multiplies the sizes of its contact and constraint buffers."""
-
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes come stage by stage, as worlds reach their end.
-
-        Raises:
-            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
-        """
-        if not jobs:
-            return
-        progress = progress or Progress()
-        first = 0
-        with self._running:
-            while first < len(jobs):  # more may have been appended
-                rest = jobs[first:]
-                timetable = build_timetable(sim, max(job.scene.n_boxes for job in rest))
-                run = Run(sim, timetable, self._choose_capacities(rest, sim), progress, jobs)
-                size = math.ceil(len(rest) / math.ceil(len(rest) / self.group_size))
-                end = len(jobs)
-                while first < end:
-                    group = list(jobs[first : min(first + size, end)])
-                    yield from self._run_group(run, group, first)
-                    first += len(group)  # a group may have taken more
 
     def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
         """Capacities of the placement stages ("") and of the stages of each kind of drive."""
@@ -209,37 +102,6 @@ class MjxEngine(ABC):
         for kind in sorted(run.capacities, key=("", "force", "acceleration").index):
             mine = np.array([not kind or (job.drive is not None and job.drive.excitation.kind == kind) for job in jobs])
             yield from self._run_stages(group, run.capacities[kind], kind, np.where(mine, n_boxes, NEVER), finished)
-
-    def _load_group(self, run: Run, jobs: list[Job], most: int = 0) -> Group:
-        """The tables of a group. ``most``: rows for as many jobs, if there are fewer now."""
-        width = max(max(capacities) for capacities in run.capacities.values())
-        excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
-        steps = max([len(e.samples) for e in excitations.values()], default=1)
-        profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
-        for row, excitation in enumerate(excitations.values()):
-            profiles[row, : len(excitation.samples)] = excitation.samples
-        profile_rows = {key: row for row, key in enumerate(excitations)}
-        rows = 1 << (max(len(jobs), most) - 1).bit_length()
-        worlds, table = self._tables(run, jobs, rows, width, profile_rows)
-        recorder = Recorder(jobs, run.sim.physics.timestep_s)
-        return Group(run, jobs, worlds, table, uploaded(profiles), profile_rows, recorder)
-
-    @staticmethod
-    def _tables(
-        run: Run, jobs: Sequence[Job], rows: int, width: int, profile_rows: dict[int, int]
-    ) -> tuple[Worlds, State]:
-        """Constants and first states of jobs, for tables of so many rows and box columns."""
-        sim, timetable = run.sim, run.timetable
-        worlds = upload_worlds(jobs, rows, width, profile_rows, sim.physics.timestep_s)
-        static = sim.check is Check.STATIC
-        ends = np.full(rows, NEVER, np.int32)
-        if sim.schedule is Schedule.FIXED:
-            for row, job in enumerate(jobs):
-                if job.drive is None and not job.keep_state:
-                    n = job.scene.n_boxes
-                    ends[row] = timetable.static_end if static else timetable.one_by_one_end[n]
-        fresh = fresh_state(worlds, all_placed=static, ends=uploaded(ends), rest_steps=timetable.rest_steps)
-        return worlds, started_states(jobs, fresh)
 
     def _run_stages(
         self,
@@ -279,7 +141,6 @@ class MjxEngine(ABC):
                 group.recorder.go_back(marks, rows.tolist())
                 self.stages.clear()
                 self._warm.clear()
-                self.release()
                 if lanes <= MIN_LANES:
                     group.give_up(rows, Flag.OUT_OF_MEMORY)
                     return
@@ -288,7 +149,6 @@ class MjxEngine(ABC):
                 continue
             rows = group.overflowed()
             group.recorder.go_back(marks, rows.tolist())
-            self.release()
             if len(rows) == 0:
                 return
             if growth >= MAX_GROWTH:
@@ -299,18 +159,10 @@ class MjxEngine(ABC):
             run.progress.message = f"{len(rows)} worlds overflowed their buffers, again with {growth}× as large ones"
             group.retry(rows)
 
-    def release(self) -> None:  # noqa: B027 (most implementations hold nothing)
-        """Free device memory that an implementation keeps between stages. Called when nothing runs."""
-
     def _lane_count(self, run: Run, capacity: int, n_worlds: int) -> int:
         """Lanes for a stage: a power of two, so that few shapes are compiled."""
         wanted = max(MIN_LANES, 1 << (n_worlds - 1).bit_length())
-        limit: int = min(self.lanes or self.default_lanes(capacity), run.lane_limit)
-        return min(wanted, limit)
-
-    def default_lanes(self, capacity: int) -> int:
-        """Number of lanes at a capacity, if the user gives none."""
-        return 256
+        return min(wanted, self.lanes or DEFAULT_LANES, run.lane_limit)
 
     def _stage(self, group: Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
         sim, timetable = group.run.sim, group.run.timetable
@@ -371,11 +223,3 @@ class MjxEngine(ABC):
         progress.extra[f"{key} lanes"] = stage.lanes
         for what, most in (("contacts", contacts), ("rows", constraint_rows)):
             progress.extra[f"{key} {what}"] = max(progress.extra.get(f"{key} {what}", 0), most)
-
-
-def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error of JAX, XLA or Warp says that device memory ran out, or one of Python that the host's did."""
-    text = str(error).lower()
-    return isinstance(error, MemoryError) or any(
-        words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")
-    )

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from petmjx.config import Cone, Physics, Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.batch.engine import MjxEngine
+from petmjx.engines.batch.engine import StageEngine
 from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
@@ -82,7 +82,7 @@ class JaxStepper:
         return jnp.zeros(self.lanes, jnp.int32)
 
 
-class MjxJaxEngine(MjxEngine):
+class MjxJaxEngine(StageEngine):
     """Batched MJX in pure JAX, on any device of JAX.
 
     Boxes have no skin: MJX's collider always prefers a face to an edge that is almost parallel to it. And it measures
@@ -105,8 +105,6 @@ class MjxJaxEngine(MjxEngine):
             solver=sim.solver,
             tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
             iterations=sim.solver_iterations or MAX_ITERATIONS,
-            native_ccd=True,
-            pairs=True,
             line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
         # Nothing is damped. With damping enabled, each step would compute its accelerations twice.

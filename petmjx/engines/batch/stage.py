@@ -14,14 +14,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import SOFT_START_STEPS, Physics
+from petmjx.engines.batch.groups import OVERFLOW_BITS
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State, Status, Worlds, choose_rows, narrow, put_rows, take_rows
 from petmjx.engines.batch.template import CARRIER_BODY, PARKING_HEIGHT_M, override_fields
-from petmjx.verdict import Flag
-
-OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
 
 @runtime_checkable

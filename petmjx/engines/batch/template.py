@@ -27,9 +27,6 @@ MAX_ITERATIONS = 100
 LINE_SEARCH_ITERATIONS = 50
 """MuJoCo's default limit of a line search."""
 
-ROWS_PER_CONTACT = {Cone.ELLIPTIC: 3, Cone.PYRAMIDAL: 4}
-"""Constraint rows of a contact with friction: normal and two tangents, or four edges."""
-
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
 """Boxes that are not placed yet hang in a row this high and this far apart: no two bounding spheres meet
@@ -44,16 +41,12 @@ def padded_template(
     solver: Solver,
     tolerance: float,
     iterations: int,
-    native_ccd: bool,
-    pairs: bool = False,
-    line_search_iterations: int = LINE_SEARCH_ITERATIONS,
+    line_search_iterations: int,
 ) -> mujoco.MjModel:
     """Compile the template: floor, carrier, ``capacity`` boxes; nominal sizes that overrides replace.
 
     Args:
         held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one.
-        native_ccd: MuJoCo's general convex collider; off, boxes meet by the primitive collider.
-        pairs: declare which geoms touch. Without it friction has no time constant of its own.
     """
     spec = mujoco.MjSpec()
     option = spec.option
@@ -66,10 +59,8 @@ def padded_template(
     option.tolerance = tolerance
     option.iterations = iterations
     option.ls_iterations = line_search_iterations
-    if not native_ccd:
-        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
     contact: dict[str, Any] = {"solref": physics.solref, "solimp": (*physics.solimp, 0.5, 2.0)}
-    declared = pairs and physics.has_own_friction
+    declared = physics.has_own_friction
     if declared:
         contact |= {"contype": 0, "conaffinity": 0}
     spec.worldbody.add_geom(
@@ -90,8 +81,7 @@ def padded_template(
         if free:
             body.add_freejoint()
         else:
-            # A mocap body stands where its world's data say; MJX-Warp takes no per-world pose of a welded one.
-            body.mocap = True
+            body.mocap = True  # stands where its world's data say
         # An explicit inertial keeps the inertia frame aligned with the box: MuJoCo would otherwise sort the
         # principal axes, and the per-world diagonals could not be written in box order.
         body.explicitinertial = True
@@ -179,7 +169,7 @@ def override_fields(
         "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(lanes, -1),
         "geom_size": with_floor(geom_half, "geom_size"),
         "geom_rbound": with_floor(jnp.sqrt((geom_half**2).sum(-1)), "geom_rbound"),
-        "geom_aabb": with_floor(_box_aabb(geom_half, base), "geom_aabb"),
+        "geom_aabb": with_floor(jnp.concatenate([jnp.zeros_like(geom_half), geom_half], axis=-1), "geom_aabb"),
         "geom_friction": jnp.concatenate(
             [friction[:, :2], jnp.broadcast_to(friction[:, 2:], (lanes, capacity, 3))], axis=1
         ),
@@ -188,14 +178,3 @@ def override_fields(
         partners = jnp.maximum(fields["geom_friction"][:, base.pair_geom1], fields["geom_friction"][:, base.pair_geom2])
         fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])]
     return fields
-
-
-def _box_aabb(
-    half: Float[Array, "lane body 3"], base: Any
-) -> Float[Array, "lane body 6"] | Float[Array, "lane body 2 3"]:
-    """Centre and half extents of each box's own bounding box, in the shape the implementation keeps it in:
-    (6,) in MJX-JAX, (2, 3) in MJX-Warp."""
-    zeros = jnp.zeros_like(half)
-    if base.geom_aabb.ndim == 3:
-        return jnp.stack([zeros, half], axis=-2)
-    return jnp.concatenate([zeros, half], axis=-1)

@@ -5,28 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Any
 
 import numpy as np
-import warp
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, Simulation, Solver
+from petmjx.config import Cone, Simulation
 from petmjx.engines.base import GROUP_WORLDS, GrowingJobs
 from petmjx.engines.batch.capacities import round_up
-from petmjx.engines.batch.engine import MAX_GROWTH, MIN_LANES, Group, MjxEngine, Run, is_out_of_memory
+from petmjx.engines.batch.groups import MAX_GROWTH, MIN_LANES, Group, GroupEngine, Run, is_out_of_memory
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.setup import set_up_warp
-from petmjx.engines.batch.stage import Stepper
 from petmjx.engines.batch.state import Status
-from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, ROWS_PER_CONTACT, padded_template
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.march import SLICE_NS, Fleet
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.shape import Shape, size_for
-from petmjx.engines.warp.stock import StockStepper
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
 from petmjx.verdict import Flag, Outcome
@@ -38,15 +33,6 @@ PAIRS_PER_BOX = 10
 CONTACTS_PER_BOX = 8
 """Contacts reserved per box. Full real pallets have 4.5; the most that any of 2,000 sample plans needed was 6.4, in a
 collapse."""
-
-STOCK_CONTACTS_PER_BOX = 6
-"""The same with MJX's own step, mean over its lanes, which share one pool."""
-
-STOCK_LANES = 2048
-"""Worlds side by side with MJX's own step, at most; with as many an H100 is full."""
-
-STOCK_LINE_SEARCH = 20
-"""Most iterations of its line search; MuJoCo's are 50."""
 
 SPARE_ROWS = 4
 """Rows of a table of jobs that grow in number, as a multiple of those that there are at first; what has no row is
@@ -97,11 +83,10 @@ def _halved(fleet: Fleet) -> Fleet:
     return replace(fleet, lanes=min(fleet.lanes, max(fleet.lanes // 2, MIN_LANES)))
 
 
-class MjxWarpEngine(MjxEngine):
-    """Worlds on Warp's kernels.
+class MjxWarpEngine(GroupEngine):
+    """Worlds on Warp's kernels, each at its own pace, in a thread block of its own (petmjx/engines/warp/march.py).
 
-    With Newton's method (the default) a world goes at its own pace, in a thread block of its own
-    (petmjx/engines/warp/march.py). With conjugate gradients worlds go side by side in MJX's own step.
+    With Newton's method only: C MuJoCo simulates what needs another one (petmjx/engines/stand_in.py).
 
     Args:
         lanes: most worlds of a size at the same time; None: as many as the device has room for.
@@ -122,21 +107,16 @@ class MjxWarpEngine(MjxEngine):
         allow_cpu: bool = False,
         group_size: int = GROUP_WORLDS["mjx-warp"],
         slice_ns: int = SLICE_NS,
-        **options: Any,
     ) -> None:
         problem = None if allow_cpu else why_no_warp()
         if problem:
             raise EngineUnavailable(f"engine mjx-warp cannot run here: {problem}")
         set_up_warp()
-        super().__init__(lanes, group_size=group_size, **options)
+        super().__init__(lanes, group_size)
         self.slice_ns = slice_ns
         self._kept: dict[tuple[Shape, ...], tuple[RolloutKey, Rollout]] = {}
         self._room: dict[tuple[Cone, str], int] = {}
         """How much larger than usual buffers have to be, by size of lanes."""
-
-    def release(self) -> None:
-        """Drop the CUDA graphs that Warp captured of MJX's own step: each one keeps the workspace of its solver."""
-        warp.clear_jax_callable_graph_cache()
 
     def _drop(self) -> None:
         """Free the memory of the programs that are kept."""
@@ -144,27 +124,7 @@ class MjxWarpEngine(MjxEngine):
             _, (_, rollout) = self._kept.popitem()
             rollout.close()
 
-    def default_lanes(self, capacity: int) -> int:
-        return STOCK_LANES
-
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
-        template = padded_template(
-            capacity,
-            sim.physics,
-            held=held,
-            solver=sim.solver,
-            tolerance=sim.solver_tolerance or FLOAT32_TOLERANCE,
-            iterations=sim.solver_iterations or MAX_ITERATIONS,
-            native_ccd=False,
-            line_search_iterations=STOCK_LINE_SEARCH,
-        )
-        room = (capacity + MORE_BOXES) * growth
-        rows = ROWS_PER_CONTACT[sim.physics.cone] * CONTACTS_PER_BOX * room
-        return StockStepper(template, lanes, sim.physics, STOCK_CONTACTS_PER_BOX * room * lanes, rows)
-
     def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
-        if sim.solver is not Solver.NEWTON:
-            return super()._choose_capacities(jobs, sim)
         largest = max(job.scene.n_boxes for job in jobs)
         if largest > MAX_BOXES:
             raise InputError(
@@ -178,11 +138,6 @@ class MjxWarpEngine(MjxEngine):
         return {kind: [width] for kind, width in widest.items()}
 
     def _run_group(self, run: Run, jobs: list[Job], first_job: int) -> Iterator[Outcome]:
-        if run.sim.solver is not Solver.NEWTON:
-            self._drop()
-            yield from super()._run_group(run, jobs, first_job)
-            return
-
         def waiting(most: int) -> Sequence[Job]:
             begin = first_job + len(jobs)
             return run.jobs[begin : begin + most] if isinstance(run.jobs, GrowingJobs) else ()
@@ -326,9 +281,6 @@ class MjxWarpEngine(MjxEngine):
                             raise  # each size alone may have room
                         return None
                 self._drop()  # programs of other sizes may be what takes the memory: once more without them
-                self.stages.clear()
-                self._warm.clear()
-                self.release()
                 lanes = sum(each.lanes for each in fleets)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import warp as wp
 
-from petmjx.engines.batch.engine import Group
+from petmjx.engines.batch.groups import Group
 from petmjx.engines.batch.recorder import Frames as FramesOfWorld
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.warp import records

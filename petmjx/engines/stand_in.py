@@ -1,0 +1,63 @@
+"""Which engine simulates a world: that of the run, or its stand-in, C MuJoCo, where that cannot.
+
+The MJX engines work in single precision, and ``mjx-warp`` has Newton's method alone. So C MuJoCo makes their further
+attempts at invalid worlds, simulates with conjugate gradients, and takes over what an error of theirs left unanswered.
+``mujoco`` itself and an engine of the user's own have no stand-in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+from petmjx.config import Simulation, Solver
+from petmjx.engines.base import Engine, Progress
+from petmjx.engines.choose import make_engine
+from petmjx.text import counted
+from petmjx.world.job import Job
+
+STAND_INS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco"}
+"""Engine → its stand-in."""
+
+
+@dataclass(eq=False)
+class Engines:
+    """The engine of a run and its stand-in, which is built when a world needs it."""
+
+    own: Engine
+    progress: Progress
+
+    @cached_property
+    def stand_in(self) -> Engine | None:
+        name = STAND_INS.get(self.own.name)
+        return make_engine(name) if name is not None else None
+
+    def for_job(self, job: Job, sim: Simulation, *, again: bool) -> Engine:
+        """Who simulates a job; ``again``: at a further attempt."""
+        foreign = job.start is not None and job.start.engine != self.own.name
+        if (again or foreign or sim.solver is Solver.CG) and self.stand_in is not None:
+            if again:
+                self.note(f"worlds that were invalid on {self.own.name} were simulated again on {self.stand_in.name}")
+            elif sim.solver is Solver.CG:
+                self.note(f"worlds were simulated on {self.stand_in.name}: the solver cg is its")
+            return self.stand_in
+        return self.own
+
+    def note_failure(self, engine: Engine, attempt: int, worlds: int, message: str) -> None:
+        """Say that an error ended an engine's attempt, and what becomes of the worlds that it left unanswered."""
+        other = self.stand_in if engine is self.own else None
+        then = "invalid by failed" if other is None else f"went to {other.name}"
+        self.note(f"attempt {attempt}: {engine.name} failed ({message}); {counted(worlds, 'world')}: {then}")
+
+    def note(self, text: str) -> None:
+        """A line for ``run.json``."""
+        self.progress.notes[text] = None
+
+
+def ready_for(engine: Engine, job: Job) -> Job:
+    """A job as an engine takes it: with a state of its own to start from. From another engine's state it does not
+    start: it takes the world through its placement again."""
+    if job.start is None:
+        return job
+    return replace(job, start=job.start.state if job.start.engine == engine.name else None)
