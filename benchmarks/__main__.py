@@ -1,5 +1,5 @@
 """The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity |
-criteria``."""
+criteria | small-stacks``."""
 
 from __future__ import annotations
 
@@ -118,6 +118,29 @@ def criteria(
         print(text)
     else:
         write_between_markers(into, text, BEGIN, END)
+
+
+@app.command("small-stacks")
+@opt.takes("threads")
+def small_stacks(
+    count: Annotated[int, typer.Option("--count", "-n", metavar="N", min=1, help="Stacks.")] = 3000,
+    seed: Annotated[int, typer.Option(metavar="N", help="Other stacks.")] = 0,
+    check: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this check; repeatable.")] = None,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Stacks of two to six boxes that statics decides, and what petmjx says of them."""
+    from benchmarks.record import append_line, environment, timed
+    from benchmarks.small_stacks import CHECKS, cases, judge, summary
+
+    found = list(cases(count, seed))
+    for name in _known(check or list(CHECKS), CHECKS, "check"):
+        with timed() as clock:
+            told = summary(judge(found, name, engine=engine, **options))
+        print(f"{name}: {told}", flush=True)
+        case = {"case": f"small-stacks-{name.replace(' ', '-')}", "group": "small-stacks", "engine": engine}
+        append_line(out, {**case, "seed": seed, **told, "cpu_s": clock.cpu_s, **environment()})
 
 
 @app.command()

@@ -1,11 +1,11 @@
-"""Shift, tilt, drop, excess and pace of boxes (JAX). Twin of ``motion_np``, without shared arithmetic."""
+"""Shift, tilt, drop, excess and speed of boxes (JAX). Twin of ``motion_np``, without shared arithmetic."""
 
 from __future__ import annotations
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from petmjx.config import Quiet, Thresholds
+from petmjx.config import Thresholds
 
 
 def shift(pos: Float[Array, "lane box 3"], target: Float[Array, "lane box 3"], floor_m: float) -> Array:
@@ -59,11 +59,21 @@ def excess(
     return jnp.where(dropped, jnp.maximum(worst, just_over), worst)
 
 
-def pace_squared(vel: Float[Array, "lane box 6"], quiet: Quiet) -> Float[Array, "lane box"]:
-    """Pace squared: the larger of linear and angular speed, each divided by its quiet limit, squared.
+def radius(half: Float[Array, "lane box 3"]) -> Float[Array, "lane box"]:
+    """Half diagonal of a box, m."""
+    return jnp.sqrt((half**2).sum(-1))
 
-    The rules compare squares, which saves the root. ``motion_np.pace`` is the root of this.
-    """
-    linear = (vel[..., :3] ** 2).sum(-1) / quiet.lin_vel_m_s**2
-    angular = (vel[..., 3:] ** 2).sum(-1) / quiet.ang_vel_rad_s**2
-    return jnp.maximum(linear, angular)
+
+def speed(vel: Float[Array, "lane box 6"], half: Float[Array, "lane box 3"]) -> Float[Array, "lane box"]:
+    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
+    linear, angular = (jnp.sqrt((part**2).sum(-1)) for part in (vel[..., :3], vel[..., 3:]))
+    return linear + radius(half) * angular
+
+
+def moved(
+    before: Float[Array, "lane box 7"], after: Float[Array, "lane box 7"], half: Float[Array, "lane box 3"]
+) -> Float[Array, "lane box"]:
+    """How far a point of a box has moved at most, m: twice the chord between two quaternions is the angle, as long as
+    that is small."""
+    change = (after - before) ** 2
+    return jnp.sqrt(change[..., :3].sum(-1)) + 2 * radius(half) * jnp.sqrt(change[..., 3:].sum(-1))

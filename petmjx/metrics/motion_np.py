@@ -1,11 +1,11 @@
-"""Shift, tilt, drop, excess and pace of boxes (NumPy). Twin of ``motion_jax``, without shared arithmetic."""
+"""Shift, tilt, drop, excess and speed of boxes (NumPy). Twin of ``motion_jax``, without shared arithmetic."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Quiet, Thresholds
+from petmjx.config import Thresholds
 from petmjx.units import FloatArray
 
 
@@ -45,8 +45,22 @@ def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], th
     return np.asarray(np.maximum(worst, dropped))
 
 
-def pace(vel: FloatArray, quiet: Quiet) -> FloatArray:
-    """(n,) pace: the larger of linear and angular speed, each divided by its quiet limit, from (n, 6) velocities."""
-    linear = np.linalg.norm(vel[:, :3], axis=1) / quiet.lin_vel_m_s
-    angular = np.linalg.norm(vel[:, 3:], axis=1) / quiet.ang_vel_rad_s
-    return np.asarray(np.maximum(linear, angular))
+def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
+    """(n,) speed of each box's fastest point, m/s: an upper bound, ‖v‖ + r·‖ω‖.
+
+    Args:
+        vel: (n, 6) velocities of the centres, m/s, and angular velocities, rad/s.
+        radius_m: (n,) half diagonals.
+    """
+    return np.asarray(np.linalg.norm(vel[:, :3], axis=1) + radius_m * np.linalg.norm(vel[:, 3:], axis=1))
+
+
+def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatArray:
+    """(n,) how far a point of each box has moved at most, m: ‖Δc‖ + r·2·‖Δq‖, for small turns.
+
+    Args:
+        before, after: (n, 7) centres, m, and unit quaternions.
+        radius_m: (n,) half diagonals.
+    """
+    change = after - before
+    return np.asarray(np.linalg.norm(change[:, :3], axis=1) + 2 * radius_m * np.linalg.norm(change[:, 3:], axis=1))

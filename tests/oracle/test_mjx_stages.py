@@ -15,17 +15,19 @@ from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 
 DT = 0.002
-SHORT = Simulation(interval_s=0.3, sample_interval_s=0.05, duration_s=0.5, settle_s=0.4)
+SHORT = Simulation(interval_s=0.3, longest_wait_s=0.6, sample_interval_s=0.05, duration_s=0.5, settle_s=0.4)
 FORCE_RELATIVE = 1e-5
 """Resting forces are float32 sums of whole numbers, divided."""
 
 
 @dataclass
 class Plain:
-    """What becomes of one world: the step after which each box is placed, and the last step."""
+    """What becomes of one world: the step after which each box is placed, the last step, and whether a box was placed
+    while one moved."""
 
     placed_at: list[int]
     end: int
+    moving: bool
 
 
 def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
@@ -35,8 +37,8 @@ def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
     rest_steps = int(sim.rest_window_s / DT)
     placed_at = [0] * n if static else []
     fixed_end = int((sim.duration_s if static else (n + 1) * sim.interval_s) / DT)
-    limit_s = sim.duration_s if static else sim.interval_s
-    step, time_s, last_s, last, quiet, end = 0, 0.0, 0.0, 0, 0, None
+    limit_s = sim.duration_s if static else sim.longest_wait_s if adaptive else sim.interval_s
+    step, time_s, last_s, last, quiet, end, moving = 0, 0.0, 0.0, 0, 0, None, False
     while True:
         step, time_s = step + 1, time_s + DT
         trembles = [step - at < mass for at, mass in zip(placed_at, masses, strict=False)]
@@ -50,12 +52,13 @@ def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
             due = due or (polled and quiet >= sim.quiet.steps and step - last >= sim.quiet.min_steps)
         if end is None and due:
             if len(placed_at) < n:
+                moving = moving or quiet < sim.quiet.steps
                 placed_at.append(step)
                 last, last_s, quiet = step, time_s, 0
             elif adaptive:
                 end = step + rest_steps
         if (step == fixed_end and not adaptive) or step == end:
-            return Plain(placed_at, step)
+            return Plain(placed_at, step, moving)
 
 
 def placements(outcome: Outcome, sim: Simulation) -> np.ndarray:
@@ -84,6 +87,7 @@ def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule:
         expected = plainly(masses, sim)
         assert outcome.n_steps == expected.end
         assert outcome.n_placed == len(masses)
+        assert bool(outcome.flags & Flag.MOVING) is expected.moving
         np.testing.assert_allclose(placements(outcome, sim), expected.placed_at, rtol=FORCE_RELATIVE, atol=0.01)
         assert outcome.verdict is Verdict.STABLE
         assert outcome.sim_time_s == pytest.approx(expected.end * DT)
@@ -176,8 +180,7 @@ def test_a_drive_starts_when_the_pallet_is_quiet_and_lasts_as_long_as_its_profil
     masses = [(1.0, 60.0, 1.0), (1.0, 90.0)]
     jobs = [Job(fake_scene(*m), drive) for m, drive in zip(masses, drives, strict=True)]
     for m, drive, outcome in zip(masses, drives, run_all(engine, jobs, SHORT), strict=True):
-        quiet = plainly(m, SHORT).end - int(SHORT.rest_window_s / DT)
-        assert outcome.n_steps == quiet + len(drive.excitation.samples) + 100
+        assert outcome.n_steps == plainly(m, SHORT).end + len(drive.excitation.samples) + 100
         np.testing.assert_allclose(outcome.boxes.max_sway_m, sway_of(drive, sum(m) + CARRIER_KG), rtol=0.01)
 
 

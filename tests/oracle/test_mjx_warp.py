@@ -122,7 +122,7 @@ def test_drives_as_in_c_and_forks_as_whole_runs(kind: str) -> None:
     twins = run_all(MujocoEngine(2), jobs, SHORT)
     for drive, whole, fork, twin in zip(drives, run_all(shared_engine(), jobs, SHORT), forks, twins, strict=True):
         assert fork.flags == whole.flags | Flag.FORKED
-        assert fork.n_steps == len(drive.excitation.samples) + 50 == whole.n_steps - kept.n_steps
+        assert fork.n_steps == whole.n_steps - kept.n_steps >= len(drive.excitation.samples) + 50
         assert fork.sim_time_s == whole.sim_time_s
         for name, values in vars(whole.boxes).items():
             np.testing.assert_array_equal(getattr(fork.boxes, name), values, err_msg=name)

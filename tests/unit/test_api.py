@@ -119,14 +119,14 @@ def test_given_engines_and_physics_are_used(tmp_path: Path) -> None:
 
 
 def test_thresholds_decide() -> None:
-    tilted = petmjx.score(FALLS, engine="mujoco").worlds
-    assert tilted["reason"].tolist() == ["tilt"]
-    tolerant = Thresholds(shift_m=5.0, tilt_deg=180.0)
-    shifted = petmjx.score(FALLS, engine="mujoco", thresholds=tolerant).worlds
-    assert shifted["verdict"].tolist() == ["stable"]
-    tilting = petmjx.score(FALLS, engine="mujoco", thresholds={"tilt_deg": 180.0})
-    assert tilting.worlds["reason"].tolist() == ["shift"]
-    assert tilting.info["config"]["simulation"]["thresholds"]["tilt_deg"] == 180.0
+    """A box that floats half a box high: it comes down, and lands flat."""
+    floats = make_plan("floats", [*stack(1), ((400.0, 300.0, 200.0), (0.0, 0.0, 300.0), 5.0)])
+    limits: dict[str, Thresholds] = {"shift": Thresholds(), "": Thresholds(shift_m=0.2)}
+    for reason, thresholds in limits.items():
+        results = petmjx.score(floats, engine="mujoco", thresholds=thresholds)
+        assert results.worlds["reason"].tolist() == [reason]
+        assert results.info["config"]["simulation"]["thresholds"]["shift_m"] == thresholds.shift_m
+    assert petmjx.score(FALLS, engine="mujoco").worlds["reason"].tolist() == ["drop"]
 
 
 def gathered(plans: Any, **options: Any) -> PlanSet:

@@ -93,7 +93,7 @@ def test_a_result_is_one_line_with_all_fields(measured: Path) -> None:
         assert result["plans_per_s"] == pytest.approx(3 / result["run_s"], rel=1e-4)  # numbers have 6 digits
         assert result["versions"]["mujoco"]
         assert result["peak_rss_bytes"] > 1e7
-    assert results[1]["counts"] == {"worlds": 3, "stable": 2, "unstable": 1, "invalid": 0, "by_reason": {"tilt": 1}}
+    assert results[1]["counts"] == {"worlds": 3, "stable": 2, "unstable": 1, "invalid": 0, "by_reason": {"drop": 1}}
     assert "3 of 2000 plans" in results[1]["note"]
 
 

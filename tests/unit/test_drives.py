@@ -18,7 +18,7 @@ BOXES = (((400, 300, 200), (0, 0, 0), 6.0), ((400, 300, 200), (0, 0, 200), 4.0))
 
 def pushed(kind: str, scale: float, gravity_m_s2: float) -> tuple[Job, Simulation]:
     """A push along +z for 0.1 s."""
-    sim = Simulation(physics={"gravity_m_s2": gravity_m_s2})
+    sim = Simulation(physics={"gravity_m_s2": gravity_m_s2}, longest_wait_s=0.0)
     samples = np.tile([0.0, 0.0, 0.5], (50, 1))
     drive = Drive(Excitation("push", kind, samples), scale=scale, rest_s=0.0)
     return Job(build_scene(make_plan("two", BOXES), sim), drive), sim
@@ -30,7 +30,7 @@ def test_the_unit_does_not_depend_on_gravity(kind: str, unit: float) -> None:
         job, sim = pushed(kind, 2.0, gravity_m_s2)
         assert job.drive is not None
         assert job.drive.unit(job.scene.total_mass) == pytest.approx(unit)
-        worlds = upload_worlds([job], 1, 2, {id(job.drive.excitation): 0}, sim.physics.timestep_s)
+        worlds = upload_worlds([job], 1, 2, {id(job.drive.excitation): 0}, sim)
         assert float(worlds.drive_scale[0]) == pytest.approx(2.0 * unit)
 
 

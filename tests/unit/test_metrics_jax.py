@@ -10,7 +10,7 @@ import pytest
 from support.outcomes import make_plan
 from support.plans import make_scene
 
-from petmjx.config import Quiet, Simulation, Thresholds
+from petmjx.config import Simulation, Thresholds
 from petmjx.engines.batch.outcomes import reduce_metrics
 from petmjx.engines.batch.state import fresh_state, upload_worlds
 from petmjx.engines.cpu.running import OracleMetrics
@@ -127,11 +127,26 @@ def test_a_displacement_under_the_floor_is_no_sign_on_any_engine() -> None:
         assert (np.asarray(excess[0]) > 1).tolist() == [False, culprit == 1]
 
 
-def test_the_pace_is_the_larger_of_both_speeds_in_units_of_their_limits() -> None:
-    vel = jnp.array([[[0.009, 0, 0, 0, 0, 0.049], [0.003, 0.004, 0, 0, 0, 0], [0, 0, 0, 0.03, 0.04, 0]]])
-    pace = jnp.sqrt(motion.pace_squared(vel, Quiet()))
-    np.testing.assert_allclose(pace, [[0.98, 0.5, 1.0]], rtol=1e-5)
-    np.testing.assert_allclose(motion_np.pace(np.asarray(vel[0], float), Quiet()), [0.98, 0.5, 1.0], rtol=1e-6)
+def test_a_box_is_as_fast_as_its_fastest_point_may_be() -> None:
+    """Boxes of half sizes (0.2, 0.2, 0.1) m: their corners are 0.3 m from their centres."""
+    half = np.tile([0.2, 0.2, 0.1], (3, 1))
+    vel = np.array([[0.009, 0, 0, 0, 0, 0.05], [0.003, 0.004, 0, 0, 0, 0], [0, 0, 0, 0.03, 0.04, 0]])
+    expected = [0.024, 0.005, 0.015]
+    np.testing.assert_allclose(motion.speed(jnp.asarray(vel)[None], jnp.asarray(half)[None])[0], expected, rtol=1e-5)
+    np.testing.assert_allclose(motion_np.speed(vel, np.full(3, 0.3)), expected, rtol=1e-12)
+
+
+def test_how_far_points_have_moved_is_path_and_turn() -> None:
+    """5 mm along x; a turn by 0.01 rad."""
+    half = np.tile([0.2, 0.2, 0.1], (2, 1))
+    before = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1))
+    after = before.copy()
+    after[0, 0] = 0.005
+    after[1, 3:] = [np.cos(0.005), np.sin(0.005), 0.0, 0.0]
+    expected = [0.005, 0.3 * 0.01]
+    found = motion.moved(*(jnp.asarray(each)[None] for each in (before, after, half)))
+    np.testing.assert_allclose(found[0], expected, rtol=1e-4)
+    np.testing.assert_allclose(motion_np.moved(before, after, np.full(2, 0.3)), expected, rtol=1e-5)
 
 
 # ---------------------------------------------------------------------- contact forces
@@ -197,7 +212,7 @@ def test_metrics_are_strict_about_ranks() -> None:
 def test_the_final_pose_and_the_force_at_rest_enter_the_maxima() -> None:
     """Of boxes that were placed, in worlds that came to their end."""
     scene = make_scene(3)
-    worlds = upload_worlds([Job(scene)] * 2, 2, 3, {}, 0.002)
+    worlds = upload_worlds([Job(scene)] * 2, 2, 3, {}, Simulation())
     fresh = fresh_state(worlds, all_placed=False, ends=jnp.array([10, 10]), rest_steps=5)
     lying = jnp.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0], jnp.float32)
     state = fresh._replace(

@@ -86,7 +86,8 @@ def test_rows_are_in_packing_order_whatever_the_order_of_bodies(
     live = LiveWorld(scene, sim)
     for box in range(scene.n_boxes):
         live.place_next()
-        np.testing.assert_array_equal(live.pose[box, :3], scene.start_pos[box])
+        np.testing.assert_array_equal(live.pose[box, :2], scene.start_pos[box, :2])
+        assert abs(live.pose[box, 2] - live.release.pos[box, 2]) < 0.001  # its support has come down a little
         live.step(30)
     assert (live.order.tolist() == list(range(12))) is packing_order
     names = [live.model.body(body).name for body in range(live.model.nbody)]
@@ -125,5 +126,5 @@ def test_a_world_that_grows_keeps_its_state_to_the_last_bit(ordered_from: int, m
     for name in ("pose", "velocity", "warmstart"):
         np.testing.assert_array_equal(getattr(after, name)[:9], getattr(before, name))
     # the ninth stands where it belongs, the tenth hangs far away
-    np.testing.assert_array_equal(live.pose[8, :3], scene.start_pos[8])
+    assert abs(live.pose[8, 2] - live.release.pos[8, 2]) < 0.001
     assert live.pose[9, 2] > 10

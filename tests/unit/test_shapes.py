@@ -106,7 +106,7 @@ def axis_sizes(record: Any) -> dict[str, int]:
 
 @pytest.fixture(scope="module")
 def worlds() -> Worlds:
-    return upload_worlds(JOBS, ROWS, WIDTH, {}, SIM.physics.timestep_s)
+    return upload_worlds(JOBS, ROWS, WIDTH, {}, SIM)
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +160,7 @@ def test_a_field_of_the_wrong_kind_is_found(worlds: Worlds, table: State) -> Non
 
 
 def test_records_are_cut_along_their_boxes_and_nothing_else(worlds: Worlds, table: State) -> None:
-    assert set(per_box(Worlds)) == {"half", "mass", "target", "start"}
+    assert set(per_box(Worlds)) == {"half", "mass", "target", "start", "support"}
     for record in (worlds, table, table.metrics):
         assert axis_sizes(narrow(record, 2)) == {"world": ROWS, "box": 2}
         np.testing.assert_array_equal(

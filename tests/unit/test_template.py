@@ -11,7 +11,7 @@ import pytest
 from mujoco import mjx
 from support.fake_stepper import fake_scene
 
-from petmjx.config import PHYSICS, Physics, Solver
+from petmjx.config import PHYSICS, Physics, Simulation, Solver
 from petmjx.engines.batch.state import upload_worlds
 from petmjx.engines.batch.template import override_fields, padded_template, parked_positions
 from petmjx.world.job import Job
@@ -34,12 +34,12 @@ def scene_of_boxes(n: int) -> Scene:
 
 def template(physics: Physics, *, held: bool) -> mujoco.MjModel:
     return padded_template(
-        CAPACITY, physics, held=held, solver=Solver.NEWTON, tolerance=1e-6, iterations=100, native_ccd=True, pairs=True
+        CAPACITY, physics, held=held, solver=Solver.NEWTON, tolerance=1e-6, iterations=100, line_search_iterations=30
     )
 
 
 def overrides(scenes: list[Scene], base: Any, *, held: bool, physics: Physics) -> dict[str, jax.Array]:
-    worlds = upload_worlds([Job(scene) for scene in scenes], len(scenes), CAPACITY, {}, 0.002)
+    worlds = upload_worlds([Job(scene) for scene in scenes], len(scenes), CAPACITY, {}, Simulation())
     return override_fields(
         worlds.half,
         worlds.mass,

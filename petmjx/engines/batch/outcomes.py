@@ -131,6 +131,7 @@ def _outcomes(
             n_steps=int(host.steps_done[i]),
             flags=flags,
             boxes=boxes,
+            n_at_sign=int(m.sign_placed[i]) if known else 0,
             solver=sim.solver.value,
             # without other worlds' columns: what starts from it may be in a narrower table
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,

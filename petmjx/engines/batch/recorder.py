@@ -9,11 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
+from petmjx.config import Simulation
 from petmjx.engines.batch.state import NEVER, State, Status
 from petmjx.engines.frames import history_of
 from petmjx.history import History
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
+from petmjx.world.release import release_of
 
 
 class Trail(NamedTuple):
@@ -48,14 +50,15 @@ class Recorder:
 
     Args:
         jobs: of the group.
-        timestep_s: of the simulation, s.
+        sim: the run's options.
 
     Attributes:
         every: (job,) steps between two frames of a world; 0: it is not recorded.
     """
 
-    def __init__(self, jobs: Sequence[Job], timestep_s: float) -> None:
-        self._jobs = jobs
+    def __init__(self, jobs: Sequence[Job], sim: Simulation) -> None:
+        self._jobs, self._sim = jobs, sim
+        timestep_s = sim.physics.timestep_s
         intervals = [None if job.record is None else job.record.interval_s for job in jobs]
         steps = [0 if each is None else max(seconds_to_steps(each, timestep_s), 1) for each in intervals]
         self.every = np.array(steps, np.int32)
@@ -102,7 +105,10 @@ class Recorder:
         box, scene = int(steps.placed[-1]), self._jobs[row].scene
         wider = [(0, 0), (0, 1)]
         pose, force = np.pad(frames.pose, [*wider, (0, 0)]), np.pad(frames.top_force, wider)
-        pose[-1, box] = np.concatenate((scene.start_pos[box], scene.start_quat[box]))
+        place = release_of(scene, self._sim).place_of(
+            box, scene, pose[-1, :, 2].astype(float), steps.carrier_pose[-1, 2]
+        )
+        pose[-1, box] = np.concatenate((place, scene.start_quat[box]))
         force[-1, box] = 0.0
         frames.placed[-1] += 1
         return frames._replace(pose=pose, top_force=force)

@@ -16,8 +16,10 @@ from petmjx.config import Schedule, Simulation
 from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
 from petmjx.engines.batch.template import parked_positions
 from petmjx.engines.batch.timetable import Timetable
+from petmjx.history import CARRIER
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import Flag
+from petmjx.world.release import MOST_FOLLOWED_M, NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
 
 UNBELIEVABLE = 1e10
@@ -63,44 +65,69 @@ class Rules:
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " lane"]) -> State:
         """Release the next box: at its release pose, at rest."""
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
+        release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
         return state._replace(
-            pose=jnp.where(chosen, worlds.start, state.pose),
+            pose=jnp.where(chosen, release, state.pose),
+            still_pose=jnp.where(chosen, release, state.still_pose),
             vel=jnp.where(chosen, 0.0, state.vel),
             warm=jnp.where(chosen, 0.0, state.warm),
             ahead=jnp.where(chosen, 0.0, state.ahead),
             placed=state.placed + where,
             last_placed_at=jnp.where(where, state.step, state.last_placed_at),
+            waits_since=jnp.where(where, state.step, state.waits_since),
             quiet_steps=jnp.where(where, 0, state.quiet_steps),
         )
+
+    def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "lane box"]:
+        """How far the support of each box is from its planned height, m; 0 where it has none."""
+        boxes = state.pose[..., 2] - worlds.target[..., 2]
+        carrier = state.carrier_pose[:, 2] - worlds.carrier_pos[:, 2]
+        moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
+        moved = jnp.where(worlds.support == CARRIER, carrier[:, None], moved)
+        return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -MOST_FOLLOWED_M, MOST_FOLLOWED_M))
 
     def enter(self, state: State, worlds: Worlds) -> State:
         """Take up worlds that an earlier stage handed on."""
         if self.driven:
             begins = state.status == Status.SETTLED
             end = state.driven_from + worlds.drive_steps
-            metrics = self._forget_transients(state, worlds, begins)
+            metrics = self._without_rest(self._forget_transients(state, worlds, begins), begins)
             anchor = jnp.where(begins[:, None, None], state.pose[..., :2], metrics.sway_anchor)
             return state._replace(
                 status=jnp.where(begins, Status.RUNNING, state.status),
                 end=jnp.where(begins, end, state.end),
                 rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
+                still_pose=jnp.where(begins[:, None, None], state.pose, state.still_pose),
                 metrics=metrics._replace(sway_anchor=anchor),
             )
         waited = (state.status == Status.READY) & (state.placed < self.capacity)
         return self.place_next(state._replace(status=jnp.where(waited, Status.RUNNING, state.status)), worlds, waited)
 
+    @staticmethod
+    def _without_rest(metrics: Metrics, where: Bool[Array, " lane"]) -> Metrics:
+        """Begin with another rest window."""
+        return metrics._replace(
+            rest_force_sum=jnp.where(where[:, None], 0.0, metrics.rest_force_sum),
+            rest_samples=jnp.where(where, 0, metrics.rest_samples),
+        )
+
     def _forget_transients(self, state: State, worlds: Worlds, begins: Bool[Array, " lane"]) -> Metrics:
         """Forget signs from the placement (a hard landing) in worlds in which no box is over a threshold now."""
-        m, limits = state.metrics, self.sim.thresholds
-        pos, quat = state.pose[..., :3], state.pose[..., 3:]
-        shift = motion.shift(pos, worlds.target, limits.shift_floor_m)
-        excess = motion.excess(shift, motion.tilt_deg(quat), m.drop_step >= 0, limits)
-        placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
-        clean = begins & ~(placed & (excess > 1)).any(-1)
+        m = state.metrics
+        clean = begins & ~self._is_over(state, worlds)
         return m._replace(
             culprit=jnp.where(clean, -1, m.culprit),
             sign_step=jnp.where(clean, -1, m.sign_step),
         )
+
+    def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " lane"]:
+        """Whether a box is over a threshold now, or has dropped."""
+        limits = self.sim.thresholds
+        shift = motion.shift(state.pose[..., :3], worlds.target, limits.shift_floor_m)
+        tilt = motion.tilt_deg(state.pose[..., 3:])
+        excess = motion.excess(shift, tilt, state.metrics.drop_step >= 0, limits)
+        placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
+        return (placed & (excess > 1)).any(-1)
 
     def after_step(
         self,
@@ -132,7 +159,11 @@ class Rules:
             status=jnp.where(nonfinite, Status.FINISHED, state.status),
         )
         state = state._replace(status=jnp.where(overflowed, Status.OVERFLOWED, state.status))
-        return state if self.driven else self._proceed(state, worlds)
+        state = self._look_at_the_end(self._proceed(state, worlds), worlds)
+        still_from = state.end - self.timetable.still_steps
+        still_from = jnp.maximum(still_from, state.driven_from if self.driven else 0)
+        here = state.running & (state.step == still_from)
+        return state._replace(still_pose=jnp.where(here[:, None, None], state.pose, state.still_pose))
 
     def _sample(self, state: State, worlds: Worlds, seen: _Seen, nonfinite: Bool[Array, " lane"]) -> State:
         limits, m = self.sim.thresholds, state.metrics
@@ -182,6 +213,7 @@ class Rules:
             sway_anchor=m.sway_anchor,
             culprit=culprit,
             sign_step=jnp.where(signs, state.step, m.sign_step),
+            sign_placed=jnp.where(signs & sample, state.placed, m.sign_placed),
         )
         stopped = dropped.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
@@ -189,58 +221,119 @@ class Rules:
             metrics=metrics,
             violent_since=violent_since,
             flags=state.flags | flags,
-            status=jnp.where(last | stopped | exploded, Status.FINISHED, state.status),
+            status=jnp.where(stopped | exploded, Status.FINISHED, state.status),
         )
 
-    def count_quiet(self, state: State, poll: Bool[Array, " lane"]) -> tuple[State, Bool[Array, " lane"]]:
-        """In lanes with ``poll``, count the steps for which all boxes were slow. If one creeps, start again.
+    def count_quiet(
+        self, state: State, worlds: Worlds, poll: Bool[Array, " lane"]
+    ) -> tuple[State, Bool[Array, " lane"]]:
+        """In lanes with ``poll``, count the steps for which all boxes were quiet. If one creeps, start again.
 
         A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps.
         """
         quiet = self.sim.quiet
-        pace = jnp.where(self.standing(state), motion.pace_squared(state.vel, quiet), 0.0)
-        count = jnp.where((pace < 1).all(-1), state.quiet_steps + quiet.poll_steps, 0)
+        speed = jnp.where(self.standing(state), motion.speed(state.vel, worlds.half), 0.0)
+        count = jnp.where((speed < quiet.quiet_m_s).all(-1), state.quiet_steps + quiet.poll_steps, 0)
         enough = poll & (count >= quiet.steps)
-        if not self.sim.waits_for_creep:
+        if not self.sim.waits_for_rest:
             return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps)), enough
 
-        at_begin = jnp.where((count <= quiet.poll_steps)[:, None], pace, state.quiet_pace)
-        slowed = pace < jnp.maximum(quiet.rest_share**2, quiet.slowing**2 * at_begin)
-        anew = enough & ~slowed.all(-1) & (state.metrics.culprit < 0)
+        at_begin = jnp.where((count <= quiet.poll_steps)[:, None], speed, state.quiet_speed)
+        creeps = (speed >= jnp.maximum(quiet.slow_m_s, quiet.slowing * at_begin)).any(-1)
+        faster = (speed > jnp.maximum(quiet.still_m_s, at_begin)).any(-1)
+        anew = enough & (creeps | faster) & (state.metrics.culprit < 0)
         count = jnp.where(anew, quiet.poll_steps, count)
-        at_begin = jnp.where(anew[:, None], pace, at_begin)
+        at_begin = jnp.where(anew[:, None], speed, at_begin)
         counted = state._replace(
             quiet_steps=jnp.where(poll, count, state.quiet_steps),
-            quiet_pace=jnp.where(poll[:, None], at_begin, state.quiet_pace),
+            quiet_speed=jnp.where(poll[:, None], at_begin, state.quiet_speed),
         )
         return counted, enough & ~anew
 
     def _proceed(self, state: State, worlds: Worlds) -> State:
         """Place the next box, hand the world on, or let it come to rest."""
         quiet, table = self.sim.quiet, self.timetable
-        counted = state.running & (state.step > 0)
-        poll = counted & (state.step % quiet.poll_steps == 0)
-        still = jnp.zeros_like(poll)
-        if self.sim.schedule is not Schedule.FIXED:
-            state, still = self.count_quiet(state, poll)
-        more = state.placed < worlds.n_boxes
-        due = state.step >= jnp.asarray(table.due)[state.last_placed_at]
-        if self.sim.schedule is Schedule.FIXED:
-            settled = state.step >= jnp.asarray(table.settled_nominally)[worlds.n_boxes]
-        else:
-            settled = state.step >= jnp.asarray(table.settled)[state.last_placed_at]
-        if self.sim.check == "static":
-            due = state.step >= table.static_end
-        due = jnp.where(~more & worlds.settles, settled, due)
-        due = due | (still & (state.step - state.last_placed_at >= quiet.min_steps))
-        go = counted & due
+        more = (state.placed < worlds.n_boxes) & (not self.driven)
+        waits = state.running & (state.step > 0) & (more | (state.end == NEVER))
+        poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
+        state, still = self.count_quiet(state, worlds, poll)
+        adapts = self._adaptive | (state.waits_since > state.last_placed_at)
+        rested = state.step - state.waits_since >= quiet.min_steps
+        no_sign = state.metrics.culprit < 0
+        go = waits & ((state.step >= self._deadline(state, worlds, more, adapts)) | (still & adapts & rested))
         full = state.placed >= self.capacity
-        rests = go & ~more & ~worlds.settles & (state.end == NEVER)
-        settles = go & ~more & worlds.settles
+        # with a drive to come, and no look whether the pallet rests
+        settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
+        rests = go & ~more & ~settles
+        moves = (settles | (go & more)) & no_sign & (state.quiet_steps < quiet.steps)
+        status = jnp.where(settles, Status.SETTLED, state.status)
         state = state._replace(
             rest_from=jnp.where(rests, state.step, state.rest_from),
             end=jnp.where(rests, state.step + table.rest_steps, state.end),
             driven_from=jnp.where(settles, state.step, state.driven_from),
-            status=jnp.where(go & more & full, Status.READY, jnp.where(settles, Status.SETTLED, state.status)),
+            flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0),
+            status=jnp.where(go & more & full, Status.READY, status),
         )
         return self.place_next(state, worlds, go & more & ~full)
+
+    @property
+    def _adaptive(self) -> bool:
+        return self.sim.schedule is not Schedule.FIXED
+
+    @property
+    def _rests_first(self) -> bool:
+        """Whether a rest window, and a look at its end, come before a drive."""
+        return self._adaptive and self.sim.waits_for_rest
+
+    def _deadline(
+        self, state: State, worlds: Worlds, more: Bool[Array, " lane"], adapts: Bool[Array, " lane"]
+    ) -> Int[Array, " lane"]:
+        """The latest step for the event that is waited for. A sign of failure ends patience, counted from it."""
+        sim, table = self.sim, self.timetable
+        no_sign = state.metrics.culprit < 0
+        plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
+        patient = adapts & ~plain_static & sim.waits_for_rest
+        since = jnp.maximum(state.waits_since, jnp.where(patient, state.metrics.sign_step, -1))
+        if self.driven:
+            return jnp.where(patient & no_sign, self._longest_wait(state, worlds), since + table.due_steps)
+        due = jnp.asarray(table.due)[since]
+        due = jnp.where(plain_static, table.static_end, due)
+        settled = jnp.asarray(table.settled)[since]
+        if not self._adaptive:
+            settled = jnp.asarray(table.settled_nominally)[worlds.n_boxes]
+        due = jnp.where(~more & worlds.settles, settled, due)
+        return jnp.where(patient & no_sign, self._longest_wait(state, worlds), due)
+
+    def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " lane"]:
+        """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+        if self.driven:
+            return state.driven_from + worlds.drive_steps + self.timetable.longest_steps
+        return jnp.asarray(self.timetable.longest)[state.last_placed_at]
+
+    def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
+        """At the last step: a world that moves and has not failed is waited for. One that rests may begin its drive."""
+        sim, table = self.sim, self.timetable
+        ends = state.running & (state.step > 0) & (state.step >= state.end)
+        moved = motion.moved(state.still_pose, state.pose, worlds.half)
+        still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
+        seconds = (state.step - still_from) * sim.physics.timestep_s
+        moves = (self.standing(state) & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)
+        moves = ends & moves & ~self._is_over(state, worlds)
+        limit = self._longest_wait(state, worlds)
+        if sim.check == "static" and not self.driven:
+            limit = jnp.where(worlds.settles, limit, table.static_end)
+        may_wait = sim.waits_for_rest and sim.total_time_factor is None
+        again = moves & (state.step < limit) & may_wait
+        settles = ends & ~again & worlds.settles & (not self.driven)
+        finished = ends & ~again & ~settles
+        never = jnp.full_like(state.end, NEVER)
+        return state._replace(
+            end=jnp.where(again, never, state.end),
+            rest_from=jnp.where(again, never, state.rest_from),
+            waits_since=jnp.where(again, state.step, state.waits_since),
+            quiet_steps=jnp.where(again, 0, state.quiet_steps),
+            driven_from=jnp.where(settles, state.step, state.driven_from),
+            flags=state.flags | jnp.where(moves & ~again, int(Flag.MOVING), 0),
+            status=jnp.where(settles, Status.SETTLED, jnp.where(finished, Status.FINISHED, state.status)),
+            metrics=self._without_rest(state.metrics, again),
+        )

@@ -17,8 +17,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.config import SOFT_START_STEPS
+from petmjx.config import SOFT_START_STEPS, Simulation
+from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
+from petmjx.world.release import NOTHING, release_of
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
@@ -35,7 +37,7 @@ class Status:
     READY = 1
     """All boxes of this capacity stand; the next box waits for a larger one."""
     SETTLED = 2
-    """Placement is over and a drive follows."""
+    """Placement is over, and the pallet has come to rest. A drive may follow."""
     FINISHED = 3
     OVERFLOWED = 4
     """A buffer was too small: the stage must run again from the state with which the world entered it."""
@@ -46,7 +48,8 @@ class Worlds(NamedTuple):
 
     ``friction`` rows are floor, carrier, box. ``drive_yaw`` is (cos, sin); ``drive_steps`` counts from the drive's
     first step to the world's end. ``driven``: a drive follows; ``held``: it holds the carrier fast. ``settles``: the
-    placement ends in a settled state (for a drive, or to keep) instead of a rest window.
+    placement ends in a settled state, for a drive or to keep. ``start`` is where a box is released if its ``support``
+    is where the plan has it (petmjx/world/release.py).
     """
 
     n_boxes: Int[Array, " world"]
@@ -54,6 +57,7 @@ class Worlds(NamedTuple):
     mass: Float[Array, "world box"]
     target: Float[Array, "world box 3"]
     start: Float[Array, "world box 7"]
+    support: Int[Array, "world box"]
     carrier_half: Float[Array, "world 3"]
     carrier_pos: Float[Array, "world 3"]
     carrier_mass: Float[Array, " world"]
@@ -81,6 +85,7 @@ class Metrics(NamedTuple):
     sway_anchor: Float[Array, "world box 2"]
     culprit: Int[Array, " world"]
     sign_step: Int[Array, " world"]
+    sign_placed: Int[Array, " world"]
 
 
 class State(NamedTuple):
@@ -107,16 +112,19 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
 
-    # For the rules: steps for which all boxes have been slow, their squared pace at the first of these, and the first
-    # of consecutive violent samples.
+    # For the rules: the step after which the wait for the next event began, steps for which all boxes have been quiet,
+    # their speed at the first of these, and the first of consecutive violent samples.
+    waits_since: Int[Array, " world"]
     quiet_steps: Int[Array, " world"]
-    quiet_pace: Float[Array, "world box"]
+    quiet_speed: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
-    # What follows, as steps or NEVER: when the drive starts, the rest window starts, and the world ends.
+    # What follows, as steps or NEVER: when the drive starts, the rest window starts, and the world ends. And the poses
+    # shortly before the end, from which on boxes must be still.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
+    still_pose: Float[Array, "world box 7"]
     status: Int[Array, " world"]
 
     # For the outcome: bits of Flag, steps simulated in this run of jobs, and what was measured.
@@ -180,7 +188,7 @@ def uploaded(values: NDArray[Any]) -> jax.Array:
     return array
 
 
-def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], timestep_s: float) -> Worlds:
+def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], sim: Simulation) -> Worlds:
     """Constants of a group of jobs as device arrays. Everything is made on the host: on a device each operation of each
     shape would first have to be compiled.
 
@@ -195,10 +203,12 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
     half, mass = np.full((n, width, 3), 0.1, np.float32), np.ones((n, width), np.float32)
     target, start = np.zeros((n, width, 3), np.float32), np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
+    support = np.full((n, width), NOTHING, np.int32)
     for row, scene in enumerate(scenes):
-        k = scene.n_boxes
+        k, release = scene.n_boxes, release_of(scene, sim)
         half[row, :k], mass[row, :k], target[row, :k] = scene.half_size, scene.mass, scene.target
-        start[row, :k, :3], start[row, :k, 3:] = scene.start_pos, scene.start_quat
+        start[row, :k, :3], start[row, :k, 3:] = release.pos, scene.start_quat
+        support[row, :k] = release.support
     spare = rows - len(jobs)
     fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
 
@@ -212,7 +222,7 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
     def drive_steps(job: Job) -> int:
         if job.drive is None:
             return 0
-        return len(job.drive.excitation.samples) + int(job.drive.rest_s / timestep_s)
+        return len(job.drive.excitation.samples) + seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s)
 
     return Worlds(
         n_boxes=spread([scene.n_boxes for scene in scenes], np.int32),
@@ -220,6 +230,7 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
         mass=spread(mass),
         target=spread(target),
         start=spread(start),
+        support=spread(support, np.int32),
         carrier_half=spread([scene.carrier_half_size for scene in scenes]),
         carrier_pos=spread([scene.carrier_pos for scene in scenes]),
         carrier_mass=spread([scene.carrier_mass for scene in scenes]),
@@ -268,6 +279,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         sway_anchor=jnp.zeros((n, width, 2)),
         culprit=jnp.full(n, -1, jnp.int32),
         sign_step=jnp.full(n, -1, jnp.int32),
+        sign_placed=ints,
     )
     return State(
         pose=worlds.start,
@@ -283,12 +295,14 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),
         placed=worlds.n_boxes if all_placed else ints,
         last_placed_at=ints,
+        waits_since=ints,
         quiet_steps=ints,
-        quiet_pace=zeros,
+        quiet_speed=zeros,
         violent_since=never,
         driven_from=never,
         rest_from=jnp.where(ends == NEVER, NEVER, ends - rest_steps),
         end=ends,
+        still_pose=worlds.start,
         status=ints,
         flags=ints,
         steps_done=ints,

@@ -15,6 +15,7 @@ from petmjx.metrics.force_np import FIRST_BOX_GEOM, top_forces
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.model import HeldCarrier, add_boxes, build_spec
+from petmjx.world.release import release_of
 from petmjx.world.scene import Scene
 
 GROWTH_BLOCK = 8
@@ -67,11 +68,13 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
+        release: where boxes are released.
         pyramidal: whether friction cones are.
     """
 
     def __init__(self, scene: Scene, sim: Simulation, n_boxes: int = 0, shaken: bool = False) -> None:
         self.scene = scene
+        self.release = release_of(scene, sim)
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._sim = sim
         self._shaken = shaken
@@ -171,12 +174,13 @@ class LiveWorld:
         return row
 
     def place_next(self) -> None:
-        """Put the next box at its release pose, at rest."""
+        """Put the next box where it is released, at rest."""
         if self.n_placed == self.capacity:
             self._grow()
         box = self.n_placed
         row = self._row[box]
-        self._poses[row, :3] = self.scene.start_pos[box]
+        heights = self._poses[self._row, 2]
+        self._poses[row, :3] = self.release.place_of(box, self.scene, heights, self.carrier_pose[2])
         self._poses[row, 3:] = self.scene.start_quat[box]
         self._velocities[row] = 0.0
         self._warmstarts[row] = 0.0

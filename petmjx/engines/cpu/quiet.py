@@ -1,4 +1,4 @@
-"""The rule for quiet (docs/rules.md, section 5), for one world of the C engine. Its twin: ``Rules.count_quiet``."""
+"""The rules for quiet and for rest (docs/rules.md, section 5), for one world of the C engine. Twin: ``Rules``."""
 
 from __future__ import annotations
 
@@ -7,44 +7,57 @@ import numpy as np
 from petmjx.config import Simulation
 from petmjx.metrics import motion_np
 from petmjx.units import FloatArray
+from petmjx.world.scene import Scene
 
 
 class QuietRule:
     """Counts the looks at a pallet and says whether it is quiet. Its numbers: ``petmjx.config.Quiet``.
 
-    The caller looks every ``poll_steps``, and makes sure that ``min_steps`` have passed since the last placement.
+    The caller looks every ``poll_steps``, and makes sure that ``min_steps`` have passed since it began to wait.
     """
 
-    def __init__(self, sim: Simulation) -> None:
+    def __init__(self, sim: Simulation, scene: Scene) -> None:
         self._rule = sim.quiet
-        self._waits_for_creep = sim.waits_for_creep
+        self._waits_for_creep = sim.waits_for_rest
+        self._radius_m = np.linalg.norm(scene.half_size, axis=1)
         self._steps = 0
-        self._first_pace: FloatArray = np.zeros(0)
+        self._first: FloatArray = np.zeros(0)
 
     def restart(self) -> None:
-        """A box was placed: the count starts again."""
+        """Another wait begins: the count starts again."""
         self._steps = 0
 
-    def is_quiet(self, velocity: FloatArray, sign_seen: bool) -> bool:
-        """One look.
+    @property
+    def holds(self) -> bool:
+        """Whether the last look found the pallet quiet."""
+        return self._steps >= self._rule.steps
+
+    def look(self, velocity: FloatArray, sign_seen: bool) -> bool:
+        """One look; whether it finds the pallet quiet.
 
         Args:
             velocity: (k, 6) of the placed boxes, linear in m/s and angular in rad/s.
             sign_seen: whether a box has crossed a threshold; then creep is not waited for.
         """
         rule = self._rule
-        pace = motion_np.pace(velocity, rule)
-        if not (pace < 1).all():
+        speed = motion_np.speed(velocity, self._radius_m[: len(velocity)])
+        if not (speed < rule.quiet_m_s).all():
             self._steps = 0
             return False
         if self._steps == 0:
-            self._first_pace = pace
+            self._first = speed
         self._steps += rule.poll_steps
         if self._steps < rule.steps:
             return False
-        if not self._waits_for_creep or sign_seen:
-            return True
-        creeps = not (pace < np.maximum(rule.rest_share, rule.slowing * self._first_pace)).all()
-        if creeps:
-            self._steps, self._first_pace = rule.poll_steps, pace
-        return not creeps
+        if self._waits_for_creep and not sign_seen:
+            creeps = (speed >= np.maximum(rule.slow_m_s, rule.slowing * self._first)).any()
+            faster = (speed > np.maximum(rule.still_m_s, self._first)).any()
+            if creeps or faster:
+                self._steps, self._first = rule.poll_steps, speed
+                return False
+        return True
+
+    def is_still(self, before: FloatArray, after: FloatArray, seconds: float) -> bool:
+        """Whether no point of any box moved faster than ``still_m_s``, from (k, 7) poses and the time between them."""
+        moved = motion_np.moved(before, after, self._radius_m[: len(after)])
+        return bool((moved <= self._rule.still_m_s * seconds).all())

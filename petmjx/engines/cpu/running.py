@@ -93,8 +93,18 @@ class OracleMetrics:
         self._rest_sum_n[: len(top_force_n)] += top_force_n
         self._rest_steps += 1
 
+    def restart_rest(self) -> None:
+        """The rest window did not end the world: another one will."""
+        self._rest_sum_n[:] = 0.0
+        self._rest_steps = 0
+
+    def is_over(self, pos: FloatArray, quat: FloatArray) -> bool:
+        """Whether a box is over a threshold in these poses, or has dropped."""
+        _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
+        return bool(crossed.any())
+
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """A profile starts, with the k boxes in these poses. Sway is measured from here.
+        """A profile starts, with the k boxes in these poses. Sway is measured from here, and rest from its end.
 
         If no box is over a threshold now, signs from the placement (a hard landing) are forgotten: the first sign is
         then the first one during the profile.
@@ -102,8 +112,8 @@ class OracleMetrics:
         k = len(pos)
         self._sway_origin = pos.copy()
         self.max_sway_m[:k] = 0.0
-        _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[:k]))
-        if not crossed.any():
+        self.restart_rest()
+        if not self.is_over(pos, quat):
             self.culprit = -1
             self.first_sign_s = float("nan")
 

@@ -16,7 +16,7 @@ from petmjx.engines.cpu.recorder import Recorder
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
-from petmjx.world.job import Job
+from petmjx.world.job import Drive, Job
 
 _FAR = 2**62
 """A step that never comes."""
@@ -35,6 +35,7 @@ class SettledState:
     step: int
     bodies: BodyState | None
     metrics: OracleMetrics
+    flags: Flag
     ended: Outcome | None
     """The outcome, if the world ended before it settled; its forks have the same outcome."""
 
@@ -61,14 +62,18 @@ class WorldRun:
         self._clock = Clock(dt)
         self._sample_steps = max(seconds_to_steps(sim.sample_interval_s, dt), 1)
         self._rest_steps = seconds_to_steps(sim.rest_window_s, dt)
+        self._static = sim.check is Check.STATIC
         self._adaptive = sim.schedule is not Schedule.FIXED
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
         self._step = self._first_step = self._last_placement = 0
-        self._quiet = QuietRule(sim)
+        self._quiet = QuietRule(sim, job.scene)
         self._fast_since = _FAR
-        self._placing = True
-        self._deadline = _FAR
-        self._end = _FAR
+        self._sign_step = self._n_at_sign = 0
+        self._waiting, self._waits_since = True, 0
+        self._patient = False
+        self._latest = self._latest_if_failed = _FAR
+        self._still_pose = np.zeros((job.scene.n_boxes, 7))
+        self._set_end(_FAR)
         self._driving, self._drive_start = False, 0
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
@@ -95,13 +100,12 @@ class WorldRun:
 
     def _start(self) -> bool:
         """Take the world through the soft start. Returns False where its time is up before."""
-        static = self._sim.check is Check.STATIC
-        self._live = LiveWorld(self._scene, self._sim, n_boxes=self._scene.n_boxes if static else 0)
+        self._live = LiveWorld(self._scene, self._sim, n_boxes=self._scene.n_boxes if self._static else 0)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds)
         begun = self._soft_start()
         if not self._adaptive and not self._goes_on:
-            self._end = self._end_of_fixed()
-        self._set_deadline()
+            self._set_end(self._end_of_fixed())
+        self._wait()
         return begun
 
     def _soft_start(self) -> bool:
@@ -122,10 +126,11 @@ class WorldRun:
         self._step = self._first_step = self._last_placement = start.step
         self._live = LiveWorld.resume(self._scene, self._sim, start.bodies, self._clock.time_s(start.step))
         self._metrics = start.metrics.fork()
-        self._flags |= Flag.FORKED
+        self._flags |= start.flags | Flag.FORKED
         if self._recorder is not None:
             self._recorder.begin(self._step, self._live)
-        self._begin_drive()
+        assert self._job.drive is not None
+        self._begin_drive(self._job.drive)
 
     def _loop(self) -> bool:
         """Step from event to event. Returns whether the world reached its end."""
@@ -142,14 +147,9 @@ class WorldRun:
             if self._recorder is not None and self._recorder.is_due(self._step):
                 self._recorder.look(self._step, self._live)
             self._transition()
-        self._flags |= self._live.trouble()
-        if self._flags & _FATAL:
-            return False
-        if self._step % self._sample_steps:
-            k = self._live.n_placed
-            pose = self._live.pose[:k]
-            self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
-        return True
+            if self._step == self._end:
+                self._look_at_the_end()
+        return not self._flags & _FATAL
 
     def _go_to(self, target: int) -> None:
         """Step to the next event, with a look at the frames on the way; not so far where the world's time is up."""
@@ -184,13 +184,13 @@ class WorldRun:
     def _next_event(self) -> int:
         step = self._step
         target = min(self._end, step + self._sample_steps - step % self._sample_steps)
-        if self._placing:
-            target = min(target, self._deadline)
-            if self._adaptive:
-                poll = self._sim.quiet.poll_steps
-                target = min(target, step + poll - step % poll)
+        if self._waiting:
+            poll = self._sim.quiet.poll_steps
+            target = min(target, max(self._deadline, step + 1), step + poll - step % poll)
         if self._driving:
             target = min(target, self._next_drive_change())
+        if step < self._still_from:
+            target = min(target, self._still_from)
         window = self._end - self._rest_steps
         return min(target, step + 1 if step >= window else window)
 
@@ -213,11 +213,14 @@ class WorldRun:
         if not sampled:
             return True
         pos, quat = live.sampled_pose()
+        no_sign = self._metrics.culprit < 0
         too_fast = self._metrics.add_sample(self._clock.time_s(step), pos, quat, live.qacc[: live.n_placed], force)
+        if no_sign and self._metrics.culprit >= 0:
+            self._sign_step, self._n_at_sign = step, live.n_placed
         if not self._driving and self._explodes(too_fast):
             self._flags |= Flag.EXPLOSION
             return False
-        if self._sim.early_stop and self._metrics.any_dropped:
+        if self._sim.early_stop and self._metrics.any_dropped and step < self._end:
             self._flags |= Flag.EARLY_STOP
             return False
         return True
@@ -240,49 +243,132 @@ class WorldRun:
 
     def _transition(self) -> None:
         """After a step: place the next box, or begin what follows the placement, if it is time."""
-        if not self._placing:
-            return
-        quiet = self._adaptive and self._poll_quiet()
-        rested = self._step - self._last_placement >= self._sim.quiet.min_steps
+        if self._waiting:
+            self._wait_or_go_on()
+        self._keep_still_pose()
+
+    def _wait_or_go_on(self) -> None:
+        quiet = self._look_for_quiet() and self._adapts
+        rested = self._step - self._waits_since >= self._sim.quiet.min_steps
         if self._step < self._deadline and not (quiet and rested):
             return
         live = self._live
-        if live.n_placed < self._scene.n_boxes:
+        places = live.n_placed < self._scene.n_boxes
+        settles = self._goes_on and not self._driving
+        if (places or (settles and not self._rests_first)) and not self._quiet.holds and self._metrics.culprit < 0:
+            self._flags |= Flag.MOVING
+        if places:
             if self._recorder is not None:
                 self._recorder.look(self._step, live)
             live.place_next()
+            self._still_pose[live.n_placed - 1] = live.pose[live.n_placed - 1]
             if self._recorder is not None:
                 self._recorder.place(live)
             self._last_placement = self._step
-            self._quiet.restart()
-            self._set_deadline()
-        elif self._goes_on:
-            if self._recorder is not None:
-                self._recorder.look(self._step, live)
-            self._begin_drive()
+            self._wait()
+        elif settles and not self._rests_first:
+            self._settle()
         else:
-            self._placing = False
-            if self._adaptive:
-                self._end = self._step + self._rest_steps
+            self._waiting = False
+            if self._end == _FAR:
+                self._set_end(self._step + self._rest_steps)
 
-    def _set_deadline(self) -> None:
-        """Set the latest step for the next event: the next placement, or what follows the last placement.
+    @property
+    def _adapts(self) -> bool:
+        """Whether what is waited for comes as soon as the pallet is quiet. With the fixed schedule only a world does so
+        that has moved at its end."""
+        return self._adaptive or self._waits_since > self._last_placement
+
+    @property
+    def _rests_first(self) -> bool:
+        """Whether a rest window, and a look at its end, come before a drive."""
+        return self._adaptive and self._sim.waits_for_rest
+
+    def _wait(self) -> None:
+        """Begin to wait for the next event."""
+        self._waiting, self._waits_since = True, self._step
+        self._quiet.restart()
+        self._latest, self._latest_if_failed = self._latest_step(self._step), _FAR
+        self._patient = self._sim.waits_for_rest and self._adapts and not self._is_plain_static
+        if self._patient:
+            self._latest = self._longest_wait
+
+    @property
+    def _is_plain_static(self) -> bool:
+        """Whether this is a static check without a drive, whose length is an option of its own."""
+        return self._static and not self._goes_on
+
+    @property
+    def _deadline(self) -> int:
+        """The latest step for the event that is waited for. Once a box shows a sign of failure, nothing is gained by
+        patience: it is as long as without, counted from the sign."""
+        if self._metrics.culprit < 0 or not self._patient:
+            return self._latest
+        if self._latest_if_failed == _FAR:
+            self._latest_if_failed = self._latest_step(max(self._waits_since, self._sign_step))
+        return self._latest_if_failed
+
+    def _latest_step(self, since: int) -> int:
+        """The latest step for the event that is waited for since a step, without patience.
 
         With the fixed schedule a drive starts at the time of the reference implementation, counted from the nominal
         time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
         """
-        sim, step = self._sim, self._step
-        static = sim.check is Check.STATIC
-        if self._live.n_placed < self._scene.n_boxes:
-            self._deadline = self._clock.first_after(step, sim.interval_s)
-        elif not self._goes_on:
-            wait_s = sim.duration_s if static else sim.interval_s
-            self._deadline = self._clock.first_after(step, wait_s)
-        else:
-            fixed_s = 0.0 if static else self._scene.n_boxes * sim.interval_s
-            placed_s = self._clock.time_s(step) if self._adaptive else fixed_s
-            self._deadline = seconds_to_steps(placed_s + sim.settle_s, self._dt)
-        self._deadline = max(self._deadline, step + 1)
+        sim = self._sim
+        if self._live.n_placed == self._scene.n_boxes and self._goes_on and not self._driving:
+            fixed_s = 0.0 if self._static else self._scene.n_boxes * sim.interval_s
+            placed_s = self._clock.time_s(since) if self._adaptive else fixed_s
+            return seconds_to_steps(placed_s + sim.settle_s, self._dt)
+        if self._is_plain_static:
+            return seconds_to_steps(sim.duration_s, self._dt)
+        return self._later(since, sim.interval_s)
+
+    @property
+    def _longest_wait(self) -> int:
+        """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+        return self._later(self._drive_end if self._driving else self._last_placement, self._sim.longest_wait_s)
+
+    def _later(self, since: int, wait_s: float) -> int:
+        """The step at which a wait is over. After a drive waits are counted in steps, since its end is, too."""
+        return since + seconds_to_steps(wait_s, self._dt) if self._driving else self._clock.first_after(since, wait_s)
+
+    def _set_end(self, step: int) -> None:
+        """Set the last step, and that from which on boxes must be still."""
+        self._end = step
+        self._still_from = max(step - min(self._rest_steps, self._sim.quiet.still_steps), self._step)
+        self._keep_still_pose()
+
+    def _keep_still_pose(self) -> None:
+        if self._step == self._still_from:
+            k = self._live.n_placed
+            self._still_pose[:k] = self._live.pose[:k]
+
+    def _look_at_the_end(self) -> None:
+        """At the last step: a world that moves and has not failed is waited for. One that rests may begin its drive."""
+        self._flags |= self._live.trouble()
+        if self._flags & _FATAL:
+            return
+        k = self._live.n_placed
+        pose = self._live.pose[:k]
+        if self._step % self._sample_steps:
+            self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
+        moves = not self._quiet.is_still(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
+        if moves and not self._metrics.is_over(pose[:, :3], pose[:, 3:]):
+            if self._may_wait:
+                self._set_end(_FAR)
+                self._metrics.restart_rest()
+                self._wait()
+                return
+            self._flags |= Flag.MOVING
+        if self._goes_on and self._rests_first and not self._driving:
+            self._settle()
+
+    @property
+    def _may_wait(self) -> bool:
+        sim = self._sim
+        if not sim.waits_for_rest or sim.total_time_factor is not None:
+            return False
+        return self._step < (self._latest_step(0) if self._is_plain_static else self._longest_wait)
 
     def _end_of_fixed(self) -> int:
         """The last step with the fixed schedule and without a drive."""
@@ -291,30 +377,38 @@ class WorldRun:
             return seconds_to_steps(sim.duration_s, self._dt)
         return seconds_to_steps((self._scene.n_boxes + 1) * sim.interval_s, self._dt)
 
-    def _poll_quiet(self) -> bool:
-        if self._step % self._sim.quiet.poll_steps or self._step == self._last_placement:
+    def _look_for_quiet(self) -> bool:
+        """Look at the pallet, if it is time; whether it is quiet at this look."""
+        if self._step % self._sim.quiet.poll_steps or self._step == self._waits_since:
             return False
         velocity = self._live.velocity[: self._live.n_placed]
-        return self._quiet.is_quiet(velocity, sign_seen=self._metrics.culprit >= 0)
+        return self._quiet.look(velocity, sign_seen=self._metrics.culprit >= 0)
 
     # ------------------------------------------------------------------ drive
 
-    def _begin_drive(self) -> None:
+    def _settle(self) -> None:
         """The placement has settled: keep the state, start the drive, and set the last step of the world."""
-        self._placing = False
-        self._drive_start = self._step
+        if self._recorder is not None:
+            self._recorder.look(self._step, self._live)
+        self._waiting = False
         if self._job.keep_state:
-            self._kept = SettledState(self._step, self._live.body_state(), self._metrics.fork(), None)
-        drive = self._job.drive
-        if drive is None:
-            self._end = self._step + self._rest_steps
-            return
+            self._kept = SettledState(self._step, self._live.body_state(), self._metrics.fork(), self._flags, None)
+        if self._job.drive is not None:
+            self._begin_drive(self._job.drive)
+        elif self._end != self._step:
+            self._set_end(self._step + self._rest_steps)
+
+    def _begin_drive(self, drive: Drive) -> None:
+        self._waiting = False
+        self._drive_start = self._step
         rows = drive.rows(self._scene.total_mass)
         # One row more than the excitation: nothing acts after it.
         self._rows: FloatArray = np.vstack((rows, np.zeros((1, 3))))
         changes = np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
         self._changes = self._step + changes
-        self._end = self._step + len(drive.excitation.samples) + seconds_to_steps(drive.rest_s, self._dt)
+        rest_steps = seconds_to_steps(drive.rest_s, self._dt)
+        self._drive_end = self._step + len(drive.excitation.samples) + rest_steps
+        self._set_end(self._drive_end)
         self._driving = True
         self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
         self._holds_carrier = drive.excitation.kind != "force"
@@ -362,12 +456,13 @@ class WorldRun:
             n_steps=self._step - self._first_step,
             flags=self._flags,
             boxes=boxes,
+            n_at_sign=self._n_at_sign,
             solver=self._sim.solver.value,
         )
         if self._recorder is not None:
             self._recorder.look(self._step, live)
             outcome.history = self._recorder.history(self._clock.time_s, self._drive_start if self._driving else None)
         if self._job.keep_state:
-            ended = SettledState(self._step, None, metrics, replace(outcome))
+            ended = SettledState(self._step, None, metrics, self._flags, replace(outcome))
             outcome.state = self._kept if self._kept is not None else ended
         return outcome

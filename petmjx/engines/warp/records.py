@@ -70,11 +70,15 @@ class Model:
     room: int  # most contacts of a world
 
     fixed: int  # 1 with the fixed schedule
-    waits_for_creep: int
+    waits_for_rest: int
+    extends: int  # 1 if a world that moves at its end is waited for
     early_stop: int
     soft_start: int  # steps
     sample_every: int
     rest_steps: int
+    still_steps: int
+    due_steps: int
+    longest_steps: int
     static_end: int  # last step of the placement of a static check; NEVER with boxes one by one
     shift: float
     shift_floor: float
@@ -82,15 +86,17 @@ class Model:
     drop_z: float
     linear_acceleration: float
     angular_acceleration: float
-    quiet_linear: float
-    quiet_angular: float
-    rest_share: float
+    quiet_speed: float
+    slow_speed: float
     slowing: float
+    still_speed: float
+    most_followed: float  # how far a box follows its support
     quiet_steps: int
     min_steps: int
     poll_steps: int
 
-    due: wp.array[int]  # by the step after which the last box was placed; as in Timetable
+    due: wp.array[int]  # by step; as in Timetable
+    longest: wp.array[int]
     settled: wp.array[int]
     settled_nominally: wp.array[int]  # by number of boxes
 
@@ -104,12 +110,15 @@ class Tables:
     mass: Annotated[wp.array2d[float], "world box"]
     target: Annotated[wp.array3d[float], "world box 3"]
     start: Annotated[wp.array3d[float], "world box 7"]
+    support: Annotated[wp.array2d[int], "world box"]
     carrier_half: Annotated[wp.array2d[float], "world 3"]
+    carrier_pos: Annotated[wp.array2d[float], "world 3"]
     carrier_mass: Annotated[wp.array[float], "world"]
     friction: Annotated[wp.array3d[float], "world 3 3"]
     profile: Annotated[wp.array[int], "world"]
     drive_scale: Annotated[wp.array[float], "world"]
     drive_yaw: Annotated[wp.array2d[float], "world 2"]
+    drive_steps: Annotated[wp.array[int], "world"]
     held: Annotated[wp.array[wp.bool], "world"]
     settles: Annotated[wp.array[wp.bool], "world"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
@@ -133,12 +142,14 @@ class State:
     step: Annotated[wp.array[int], "world"]
     placed: Annotated[wp.array[int], "world"]
     last_placed_at: Annotated[wp.array[int], "world"]
+    waits_since: Annotated[wp.array[int], "world"]
     quiet_steps: Annotated[wp.array[int], "world"]
-    quiet_pace: Annotated[wp.array2d[float], "world box"]
+    quiet_speed: Annotated[wp.array2d[float], "world box"]
     violent_since: Annotated[wp.array[int], "world"]
     driven_from: Annotated[wp.array[int], "world"]
     rest_from: Annotated[wp.array[int], "world"]
     end: Annotated[wp.array[int], "world"]
+    still_pose: Annotated[wp.array3d[float], "world box 7"]
     status: Annotated[wp.array[int], "world"]
     flags: Annotated[wp.array[int], "world"]
     steps_done: Annotated[wp.array[int], "world"]
@@ -153,6 +164,7 @@ class State:
     sway_anchor: Annotated[wp.array3d[float], "world box 2"]
     culprit: Annotated[wp.array[int], "world"]
     sign_step: Annotated[wp.array[int], "world"]
+    sign_placed: Annotated[wp.array[int], "world"]
 
 
 @record

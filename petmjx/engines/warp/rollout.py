@@ -15,14 +15,15 @@ from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Physics, Schedule, Simulation
-from petmjx.engines.batch.engine import Group, Run
+from petmjx.engines.batch.groups import Group, Run
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds, choose_rows
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
-from petmjx.engines.sinking import MOST_IMPEDANCE
 from petmjx.engines.warp.frames import room_for
 from petmjx.engines.warp.march import SLICE_NS, Fleet, March
+from petmjx.world.contact import MOST_IMPEDANCE
+from petmjx.world.release import MOST_FOLLOWED_M
 
 TOLERANCE = 1e-8
 """MuJoCo's default. It can be reached, since forces and residuals are double precision."""
@@ -40,7 +41,7 @@ def friction_damping(physics: Physics) -> float:
         return 0.0
     time_s, damping = physics.solreffriction
     high = min(physics.solimp[1], MOST_IMPEDANCE)
-    return -damping / high if time_s < 0 else 2 / (high * max(time_s, 2 * physics.timestep_s))
+    return -damping / high if time_s < 0 else 2.0 / (high * max(time_s, 2 * physics.timestep_s))
 
 
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
@@ -65,11 +66,15 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "driven_limit": sim.solver_iterations or DRIVEN_ITERATIONS,
         "trials": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
-        "waits_for_creep": int(sim.waits_for_creep),
+        "waits_for_rest": int(sim.waits_for_rest),
+        "extends": int(sim.waits_for_rest and sim.total_time_factor is None),
         "early_stop": int(sim.early_stop),
         "soft_start": SOFT_START_STEPS,
         "sample_every": timetable.sample_every,
         "rest_steps": timetable.rest_steps,
+        "still_steps": timetable.still_steps,
+        "due_steps": timetable.due_steps,
+        "longest_steps": timetable.longest_steps,
         "static_end": timetable.static_end if sim.check is Check.STATIC else NEVER,
         "shift": limits.shift_m,
         "shift_floor": limits.shift_floor_m,
@@ -77,14 +82,16 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "drop_z": limits.drop_hull_z_m,
         "linear_acceleration": limits.lin_acc_m_s2,
         "angular_acceleration": limits.ang_acc_rad_s2,
-        "quiet_linear": quiet.lin_vel_m_s,
-        "quiet_angular": quiet.ang_vel_rad_s,
-        "rest_share": quiet.rest_share,
+        "quiet_speed": quiet.quiet_m_s,
+        "slow_speed": quiet.slow_m_s,
         "slowing": quiet.slowing,
+        "still_speed": quiet.still_m_s,
+        "most_followed": MOST_FOLLOWED_M,
         "quiet_steps": quiet.steps,
         "min_steps": quiet.min_steps,
         "poll_steps": quiet.poll_steps,
         "due": wp.array(timetable.due, dtype=int),
+        "longest": wp.array(timetable.longest, dtype=int),
         "settled": wp.array(timetable.settled, dtype=int),
         "settled_nominally": wp.array(timetable.settled_nominally, dtype=int),
     }

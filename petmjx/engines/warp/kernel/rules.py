@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import warp as wp
 
+from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.motion import half_size, rotation
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
 from petmjx.verdict import Flag
+from petmjx.world import release
 
 NEVER = wp.constant(int(batch_state.NEVER))
 RUNNING = wp.constant(batch_state.Status.RUNNING)
@@ -21,6 +23,9 @@ FINISHED = wp.constant(batch_state.Status.FINISHED)
 NONFINITE = wp.constant(int(Flag.NONFINITE))
 EXPLOSION = wp.constant(int(Flag.EXPLOSION))
 EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
+MOVING = wp.constant(int(Flag.MOVING))
+CARRIER = wp.constant(history.CARRIER)
+NOTHING = wp.constant(release.NOTHING)
 
 JUST_OVER = wp.constant(1.0000001192092896)
 """The next float32 after 1: the least excess of a box that has dropped."""
@@ -42,6 +47,18 @@ def _length(a: wp.array3d[float], world: int, box: int, first: int) -> float:
     y = a[world, box, first + 1]
     z = a[world, box, first + 2]
     return wp.sqrt(x * x + y * y + z * z)
+
+
+@wp.func
+def _excess(model: Model, tables: Tables, world: int, box: int, place: wp.vec3, tilt: float, dropped: bool) -> float:
+    """Excess of a box: the larger of shift / its threshold and tilt / its threshold, and over 1 if it has dropped."""
+    shift = float(0.0)
+    for i in range(3):
+        moved = wp.abs(place[i] - tables.target[world, box, i])
+        if moved >= model.shift_floor:
+            shift = wp.max(shift, moved)
+    excess = wp.max(shift / model.shift, tilt / model.tilt)
+    return wp.where(dropped, wp.max(excess, JUST_OVER), excess)
 
 
 @wp.func
@@ -67,16 +84,9 @@ def _look(
     tilt = _tilt(q)
     lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), half_size(tables, world, box + 2))
     dropped = place[2] < 0.0 or lowest < model.drop_z
-    shift = float(0.0)
-    for i in range(3):
-        moved = wp.abs(place[i] - tables.target[world, box, i])
-        if moved >= model.shift_floor:
-            shift = wp.max(shift, moved)
-    excess = wp.max(shift / model.shift, tilt / model.tilt)
-    if dropped:
-        excess = wp.max(excess, JUST_OVER)
-        if state.drop_step[world, box] < 0:
-            state.drop_step[world, box] = step
+    if dropped and state.drop_step[world, box] < 0:
+        state.drop_step[world, box] = step
+    excess = _excess(model, tables, world, box, place, tilt, dropped)
     # positive numbers are in the order of their bits; of equal ones the first box counts
     key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
     wp.atomic_max(work.worst, at.lane, key)
@@ -93,50 +103,127 @@ def _look(
 
 
 @wp.func
-def _pace_squared(model: Model, state: State, world: int, box: int) -> float:
-    """The larger of a box's linear and angular speed, each divided by its quiet limit, squared."""
-    linear = _length(state.vel, world, box, 0) / model.quiet_linear
-    angular = _length(state.vel, world, box, 3) / model.quiet_angular
-    return wp.max(linear * linear, angular * angular)
+def _speed(tables: Tables, state: State, world: int, box: int) -> float:
+    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
+    radius = wp.length(half_size(tables, world, box + 2))
+    return _length(state.vel, world, box, 0) + radius * _length(state.vel, world, box, 3)
 
 
 @wp.func
-def _count_quiet(model: Model, state: State, at: Lane, quiet_steps: int, signs: bool) -> tuple[int, bool]:
-    """Steps for which all boxes have been slow, at a poll, and whether the pallet is quiet. If a box creeps it is not,
+def _count_quiet(
+    model: Model, tables: Tables, state: State, at: Lane, quiet_steps: int, signs: bool
+) -> tuple[int, bool]:
+    """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
     and the count starts again."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        if not _pace_squared(model, state, world, box) < 1.0:
+        if not _speed(tables, state, world, box) < model.quiet_speed:
             fast = True
     count = int(0)
     if not any_of_all(fast):
         count = quiet_steps + model.poll_steps
     quiet = count >= model.quiet_steps
-    if model.waits_for_creep == 0:
+    if model.waits_for_rest == 0:
         return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        pace = _pace_squared(model, state, world, box)
+        speed = _speed(tables, state, world, box)
         if count <= model.poll_steps:
-            state.quiet_pace[world, box] = pace
-        slow = model.slowing * model.slowing * state.quiet_pace[world, box]
-        if not pace < wp.max(model.rest_share * model.rest_share, slow):
+            state.quiet_speed[world, box] = speed
+        first = state.quiet_speed[world, box]
+        if speed >= wp.max(model.slow_speed, model.slowing * first) or speed > wp.max(model.still_speed, first):
             creeps = True
     if any_of_all(creeps) and quiet and not signs:
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
-            state.quiet_pace[world, box] = _pace_squared(model, state, world, box)
+            state.quiet_speed[world, box] = _speed(tables, state, world, box)
     return count, quiet
 
 
 @wp.func
-def place_next(tables: Tables, state: State, world: int, step: int) -> None:
-    """Release the next box: at its release pose, at rest. By one thread."""
+def _longest_wait(model: Model, tables: Tables, state: State, world: int, driven: bool) -> int:
+    """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+    if driven:
+        return state.driven_from[world] + tables.drive_steps[world] + model.longest_steps
+    return model.longest[state.last_placed_at[world]]
+
+
+@wp.func
+def _deadline(
+    model: Model,
+    tables: Tables,
+    state: State,
+    world: int,
+    driven: bool,
+    more: bool,
+    adapts: bool,
+    failed: bool,
+    sign_step: int,
+) -> int:
+    """The latest step for the event that is waited for. A sign of failure ends patience, counted from it."""
+    settles = tables.settles[world]
+    plain_static = model.static_end != NEVER and not settles and not driven
+    patient = adapts and not plain_static and model.waits_for_rest != 0
+    if patient and not failed:
+        return _longest_wait(model, tables, state, world, driven)
+    since = state.waits_since[world]
+    if patient:
+        since = wp.max(since, sign_step)
+    if driven:
+        return since + model.due_steps
+    if not more and settles:
+        if model.fixed != 0:
+            return model.settled_nominally[tables.n_boxes[world]]
+        return model.settled[since]
+    if plain_static:
+        return model.static_end
+    return model.due[since]
+
+
+@wp.func
+def _moves_or_failed(model: Model, tables: Tables, state: State, at: Lane, seconds: float) -> tuple[bool, bool]:
+    """At the end: whether a point of a box has moved too fast since ``still_pose``, which was so many seconds ago, and
+    whether a box is over a threshold now, or has dropped."""
+    world = at.world
+    moves = bool(False)
+    failed = bool(False)
+    for box in range(at.thread, at.placed, at.threads):
+        place = wp.vec3(state.pose[world, box, 0], state.pose[world, box, 1], state.pose[world, box, 2])
+        q = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        shifted = float(0.0)
+        turned = float(0.0)
+        for i in range(3):
+            change = place[i] - state.still_pose[world, box, i]
+            shifted += change * change
+        for i in range(4):
+            q[i] = state.pose[world, box, 3 + i]
+            change = q[i] - state.still_pose[world, box, 3 + i]
+            turned += change * change
+        radius = wp.length(half_size(tables, world, box + 2))
+        if wp.sqrt(shifted) + 2.0 * radius * wp.sqrt(turned) > model.still_speed * seconds:
+            moves = True
+        if _excess(model, tables, world, box, place, _tilt(q), state.drop_step[world, box] >= 0) > 1.0:
+            failed = True
+    return any_of_all(moves), any_of_all(failed)
+
+
+@wp.func
+def place_next(model: Model, tables: Tables, state: State, world: int, step: int) -> None:
+    """Release the next box, at rest. By one thread."""
     box = state.placed[world]
+    support = tables.support[world, box]
+    come_down = float(0.0)
+    if support == CARRIER:
+        come_down = state.carrier_pose[world, 2] - tables.carrier_pos[world, 2]
+    elif support != NOTHING:
+        come_down = state.pose[world, support, 2] - tables.target[world, support, 2]
+    come_down = wp.clamp(come_down, -model.most_followed, model.most_followed)
     for i in range(7):
-        state.pose[world, box, i] = tables.start[world, box, i]
+        start = tables.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
+        state.pose[world, box, i] = start
+        state.still_pose[world, box, i] = start
     for i in range(6):
         state.vel[world, box, i] = 0.0
         state.warm[world, box, i] = 0.0
@@ -144,6 +231,7 @@ def place_next(tables: Tables, state: State, world: int, step: int) -> None:
     state.position[world, box] = box + 1
     state.placed[world] = box + 1
     state.last_placed_at[world] = step
+    state.waits_since[world] = step
     state.quiet_steps[world] = 0
 
 
@@ -162,6 +250,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
     culprit = state.culprit[world]
     violent_since = state.violent_since[world]
     quiet_steps = state.quiet_steps[world]
+    sign_step = state.sign_step[world]
     driven = state.driven_from[world] != NEVER
     counted = step > 0 and not nonfinite
     sample = counted and step % model.sample_every == 0
@@ -202,49 +291,77 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
             violent_since = since
             exploded = since != NEVER and step - since >= model.min_steps and not driven
     stopped = drops and model.early_stop != 0 and not last
-    finished = last or stopped or exploded or nonfinite
-
+    finished = stopped or exploded or nonfinite
+    if signs:
+        sign_step = step
+    more = at.placed < n_boxes and not driven
+    adapts = model.fixed == 0 or state.waits_since[world] > landed
+    rests_first = model.fixed == 0 and model.waits_for_rest != 0
     goes = bool(False)
-    if not finished and not driven and step > 0:
-        poll = step % model.poll_steps == 0
+    if not finished and step > 0 and (more or end == NEVER):
+        waited = step - state.waits_since[world]
         quiet = bool(False)
-        if model.fixed == 0 and poll:
-            quiet_steps, quiet = _count_quiet(model, state, at, quiet_steps, culprit >= 0)
-        if at.placed == n_boxes and tables.settles[world]:
-            if model.fixed != 0:
-                goes = step >= model.settled_nominally[n_boxes]
-            else:
-                goes = step >= model.settled[landed]
-        elif model.static_end != NEVER:
-            goes = step >= model.static_end
-        else:
-            goes = step >= model.due[landed]
-        if quiet and step - landed >= model.min_steps:
+        if step % model.poll_steps == 0 and waited > 0:
+            quiet_steps, quiet = _count_quiet(model, tables, state, at, quiet_steps, culprit >= 0)
+        goes = step >= _deadline(model, tables, state, world, driven, more, adapts, culprit >= 0, sign_step)
+        if quiet and adapts and waited >= model.min_steps:
             goes = True
+    # with a drive to come, and no look whether the pallet rests
+    settles = goes and not more and not driven and tables.settles[world] and not rests_first
+    rest_from = state.rest_from[world]
+    if goes and not more and not settles:
+        rest_from = step
+        end = step + model.rest_steps
+
+    still_from = end - model.still_steps
+    if end != NEVER:
+        still_from = wp.max(still_from, wp.where(driven, state.driven_from[world], 0))
+    again = bool(False)
+    moving = (settles or (goes and more)) and culprit < 0 and quiet_steps < model.quiet_steps
+    if last and not finished:
+        seconds = float(step - still_from) * model.timestep
+        moves, failed = _moves_or_failed(model, tables, state, at, seconds)
+        limit = _longest_wait(model, tables, state, world, driven)
+        if model.static_end != NEVER and not driven and not tables.settles[world]:
+            limit = model.static_end
+        again = moves and not failed and model.extends != 0 and step < limit
+        moving = moves and not failed and not again
+        settles = tables.settles[world] and not driven and not again
+        finished = not again and not settles
+    if step == still_from or again:
+        for box in range(at.thread, at.placed, at.threads):
+            if again:
+                state.rest_force_sum[world, box] = 0.0
+            else:
+                for i in range(7):
+                    state.still_pose[world, box, i] = state.pose[world, box, i]
 
     wait_for_all()
     if at.thread == 0:
         state.step[world] = step
         state.steps_done[world] = state.steps_done[world] + wp.where(step > 0, 1, 0)
-        state.rest_samples[world] = state.rest_samples[world] + wp.where(resting, 1, 0)
+        state.rest_samples[world] = wp.where(again, 0, state.rest_samples[world] + wp.where(resting, 1, 0))
         state.violent_since[world] = violent_since
-        state.quiet_steps[world] = quiet_steps
+        state.quiet_steps[world] = wp.where(again, 0, quiet_steps)
+        state.rest_from[world] = wp.where(again, NEVER, rest_from)
+        state.end[world] = wp.where(again, NEVER, end)
+        if again:
+            state.waits_since[world] = step
         if signs:
             state.culprit[world] = culprit
             state.sign_step[world] = step
+            state.sign_placed[world] = wp.where(sample, at.placed, 0)
         flags = state.flags[world]
         flags = flags | wp.where(nonfinite, NONFINITE, 0)
         flags = flags | wp.where(exploded, EXPLOSION, 0)
         flags = flags | wp.where(stopped, EARLY_STOP, 0)
+        flags = flags | wp.where(moving, MOVING, 0)
         state.flags[world] = flags
         if finished:
             state.status[world] = FINISHED
-        elif goes and at.placed < n_boxes:
-            place_next(tables, state, world, step)
-        elif goes and tables.settles[world]:
+        elif goes and more:
+            place_next(model, tables, state, world, step)
+        elif settles:
             state.driven_from[world] = step
             state.status[world] = SETTLED
-        elif goes and end == NEVER:
-            state.rest_from[world] = step
-            state.end[world] = step + model.rest_steps
     wait_for_all()
