@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import pyarrow as pa
 
-from petmjx.verdict import Reason, Verdict
+from petmjx.verdict import Flag, Reason, Verdict
 
-COUNTED: Final = ("verdict", "reason", "attempt")
+COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 """The columns of ``worlds`` that are counted, in the order of :meth:`Counts.add`."""
 
 
 @dataclass
 class Counts:
-    """Worlds by verdict and reason, and how many of them needed more than one attempt."""
+    """Worlds by verdict and reason, how many needed more than one attempt, and how many stable ones still moved."""
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
+    moving: int = 0
 
-    def add(self, verdicts: Iterable[str], reasons: Iterable[str], attempts: Iterable[int]) -> None:
+    def add(
+        self, verdicts: Sequence[str], reasons: Iterable[str], attempts: Iterable[int], flags: Iterable[int]
+    ) -> None:
         """Count the rows of a part; ``attempts``: which attempt gave the verdict, from 1."""
         for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
             self.verdicts[Verdict(verdict), Reason(reason)] += count
         self.retried += sum(attempt > 1 for attempt in attempts)
+        stable = (verdict == Verdict.STABLE for verdict in verdicts)
+        self.moving += sum(stands and bool(flag & Flag.MOVING) for stands, flag in zip(stable, flags, strict=True))
 
     def add_worlds(self, worlds: pa.Table) -> None:
         """Count the rows of a table ``worlds`` (its columns ``COUNTED``)."""
@@ -40,4 +45,10 @@ class Counts:
             by_verdict[verdict.value] += count
             if verdict is not Verdict.STABLE:
                 by_reason[verdict.value][reason.value] = count
-        return {"worlds": self.verdicts.total(), **by_verdict, "by_reason": by_reason, "retried": self.retried}
+        return {
+            "worlds": self.verdicts.total(),
+            **by_verdict,
+            "by_reason": by_reason,
+            "moving": self.moving,
+            "retried": self.retried,
+        }

@@ -10,11 +10,11 @@ from typing import Any, Final
 import pyarrow as pa
 
 from petmjx.errors import InputError
-from petmjx.results.counts import Counts
+from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import part_files
 from petmjx.results.reader import read_part
 
-_COLUMNS: Final = ("plan_id", "variant", "verdict", "reason", "culprit", "attempt", "n_steps")
+_COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
 
 
 class Recorded:

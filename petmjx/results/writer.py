@@ -9,7 +9,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -68,7 +68,7 @@ class _Pending:
 
     def following(self) -> _Pending:
         """The next part, once this one is written."""
-        counts = Counts(Counter(self.counts.verdicts), self.counts.retried)
+        counts = replace(self.counts, verdicts=Counter(self.counts.verdicts))
         cells = [row.cells for row in self.part.rows]
         counts.add(*([cell[name] for cell in cells] for name in COUNTED))
         return _Pending(Part(self.part.number + 1), counts)
@@ -255,7 +255,6 @@ class RunWriter:
         self,
         plan: Plan,
         variant: int,
-        engine: str,
         schedule: str,
         outcome: Outcome,
         attempts: Sequence[Attempt] = (),
@@ -266,7 +265,7 @@ class RunWriter:
         Args:
             plan: the world's plan; ``outcome`` has the same boxes in the same order.
             variant: 0 is nominal.
-            engine, schedule: names, as in the results.
+            schedule: name, as in the results.
             outcome: copied; its arrays may be reused, and its ``state`` is not kept.
             attempts: all attempts in order, if the world needed more than one.
             params: parameter → value; missing ones become null.
@@ -278,7 +277,7 @@ class RunWriter:
         values = {param.name: None for param in self.params} | dict(params or {})
         if len(values) > len(self.params):
             raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
-        row = Row.of(plan, variant, engine, str(schedule), outcome, attempts, values)
+        row = Row.of(plan, variant, str(schedule), outcome, attempts, values)
         with self._lock:
             pending, rows = self._pending, self._pending.part.rows
             if not rows:

@@ -109,6 +109,8 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
         _add(table, verdict.value, int(counts.get(verdict.value, 0)), worlds, _STYLES[verdict.value])
         for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
             _add(table, f"  {reason}", int(count), worlds)
+        if verdict is Verdict.STABLE and (moving := int(counts.get("moving", 0))):
+            _add(table, "  still moving", moving, worlds, "yellow")
     expected = info.get("expected_worlds")
     if expected is not None and expected > worlds:
         table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")

@@ -44,7 +44,7 @@ def write_run(
     """Write a run with a standing world for each id; ``end`` is raised after the last."""
     with RunWriter(folder, {}, **options) as run:
         for plan_id in ids:
-            run.add(make_plan(plan_id), 0, "mujoco", "fixed", make_outcome())
+            run.add(make_plan(plan_id), 0, "fixed", make_outcome())
         if end is not None:
             raise end
 
@@ -83,8 +83,8 @@ def test_columns_are_the_specified_ones_and_carry_units(tmp_path: Path) -> None:
 def test_round_trip(tmp_path: Path) -> None:
     refused = "plans.json: plan bad, placement 0: weight/kg must be > 0, got -1"
     with RunWriter(tmp_path / "run", {"sim": {"interval_s": 0.7}}, versions={"mujoco": "3"}, device="cpu") as run:
-        run.add(make_plan("stands"), 0, "mujoco", "adaptive", make_outcome())
-        run.add(make_plan("falls"), 0, "mujoco", "adaptive", dropped_outcome())
+        run.add(make_plan("stands"), 0, "adaptive", make_outcome())
+        run.add(make_plan("falls"), 0, "adaptive", dropped_outcome())
         run.skip(Skipped("plans.json", "bad", refused))
         run.timings["simulate_s"] = 2.0
     results = load_run(tmp_path / "run")
@@ -116,6 +116,7 @@ def test_round_trip(tmp_path: Path) -> None:
         "unstable": 1,
         "invalid": 0,
         "by_reason": {"unstable": {"drop": 1}, "invalid": {}},
+        "moving": 0,
         "retried": 0,
         "skipped_plans": 1,
         "odd_plans": 0,
@@ -130,12 +131,12 @@ def test_round_trip(tmp_path: Path) -> None:
 
 def test_the_repr_is_a_line(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "run", {"command": "score"}) as run:
-        run.add(make_plan("stands"), 0, "mujoco", "adaptive", make_outcome())
-        run.add(make_plan("falls"), 0, "mujoco", "adaptive", dropped_outcome())
+        run.add(make_plan("stands"), 0, "adaptive", make_outcome())
+        run.add(make_plan("falls"), 0, "adaptive", dropped_outcome())
     line = f"RunResults({tmp_path}/run: 2 plans, 1 stable, 1 unstable, 0 invalid; finished)"
     assert repr(load_run(tmp_path / "run")) == line
     with RunWriter(tmp_path / "sweep", {"command": "sweep"}) as run:
-        run.add(make_plan(), 0, "mujoco", "adaptive", make_outcome())
+        run.add(make_plan(), 0, "adaptive", make_outcome())
     assert ": 1 world, 1 stable" in repr(load_run(tmp_path / "sweep"))
 
 
@@ -152,7 +153,7 @@ def test_anything_becomes_plain_json() -> None:
 def test_outcomes_are_copied(tmp_path: Path) -> None:
     outcome = make_outcome()
     with RunWriter(tmp_path, {}) as run:
-        run.add(make_plan(), 0, "mujoco", "fixed", outcome)
+        run.add(make_plan(), 0, "fixed", outcome)
         outcome.boxes.max_tilt_deg[:] = 99.0
     assert load_run(tmp_path).worlds.max_tilt_deg.tolist() == [3.0]
 
@@ -174,8 +175,8 @@ def test_attempts_are_kept_where_there_was_more_than_one(tmp_path: Path) -> None
     last = make_outcome(solver="cg", attempt=2)
     attempts = [Attempt.of(first, 0.002), Attempt.of(last, 0.002)]
     with RunWriter(tmp_path, {}) as run:
-        run.add(make_plan("a"), 0, "mujoco", "fixed", last, attempts)
-        run.add(make_plan("b"), 0, "mujoco", "fixed", make_outcome(), [Attempt.of(make_outcome(), 0.002)])
+        run.add(make_plan("a"), 0, "fixed", last, attempts)
+        run.add(make_plan("b"), 0, "fixed", make_outcome(), [Attempt.of(make_outcome(), 0.002)])
     results = load_run(tmp_path)
     assert results.attempts[["plan_id", "attempt", "solver", "verdict", "reason"]].values.tolist() == [
         ["a", 1, "newton", "invalid", "explosion"],
@@ -190,10 +191,10 @@ def test_sweep_parameters_are_columns_with_units(tmp_path: Path) -> None:
     params = [Param("level_g", "g", "hold of the trapezoid"), Param("profile", "", "which one", str)]
     with RunWriter(tmp_path, {}, params=params, dynamic=True) as run:
         outcome = make_outcome(max_sway_m=np.array([0.1, 0.2, 0.3]))
-        run.add(make_plan(), 0, "mujoco", "fixed", outcome)
-        run.add(make_plan(), 1, "mujoco", "fixed", outcome, params={"profile": "tilt", "level_g": 0.5})
+        run.add(make_plan(), 0, "fixed", outcome)
+        run.add(make_plan(), 1, "fixed", outcome, params={"profile": "tilt", "level_g": 0.5})
         with pytest.raises(ValueError, match="no parameter 'yaw'"):
-            run.add(make_plan(), 2, "mujoco", "fixed", outcome, params={"yaw": 1})
+            run.add(make_plan(), 2, "fixed", outcome, params={"yaw": 1})
     results = load_run(tmp_path)
     assert results.worlds.columns[-2:].tolist() == ["level_g", "profile"]
     assert results.worlds.level_g[1] == 0.5
@@ -225,7 +226,7 @@ def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}, worlds_per_part=2, expected_worlds=5) as run:
         assert json.loads((tmp_path / "run.json").read_text())["status"] == "running"
         for number in range(5):
-            run.add(make_plan(str(number)), 0, "mujoco", "fixed", make_outcome())
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
             on_disk = json.loads((tmp_path / "run.json").read_text())["counts"]["worlds"]
             assert on_disk == (number + 1) // 2 * 2
     assert [file for file in part_files(tmp_path) if file.startswith("worlds")] == [
@@ -236,7 +237,7 @@ def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
 
 def test_slow_worlds_are_written_after_a_while(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}, seconds_per_part=0.0) as run:
-        run.add(make_plan(), 0, "mujoco", "fixed", make_outcome())
+        run.add(make_plan(), 0, "fixed", make_outcome())
         assert (tmp_path / "worlds/part-00000.parquet").exists()
 
 
@@ -292,7 +293,7 @@ def replace(source, target):
 os.replace = replace
 with RunWriter(sys.argv[1], {}, worlds_per_part=2) as run:
     for number in range(4):
-        run.add(make_plan(str(number)), 0, "mujoco", "fixed", make_outcome())
+        run.add(make_plan(str(number)), 0, "fixed", make_outcome())
 """
 
 
@@ -407,7 +408,7 @@ def test_no_such_folder(tmp_path: Path) -> None:
 
 def test_an_outcome_of_another_plan_is_refused(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}) as run, pytest.raises(ValueError, match="has 3 boxes, its outcome 2"):
-        run.add(make_plan(n=3), 0, "mujoco", "fixed", make_outcome(n=2))
+        run.add(make_plan(n=3), 0, "fixed", make_outcome(n=2))
 
 
 def test_writing_is_never_what_a_run_waits_for(tmp_path: Path) -> None:
@@ -415,7 +416,7 @@ def test_writing_is_never_what_a_run_waits_for(tmp_path: Path) -> None:
     start = time.process_time()
     with RunWriter(tmp_path, {}) as run:
         for number in range(4_000):
-            run.add(plan, number, "mujoco", "fixed", outcome)
+            run.add(plan, number, "fixed", outcome)
     worlds_per_s = 4_000 / (time.process_time() - start)
     # about 10,000 on an idle core; the margin is for a busy machine. An H100 finishes a few hundred.
     assert worlds_per_s > 2_000
