@@ -12,6 +12,7 @@ import pandas as pd
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
+from petmjx.metrics.spec import FORCE_INTERVAL
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
 from petmjx.results.articles import Articles, read_articles
@@ -32,6 +33,8 @@ _BOX_UNITS: Final = {
     "rest_top_force_n": ("N", "force on top of the box at rest"),
     "strength_n": ("N", "what the box bears; null: not known"),
     "load_share": ("1", "rest_top_force_n / strength_n"),
+    "load_share_low": ("1", "the same of the least force that balance and friction allow; null: not known"),
+    "load_share_high": ("1", "the same of the most force that balance and friction allow; null: not known"),
 }
 _PLAN_UNITS: Final = {
     "plan_id": _BOX_UNITS["plan_id"],
@@ -41,10 +44,21 @@ _PLAN_UNITS: Final = {
     "n_boxes": ("1", "boxes of the plan"),
     "n_overloaded": ("1", "boxes that bear more than they can"),
     "n_unknown": ("1", "boxes whose strength or load is not known"),
+    "surely_overloaded": ("1", "whether the least force on a box is more than it can bear; null: not known"),
+    "possibly_overloaded": ("1", "whether the most force on a box is more than it can bear; null: not known"),
+    "n_surely_overloaded": ("1", "boxes on which the least force is too much"),
+    "n_possibly_overloaded": ("1", "boxes on which the most force is too much, with those above"),
     "max_load_share": ("1", "largest load_share of a box"),
     "box": ("1", "the box that has it"),
     "article": ("", "its article"),
 }
+
+_OVER: Final = {
+    "overloaded": "load_share",
+    "surely_overloaded": "load_share_low",
+    "possibly_overloaded": "load_share_high",
+}
+"""What is said of worlds, and the share of a box's strength that says it; the last two where a run has intervals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +68,8 @@ class Loads:
     Attributes:
         run: the run's folder.
         boxes: a row a box of each world: ``load_share`` and what it is made of.
-        plans: a row a world: ``overloaded``, and the box that bears most of its strength.
+        plans: a row a world: ``overloaded``, and the box that bears most of its strength. Where the run has intervals
+            of forces, ``surely_overloaded`` and ``possibly_overloaded``, too.
         notes: a line on a run that is not finished, and one on articles without strength.
     """
 
@@ -99,6 +114,9 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
     boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
     boxes["rest_top_force_n"] = boxes["rest_top_force_n"].astype("float64")
     boxes["load_share"] = boxes["rest_top_force_n"] / boxes["strength_n"]
+    for column, share in zip(FORCE_INTERVAL, ("load_share_low", "load_share_high"), strict=True):
+        if column.name in results.boxes:
+            boxes[share] = results.boxes[column.name].astype("float64") / boxes["strength_n"]
     notes = (*results.doubts("the run"), *_notes(missing))
     return Loads(results.path, boxes, _of_worlds(results, boxes), notes)
 
@@ -144,20 +162,24 @@ def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame,
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
     """A row a world."""
     key = ["plan_id", "variant"]
-    marked = boxes.assign(over=boxes["load_share"] > 1, unknown=boxes["load_share"].isna())
-    counts = marked.groupby(key, sort=False, as_index=False).agg(
-        n_overloaded=("over", "sum"), n_unknown=("unknown", "sum")
+    said = {name: share for name, share in _OVER.items() if share in boxes}
+    marked = boxes[key].assign(
+        **{f"n_{name}": boxes[share] > 1 for name, share in said.items()},
+        **{f"unknown_{name}": boxes[share].isna() for name, share in said.items()},
     )
+    counts = marked.groupby(key, sort=False, as_index=False).sum()
     known = boxes.dropna(subset="load_share")
     largest = known.loc[known.groupby(key, sort=False)["load_share"].idxmax()]
     largest = largest[[*key, "box", "article", "load_share"]].rename(columns={"load_share": "max_load_share"})
     worlds = results.worlds[[*key, "verdict", "n_boxes"]]
     found = worlds.merge(counts, on=key, how="left").merge(largest, on=key, how="left")
-    overloaded = (found["n_overloaded"] > 0).astype("boolean")
-    overloaded[(found["n_overloaded"] == 0) & (found["n_unknown"] > 0)] = pd.NA
-    found["overloaded"] = overloaded
+    for name in said:
+        over = (found[f"n_{name}"] > 0).astype("boolean")
+        over[(found[f"n_{name}"] == 0) & (found[f"unknown_{name}"] > 0)] = pd.NA
+        found[name] = over
+    found["n_unknown"] = found["unknown_overloaded"]
     found["box"] = found["box"].astype("Int32")
-    return found[list(_PLAN_UNITS)]
+    return found[[name for name in _PLAN_UNITS if name in found]]
 
 
 def _notes(missing: Mapping[str, int]) -> list[str]:
