@@ -271,7 +271,8 @@ class _Run:
         """(n, 2) least and most force on top of each box, N; None where a world has no force at rest, and after a
         drive, since nothing tells where the carrier stands then."""
         boxes = world.outcome.boxes
-        if world.driven or not np.isfinite(boxes.rest_top_force_n).all():
+        at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
+        if world.driven or not np.isfinite(at_rest).all():
             return None
         start = time.perf_counter()
         found = force_intervals(world.scene, self.asked.simulation.physics, boxes.pos, boxes.quat)

@@ -12,7 +12,6 @@ import pandas as pd
 
 from petmjx.checked import reason
 from petmjx.errors import InputError
-from petmjx.metrics.spec import FORCE_INTERVAL
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
 from petmjx.results.articles import Articles, read_articles
@@ -31,10 +30,12 @@ _BOX_UNITS: Final = {
     "box": ("1", "index of the box in packing order, from 0"),
     "article": ("", "article of the item"),
     "rest_top_force_n": ("N", "force on top of the box at rest"),
+    "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: not known"),
+    "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: not known"),
     "strength_n": ("N", "what the box bears; null: not known"),
     "load_share": ("1", "rest_top_force_n / strength_n"),
-    "load_share_low": ("1", "the same of the least force that balance and friction allow; null: not known"),
-    "load_share_high": ("1", "the same of the most force that balance and friction allow; null: not known"),
+    "load_share_low": ("1", "rest_top_force_low_n / strength_n"),
+    "load_share_high": ("1", "rest_top_force_high_n / strength_n"),
 }
 _PLAN_UNITS: Final = {
     "plan_id": _BOX_UNITS["plan_id"],
@@ -53,12 +54,15 @@ _PLAN_UNITS: Final = {
     "article": ("", "its article"),
 }
 
-_OVER: Final = {
-    "overloaded": "load_share",
-    "surely_overloaded": "load_share_low",
-    "possibly_overloaded": "load_share_high",
+_SHARES: Final = {
+    "rest_top_force_n": "load_share",
+    "rest_top_force_low_n": "load_share_low",
+    "rest_top_force_high_n": "load_share_high",
 }
-"""What is said of worlds, and the share of a box's strength that says it; the last two where a run has intervals."""
+"""Forces on boxes, and what share of the strength they are; the last two where a run has intervals."""
+
+_OVER: Final = dict(zip(("overloaded", "surely_overloaded", "possibly_overloaded"), _SHARES.values(), strict=True))
+"""What is said of worlds where a box has a share above 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +114,11 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
     strengths = articles if isinstance(articles, Articles) else read_articles(Path(articles))
     of_run = _plans_of(results, plans)
     known, missing = _strengths(of_run.values(), strengths)
-    boxes = results.boxes[["plan_id", "variant", "box", "article", "rest_top_force_n"]].copy()
+    shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
+    boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
     boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
-    boxes["rest_top_force_n"] = boxes["rest_top_force_n"].astype("float64")
-    boxes["load_share"] = boxes["rest_top_force_n"] / boxes["strength_n"]
-    for column, share in zip(FORCE_INTERVAL, ("load_share_low", "load_share_high"), strict=True):
-        if column.name in results.boxes:
-            boxes[share] = results.boxes[column.name].astype("float64") / boxes["strength_n"]
+    boxes = boxes.assign(**{share: boxes[force] / boxes["strength_n"] for force, share in shares.items()})
+    boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
     notes = (*results.doubts("the run"), *_notes(missing))
     return Loads(results.path, boxes, _of_worlds(results, boxes), notes)
 

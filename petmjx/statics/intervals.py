@@ -17,6 +17,7 @@ import numpy as np
 
 from petmjx.config import Physics
 from petmjx.errors import InputError, PetmjxError
+from petmjx.history import CARRIER
 from petmjx.statics.contacts import IntArray
 from petmjx.statics.largest import least_and_most
 from petmjx.statics.touching import Touching, find_touching
@@ -41,7 +42,8 @@ def need_scipy() -> None:
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
-    """(n, 2) least and most force on top of each box, N; NaN where no forces balance what hangs together with it.
+    """(n, 2) least and most force on top of each box, N; NaN where no forces balance what hangs together with it,
+    or the solver finds none.
 
     Args:
         scene: sizes, masses, friction, and the carrier, which is where it is planned.
@@ -64,7 +66,7 @@ def _without_programme(touching: Touching, weight: FloatArray) -> FloatArray:
     n_boxes = len(weight)
     found = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])
-    ends[ends < 0] = n_boxes  # carrier and floor, which do not move, are one body
+    ends[ends == CARRIER] = n_boxes
     for box in range(n_boxes):
         own = (ends == box).any(axis=0)
         on_top = touching.pressed[own] == box
@@ -80,7 +82,7 @@ def _without_programme(touching: Touching, weight: FloatArray) -> FloatArray:
 def _hanging_together(touching: Touching, n_boxes: int) -> IntArray:
     """(n,) a number for each box, equal for boxes that touch, or touch boxes that do, and so on."""
     ends = np.stack([touching.first, touching.second])
-    return _groups(ends[:, ends.min(axis=0) >= 0], n_boxes)
+    return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
 
 
 def _groups(pairs: IntArray, n: int) -> IntArray:
@@ -101,13 +103,12 @@ def _of_part(
     Args:
         known: (b, 2) those that are known already; NaN for the others.
     """
-    place = np.full(len(weight) + 1, -1)  # the last one, which index -1 is, does not move
+    place = np.full(len(weight) + 1, CARRIER)  # its own place is the last one
     place[boxes] = np.arange(len(boxes))
-    own = touching.some((place[np.stack([touching.first, touching.second]).clip(-1)] >= 0).any(axis=0))
+    own = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
     # (p, 4, 3) forces along the edges of the pyramids
     direction = own.frame[:, :1] + np.einsum("ks,ps,psx->pkx", _EDGES, own.friction, own.frame[:, 1:])
-    first, second = place[own.first.clip(-1)], place[own.second.clip(-1)]
-    forces = wrenches(first, second, own.position_m, direction, centre_m[boxes])
+    forces = wrenches(place[own.first], place[own.second], own.position_m, direction, centre_m[boxes])
     wanted = np.zeros((len(boxes), WRENCH))
     wanted[:, 2] = weight[boxes]
     asked = np.isnan(known[:, 0])

@@ -29,11 +29,11 @@ class Touching:
     """The points where boxes touch each other, the carrier or the floor: p rows.
 
     Attributes:
-        first, second: (p,) the two bodies, boxes from 0; negative: carrier or floor.
+        first, second: (p,) the two bodies, boxes from 0; ``CARRIER`` stands for the floor, too: neither moves.
         position_m: (p, 3).
         frame: (p, 3, 3) rows: the normal from first to second, and the two tangents.
         friction: (p, 2) coefficients along the tangents.
-        pressed: (p,) the box whose top the point is on (docs/metrics.md, "The force on a box's top"); negative: none.
+        pressed: (p,) the box whose top the point is on (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
         sign: (p,) 1 where the force on ``second`` presses down on ``pressed``, else -1.
     """
 
@@ -45,7 +45,7 @@ class Touching:
     pressed: IntArray
     sign: FloatArray
 
-    def some(self, which: NDArray[np.bool_] | IntArray) -> Touching:
+    def some(self, which: NDArray[np.bool_]) -> Touching:
         """Some of the points."""
         return Touching(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
@@ -77,7 +77,7 @@ def find_touching(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatAr
     lower, sign, on_top = pressed_box(geom, centre_z[geom], frame[:, 0, 2])
     gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M
     lying = np.abs(frame[:, 0, 2]) >= VERTICAL_COSINE
-    body = geom - FIRST_BOX_GEOM
+    body = np.maximum(geom - FIRST_BOX_GEOM, CARRIER)
     found = Touching(
         first=body[:, 0],
         second=body[:, 1],
