@@ -122,6 +122,11 @@ class RunOptions(Checked):
     record_details: Annotated[bool, Flag("--record-details")] = Field(
         False, description="histories with accelerations, penetrations and contacts; engine mujoco only"
     )
+    force_intervals: Annotated[bool, Flag("--force-intervals")] = Field(
+        False,
+        description="also the least and the most force on top of each box at rest that balance and friction allow: a "
+        "tenth of a second or more for each world; needs SciPy (extra packers); changes no other result",
+    )
     orders: Annotated[Path | None, Flag("--orders", "FILE")] = Field(
         None,
         description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import tempfile
+import time
 import weakref
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
 
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice, engine_for
@@ -19,6 +22,7 @@ from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.writer import RunWriter, write_summary
 from petmjx.run_options import RunOptions
+from petmjx.statics.intervals import force_intervals, need_scipy
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
 from petmjx.sweeps.grid import SweepPlan
@@ -36,6 +40,7 @@ from petmjx.sweeps.summary import (
 )
 from petmjx.sweeps.swept import Answer, SweptWorld
 from petmjx.text import counted, shown
+from petmjx.units import FloatArray
 
 
 @dataclass(frozen=True)
@@ -90,6 +95,8 @@ def simulate(
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
+    if options.force_intervals:
+        need_scipy()
     found = usable_plans(plans, asked.simulation, options)
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
     everything = tuple(plan.plans)
@@ -122,6 +129,7 @@ class _Run:
     Attributes:
         everything: the plans of all shards; those of ``plan`` are this run's.
         found: how plans were read: what was skipped, and warnings.
+        intervals_s: time that went into intervals of forces.
     """
 
     command: str
@@ -136,6 +144,7 @@ class _Run:
     recording: Recording
     progress: Progress = field(default_factory=Progress)
     answers: list[dict[str, Any]] = field(default_factory=list)
+    intervals_s: float = 0.0
 
     @property
     def asked(self) -> Sweep:
@@ -165,6 +174,7 @@ class _Run:
             **({"sweep": sweep_identity(self.asked)} if self.columns else {}),
             "engine": self.choice.name,
             "shard": self.options.shard,
+            **({"force_intervals": True} if self.options.force_intervals else {}),
         }
 
     def config(self) -> dict[str, Any]:
@@ -191,6 +201,7 @@ class _Run:
             orders=self.orders,
             params=columns.params if columns else (),
             dynamic=bool(columns and columns.has_drives),
+            force_intervals=options.force_intervals,
             versions=package_versions(),
             device=getattr(self.engine, "device", "") or device_name(self.choice.name, options.threads),
             expected_worlds=self.total,
@@ -216,6 +227,8 @@ class _Run:
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=self.progress.compile_s)
             self._take_notes(writer)
+            if options.force_intervals:
+                writer.timings["intervals_s"] = round(self.intervals_s, 3)
             if self.plan.plans:  # a shard may have none
                 self._summarise(writer, folder)
         return load_run(folder)
@@ -249,7 +262,8 @@ class _Run:
         outcome = self.recording.kept(world.outcome)
         if self.recording.of(world.plan) and world.outcome.history is None and not world.outcome.message:
             writer.warn(f"the engine {self.choice.name} records no histories")
-        writer.add(world.plan, index, schedule, outcome, world.attempts, values)
+        interval_n = self._intervals_n(world) if self.options.force_intervals else None
+        writer.add(world.plan, index, schedule, outcome, world.attempts, values, interval_n)
         if world.outcome.message:
             variant = f", variant {index}" if self.columns else ""
             writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
@@ -259,6 +273,18 @@ class _Run:
         """Write into ``run.json`` what the engine did otherwise than asked for."""
         for note in self.progress.notes:
             writer.warn(note)
+
+    def _intervals_n(self, world: SweptWorld) -> FloatArray | None:
+        """(n, 2) least and most force on top of each box, N; None where a world has no force at rest, and after a
+        drive, since nothing tells where the carrier stands then."""
+        boxes = world.outcome.boxes
+        at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
+        if world.driven or not np.isfinite(at_rest).all():
+            return None
+        start = time.perf_counter()
+        found = force_intervals(world.scene, self.asked.simulation.physics, boxes.pos, boxes.quat)
+        self.intervals_s += time.perf_counter() - start
+        return found
 
     def _summarise(self, writer: RunWriter, folder: Path) -> None:
         """Write the table ``summary``, which is made of what is on disk."""

@@ -212,6 +212,15 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
 )  # fmt: skip
 """In the order of the columns. Those with ``driven_only`` come last in ``boxes``."""
 
+FORCE_INTERVAL: Final = tuple(
+    Column(
+        name, "N", np.float32,
+        f"{word} force on its top at rest that balance and friction allow; null where it is not known", compared=False,
+    )
+    for name, word in (("rest_top_force_low_n", "least"), ("rest_top_force_high_n", "most"))
+)  # fmt: skip
+"""Columns of ``boxes`` in runs that are asked for them, after the metrics (petmjx.statics.intervals)."""
+
 
 def box_metrics(driven: bool = True) -> list[BoxMetric]:
     """Metrics of boxes in the order of their columns; ``driven``: include those that only runs with profiles have."""

@@ -30,8 +30,12 @@ _BOX_UNITS: Final = {
     "box": ("1", "index of the box in packing order, from 0"),
     "article": ("", "article of the item"),
     "rest_top_force_n": ("N", "force on top of the box at rest"),
+    "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: not known"),
+    "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: not known"),
     "strength_n": ("N", "what the box bears; null: not known"),
     "load_share": ("1", "rest_top_force_n / strength_n"),
+    "load_share_low": ("1", "rest_top_force_low_n / strength_n"),
+    "load_share_high": ("1", "rest_top_force_high_n / strength_n"),
 }
 _PLAN_UNITS: Final = {
     "plan_id": _BOX_UNITS["plan_id"],
@@ -41,10 +45,24 @@ _PLAN_UNITS: Final = {
     "n_boxes": ("1", "boxes of the plan"),
     "n_overloaded": ("1", "boxes that bear more than they can"),
     "n_unknown": ("1", "boxes whose strength or load is not known"),
+    "surely_overloaded": ("1", "whether the least force on a box is more than it can bear; null: not known"),
+    "possibly_overloaded": ("1", "whether the most force on a box is more than it can bear; null: not known"),
+    "n_surely_overloaded": ("1", "boxes on which the least force is too much"),
+    "n_possibly_overloaded": ("1", "boxes on which the most force is too much, with those above"),
     "max_load_share": ("1", "largest load_share of a box"),
     "box": ("1", "the box that has it"),
     "article": ("", "its article"),
 }
+
+_SHARES: Final = {
+    "rest_top_force_n": "load_share",
+    "rest_top_force_low_n": "load_share_low",
+    "rest_top_force_high_n": "load_share_high",
+}
+"""Forces on boxes, and what share of the strength they are; the last two where a run has intervals."""
+
+_OVER: Final = dict(zip(("overloaded", "surely_overloaded", "possibly_overloaded"), _SHARES.values(), strict=True))
+"""What is said of worlds where a box has a share above 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +72,8 @@ class Loads:
     Attributes:
         run: the run's folder.
         boxes: a row a box of each world: ``load_share`` and what it is made of.
-        plans: a row a world: ``overloaded``, and the box that bears most of its strength.
+        plans: a row a world: ``overloaded``, and the box that bears most of its strength. Where the run has intervals
+            of forces, ``surely_overloaded`` and ``possibly_overloaded``, too.
         notes: a line on a run that is not finished, and one on articles without strength.
     """
 
@@ -95,10 +114,11 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
     strengths = articles if isinstance(articles, Articles) else read_articles(Path(articles))
     of_run = _plans_of(results, plans)
     known, missing = _strengths(of_run.values(), strengths)
-    boxes = results.boxes[["plan_id", "variant", "box", "article", "rest_top_force_n"]].copy()
+    shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
+    boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
     boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
-    boxes["rest_top_force_n"] = boxes["rest_top_force_n"].astype("float64")
-    boxes["load_share"] = boxes["rest_top_force_n"] / boxes["strength_n"]
+    boxes = boxes.assign(**{share: boxes[force] / boxes["strength_n"] for force, share in shares.items()})
+    boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
     notes = (*results.doubts("the run"), *_notes(missing))
     return Loads(results.path, boxes, _of_worlds(results, boxes), notes)
 
@@ -144,20 +164,24 @@ def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame,
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
     """A row a world."""
     key = ["plan_id", "variant"]
-    marked = boxes.assign(over=boxes["load_share"] > 1, unknown=boxes["load_share"].isna())
-    counts = marked.groupby(key, sort=False, as_index=False).agg(
-        n_overloaded=("over", "sum"), n_unknown=("unknown", "sum")
+    said = {name: share for name, share in _OVER.items() if share in boxes}
+    marked = boxes[key].assign(
+        **{f"n_{name}": boxes[share] > 1 for name, share in said.items()},
+        **{f"unknown_{name}": boxes[share].isna() for name, share in said.items()},
     )
+    counts = marked.groupby(key, sort=False, as_index=False).sum()
     known = boxes.dropna(subset="load_share")
     largest = known.loc[known.groupby(key, sort=False)["load_share"].idxmax()]
     largest = largest[[*key, "box", "article", "load_share"]].rename(columns={"load_share": "max_load_share"})
     worlds = results.worlds[[*key, "verdict", "n_boxes"]]
     found = worlds.merge(counts, on=key, how="left").merge(largest, on=key, how="left")
-    overloaded = (found["n_overloaded"] > 0).astype("boolean")
-    overloaded[(found["n_overloaded"] == 0) & (found["n_unknown"] > 0)] = pd.NA
-    found["overloaded"] = overloaded
+    for name in said:
+        over = (found[f"n_{name}"] > 0).astype("boolean")
+        over[(found[f"n_{name}"] == 0) & (found[f"unknown_{name}"] > 0)] = pd.NA
+        found[name] = over
+    found["n_unknown"] = found["unknown_overloaded"]
     found["box"] = found["box"].astype("Int32")
-    return found[list(_PLAN_UNITS)]
+    return found[[name for name in _PLAN_UNITS if name in found]]
 
 
 def _notes(missing: Mapping[str, int]) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from petmjx.metrics.spec import box_columns, box_metrics, reduce_boxes, world_metrics
+from petmjx.metrics.spec import FORCE_INTERVAL, Column, box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.plans.plan import Plan
 from petmjx.results import histories
 from petmjx.results.files import part_name, write_table
@@ -23,13 +23,18 @@ _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "ver
 """Columns of ``worlds`` that are fields of an outcome, beside its metrics."""
 
 
+def _block_columns() -> list[Column]:
+    """What is kept of each box; the schema of ``boxes`` says what of it is written."""
+    return [*box_columns(), *FORCE_INTERVAL]
+
+
 @dataclass(frozen=True, eq=False)
 class Row:
     """One finished world that waits to be written. It has copies, so an engine may reuse its arrays.
 
     Attributes:
         cells: columns of ``worlds`` that are not made from boxes.
-        block: (boxes, columns) metrics of boxes, in the order of ``box_columns``.
+        block: (boxes, columns) metrics of boxes, in the order of ``_block_columns``.
         attempts: empty if there was only one.
         recorded: its history; None if there is none.
     """
@@ -49,6 +54,7 @@ class Row:
         outcome: Outcome,
         attempts: Sequence[Attempt],
         params: Mapping[str, Any],
+        interval_n: FloatArray | None = None,
     ) -> Row:
         """Copy from an outcome what is written; its ``state`` is not kept.
 
@@ -63,6 +69,7 @@ class Row:
         cells |= {name: getattr(outcome, name) for name in (*_OF_OUTCOME, *(metric.name for metric in world_metrics()))}
         cells |= {"culprit": culprit, **params}
         values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]
+        values.append(np.full((n, len(FORCE_INTERVAL)), np.nan) if interval_n is None else interval_n)
         block = np.concatenate(values, axis=1, dtype=np.float64)
         block[outcome.n_placed :] = np.nan  # never placed; where the answer is yes or no, it reads as "no"
         history = outcome.history
@@ -119,7 +126,7 @@ class Part:
         world = np.repeat(np.arange(len(self.rows)), counts)
         columns: dict[str, Any] = {
             column.name: values > 0 if column.dtype is np.bool_ else values
-            for column, values in zip(box_columns(), blocks.T, strict=True)
+            for column, values in zip(_block_columns(), blocks.T, strict=True)
         }
         columns["plan_id"] = pa.array([row.plan.plan_id for row in self.rows], pa.string()).take(pa.array(world))
         columns["variant"] = np.array([row.cells["variant"] for row in self.rows], dtype=np.int32)[world]
@@ -137,5 +144,5 @@ class Part:
 
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
         """All box metrics of the part, and the number of boxes of each world."""
-        blocks = np.concatenate([np.empty((0, len(box_columns()))), *(row.block for row in self.rows)])
+        blocks = np.concatenate([np.empty((0, len(_block_columns()))), *(row.block for row in self.rows)])
         return blocks, np.array([len(row.block) for row in self.rows], dtype=np.int64)

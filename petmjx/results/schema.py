@@ -167,13 +167,14 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
     return pa.schema(columns, metadata={"schema_version": str(SCHEMA_VERSION), "table": table})
 
 
-def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa.Schema]:
+def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals: bool = False) -> dict[str, pa.Schema]:
     """Schemas of ``worlds``, ``boxes``, ``attempts`` (one row per attempt, for worlds that needed more than one), and
     those of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
     Args:
         params: of a sweep's variants; the last columns of ``worlds``.
         dynamic: of a run with profiles: ``boxes`` has the metrics that only they have in addition.
+        force_intervals: whether ``boxes`` has the intervals of forces at rest.
 
     Raises:
         ValueError: two columns with the same name.
@@ -183,7 +184,8 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False) -> dict[str, pa
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ValueError(f"a variant's parameter cannot be called {repeated[0]!r}: worlds has such a column")
-    boxes = (*_BOX_COLUMNS, *_metrics(spec.box_columns(driven=dynamic)))
+    intervals = spec.FORCE_INTERVAL if force_intervals else ()
+    boxes = (*_BOX_COLUMNS, *_metrics((*spec.box_columns(driven=dynamic), *intervals)))
     tables = {"worlds": worlds, "boxes": boxes, "attempts": _ATTEMPT_COLUMNS}
     tables |= {"histories": _HISTORY_COLUMNS, "frames": _FRAME_COLUMNS, "contacts": _CONTACT_COLUMNS}
     return {table: _schema(table, columns) for table, columns in tables.items()}

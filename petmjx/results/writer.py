@@ -45,6 +45,7 @@ from petmjx.results.recorded import Recorded
 from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_schema
 from petmjx.results.shield import shielded
 from petmjx.text import one_line
+from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
 
 WORLDS_PER_PART: Final = 1_000
@@ -85,7 +86,7 @@ class RunWriter:
         out_dir: the run's folder; made if it is not there.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
-        dynamic: whether worlds have profiles: ``boxes`` then has ``max_sway_m``.
+        dynamic, force_intervals: as of ``petmjx.results.schema.schemas``: columns of ``boxes`` that not all runs have.
         versions: package → version; Python's own is added.
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
@@ -113,6 +114,7 @@ class RunWriter:
         orders: OrderCheck | None = None,
         params: Sequence[Param] = (),
         dynamic: bool = False,
+        force_intervals: bool = False,
         versions: Mapping[str, str] | None = None,
         device: str = "",
         expected_worlds: int | None = None,
@@ -123,7 +125,7 @@ class RunWriter:
     ) -> None:
         self.out_dir = Path(out_dir)
         self.params = tuple(params)
-        self.schemas = schemas(self.params, dynamic)
+        self.schemas = schemas(self.params, dynamic, force_intervals)
         self.recorded = Recorded()
         self.skipped: list[Skipped] = []
         self.warnings: dict[str, None] = {}
@@ -259,6 +261,7 @@ class RunWriter:
         outcome: Outcome,
         attempts: Sequence[Attempt] = (),
         params: Mapping[str, Any] | None = None,
+        interval_n: FloatArray | None = None,
     ) -> None:
         """Add one finished world, and write a part if there are enough.
 
@@ -269,6 +272,7 @@ class RunWriter:
             outcome: copied; its arrays may be reused, and its ``state`` is not kept.
             attempts: all attempts in order, if the world needed more than one.
             params: parameter → value; missing ones become null.
+            interval_n: (boxes, 2) least and most force on top at rest, N; None: not known.
 
         Raises:
             ValueError: an outcome of another plan, or a parameter that the run does not have.
@@ -277,7 +281,7 @@ class RunWriter:
         values = {param.name: None for param in self.params} | dict(params or {})
         if len(values) > len(self.params):
             raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
-        row = Row.of(plan, variant, str(schedule), outcome, attempts, values)
+        row = Row.of(plan, variant, str(schedule), outcome, attempts, values, interval_n)
         with self._lock:
             pending, rows = self._pending, self._pending.part.rows
             if not rows:

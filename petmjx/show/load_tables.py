@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import pandas as pd
 from rich.console import RenderableType
@@ -27,6 +28,9 @@ def load_tables(found: Loads, out: str | None = None) -> Iterator[RenderableType
     boxes = counted(int(found.plans["n_overloaded"].sum()), "box", "boxes")
     what = counted(len(found.plans), "world" if (found.plans["variant"] > 0).any() else "plan")
     yield line(f"{over:,} of {what} overloaded ({boxes}), {unknown:,} not known")
+    if "surely_overloaded" in found.plans:
+        surely, possibly = (int(found.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
+        yield line(f"{surely:,} surely, {possibly:,} possibly: by the least and the most force that statics allows")
     if out is not None:
         yield line(f"loads in {out}")
 
@@ -57,7 +61,7 @@ def _table(found: Loads) -> FittedTable:
             row["plan_id"],
             *([str(row["variant"])] if with_variants else []),
             row["verdict"],
-            "-" if pd.isna(row["overloaded"]) else "yes" if row["overloaded"] else "no",
+            _overloaded(row),
             f"{row['n_boxes']:,}",
             f"{row['n_overloaded']:,}",
             f"{row['n_unknown']:,}",
@@ -67,3 +71,12 @@ def _table(found: Loads) -> FittedTable:
             "-" if force is None else number(force["strength_n"], ".0f"),
         )
     return table
+
+
+def _overloaded(row: Mapping[str, Any]) -> str:
+    """Whether a world is overloaded, and whether that is sure where the run has intervals."""
+    found: Any = row["overloaded"]
+    told = "-" if pd.isna(found) else "yes" if found else "no"
+    if row.get("surely_overloaded") is True:
+        return "surely"
+    return "possibly" if row.get("possibly_overloaded") is True else told

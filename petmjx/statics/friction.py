@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import Contacts, IntArray, Sides
 from petmjx.statics.largest import Entries, even_share, largest_slack
+from petmjx.statics.wrenches import WRENCH, wrenches
 from petmjx.units import MM_PER_M, FloatArray
 
 _DIRECTIONS = 5
@@ -60,14 +61,19 @@ def friction_slack(
     boxes = _hanging_together(contacts, structure, newest, sides)
     points = _points(contacts, boxes, structure, friction, sides)
     weight = contacts.mass_kg / contacts.mass_kg.mean()
-    wanted = np.zeros((int(boxes.sum()), 6))
+    wanted = np.zeros((int(boxes.sum()), WRENCH))
     wanted[:, 2] = weight[boxes]
     share = np.zeros((len(points.share), _DIRECTIONS))
     share[:, 0] = points.share
     possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
     possible[:, 0] = True
     chosen = np.flatnonzero(possible)
-    forces = _columns(_wrenches(points, boxes, contacts.centre_mm / MM_PER_M), chosen, possible.size)
+    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the carrier, the last one, does not move
+    first, second = row_of[points.first], row_of[points.second]
+    centre_m = contacts.centre_mm[boxes] / MM_PER_M
+    forces = _columns(
+        wrenches(first, second, points.position_m, _directions(points.axis), centre_m), chosen, possible.size
+    )
     limits = _columns(_pyramids(points.friction), chosen, possible.size)
     return largest_slack(forces, share.ravel()[chosen], wanted.ravel(), limits)
 
@@ -127,24 +133,6 @@ def _side_corners(sides: Sides, own: IntArray) -> FloatArray:
     corners[rows, [[1, 2]], across[:, None]] = far[rows, across[:, None]]
     corners[rows, [[2, 3]], 2] = far[:, 2:]
     return corners
-
-
-def _wrenches(points: _Points, boxes: NDArray[np.bool_], centre_m: FloatArray) -> Entries:
-    """(6 b, 5 p): force and moment about its centre of every box by the forces at points."""
-    direction = _directions(points.axis)
-    row_of = np.cumsum(boxes) - 1
-    column_of = np.arange(len(direction) * _DIRECTIONS).reshape(-1, _DIRECTIONS)
-    values, rows, columns = [], [], []
-    for body, sign in ((points.second, 1.0), (points.first, -1.0)):
-        at = np.flatnonzero(body != CARRIER)
-        force = sign * direction[at]
-        arm = (points.position_m[at] - centre_m[body[at]])[:, None, :]
-        wrench = np.concatenate([force, np.cross(arm, force)], axis=-1)
-        row = np.broadcast_to(6 * row_of[body[at]][:, None, None] + np.arange(6), wrench.shape)
-        values.append(wrench.ravel())
-        rows.append(row.ravel())
-        columns.append(np.repeat(column_of[at].ravel(), 6))
-    return Entries(np.concatenate(values), np.concatenate(rows), np.concatenate(columns))
 
 
 def _directions(axis: IntArray) -> FloatArray:

@@ -1,4 +1,5 @@
-"""The linear programme of force balance: the largest slack for which forces balance."""
+"""The linear programmes of force balance: the largest slack for which forces balance, and the least and the most of a
+sum of forces that balance."""
 
 from __future__ import annotations
 
@@ -34,8 +35,6 @@ def even_share(contacts: Contacts, weight: FloatArray) -> FloatArray:
 def largest_slack(forces: Entries, share: FloatArray, wanted: FloatArray, limits: Entries | None = None) -> float:
     """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = wanted``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
-    Solved by HiGHS. SciPy's ``milp`` without whole numbers is the same programme as ``linprog``, at half the overhead.
-
     Args:
         forces: (r, f) what each force adds to each row.
         share: (f,) what each force has to carry per slack.
@@ -48,9 +47,6 @@ def largest_slack(forces: Entries, share: FloatArray, wanted: FloatArray, limits
     Raises:
         PetmjxError: HiGHS gave up.
     """
-    from scipy.optimize import Bounds, LinearConstraint, milp
-    from scipy.sparse import csc_array
-
     rows, n_forces = len(wanted), len(share)
     by_slack = np.zeros(rows)
     np.add.at(by_slack, forces.row, forces.value * share[forces.column])
@@ -61,15 +57,59 @@ def largest_slack(forces: Entries, share: FloatArray, wanted: FloatArray, limits
         parts.append(limits._replace(row=limits.row + rows))
         n_limits = int(limits.row.max(initial=-1)) + 1
     value, row, column = (np.concatenate(entries) for entries in zip(*parts, strict=True))
-    matrix = csc_array((value, (row, column)), shape=(rows + n_limits, n_forces + 1))
     least = np.r_[wanted, np.full(n_limits, -np.inf)]
-    found = milp(
+    found = _minimised(
         np.r_[np.zeros(n_forces), -1.0],
-        constraints=LinearConstraint(matrix, least, np.r_[wanted, np.zeros(n_limits)]),
-        bounds=Bounds(np.r_[np.zeros(n_forces), -np.inf], np.r_[np.full(n_forces, np.inf), EVEN]),
+        Entries(value, row, column),
+        (least, np.r_[wanted, np.zeros(n_limits)]),
+        (np.r_[np.zeros(n_forces), -np.inf], np.r_[np.full(n_forces, np.inf), EVEN]),
     )
+    return -np.inf if found is None else float(found[-1])
+
+
+def least_and_most(sums: FloatArray, forces: Entries, wanted: FloatArray) -> FloatArray | None:
+    """The least and the most of several sums of forces g ≥ 0 with ``forces @ g = wanted``.
+
+    Args:
+        sums: (m, f) factors of the forces in each sum.
+        forces: (r, f) what each force adds to each row.
+        wanted: (r,) what the rows must add up to.
+
+    Returns:
+        (m, 2), or None where no forces balance.
+
+    Raises:
+        PetmjxError: HiGHS gave up, or a sum has no bound.
+    """
+    bounds = (np.zeros(sums.shape[1]), np.full(sums.shape[1], np.inf))
+    found = np.empty((len(sums), 2))
+    for number, factors in enumerate(sums):
+        for side, sign in enumerate((1.0, -1.0)):
+            balanced = _minimised(sign * factors, forces, (wanted, wanted), bounds)
+            if balanced is None:
+                return None
+            found[number, side] = factors @ balanced
+    return found
+
+
+def _minimised(
+    costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
+) -> FloatArray | None:
+    """The x of least ``costs @ x`` whose rows and values lie within bounds; None where there is none.
+
+    Solved by HiGHS. SciPy's ``milp`` without whole numbers is the same programme as ``linprog``, at half the overhead.
+
+    Raises:
+        PetmjxError: HiGHS gave up.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+    from scipy.sparse import csc_array
+
+    matrix = csc_array((entries.value, (entries.row, entries.column)), shape=(len(rows[0]), len(costs)))
+    found = milp(costs, constraints=LinearConstraint(matrix, *rows), bounds=Bounds(*bounds))
     if found.status == _INFEASIBLE:
-        return -np.inf
+        return None
     if found.x is None:
-        raise PetmjxError(f"HiGHS has no answer to a force balance of {rows} rows: {found.message}")
-    return float(found.x[-1])
+        raise PetmjxError(f"HiGHS has no answer to a force balance of {len(rows[0])} rows: {found.message}")
+    answer: FloatArray = found.x
+    return answer

@@ -168,6 +168,27 @@ def test_a_run_that_is_not_finished_is_told(results: petmjx.RunResults) -> None:
     assert found.notes == ("the run is not finished (interrupted)",)
 
 
+def test_what_statics_leaves_open_is_overloaded_possibly(capsys: pytest.CaptureFixture[str]) -> None:
+    """A plank of one box's weight on three supports: one in the middle bears from nothing to all of it."""
+    pytest.importorskip("scipy")
+    bridge = [placement((x, 0, 0), (100, 300, 200), article="post") for x in (0, 450, 900)]
+    bridge.append(placement((0, 0, 200), (1000, 300, 100), article="plank"))
+    write(Path("plans.json"), {"bridge": bridge, "tower": tower(3)})
+    results = petmjx.score("plans.json", engine="mujoco", out="run", force_intervals=True)
+    strength = f"{0.9 * WEIGHT_N}"
+    articles = table(f"post,,{strength},,,", f"plank,,{strength},,,", f"donut-00101843,,{strength},,,")
+    plans = petmjx.loads(results, articles).plans.set_index("plan_id")
+    assert plans["surely_overloaded"].to_dict() == {"bridge": False, "tower": True}
+    assert plans["possibly_overloaded"].to_dict() == {"bridge": True, "tower": True}
+    assert plans.loc["bridge", ["n_surely_overloaded", "n_possibly_overloaded"]].tolist() == [0, 1]
+    assert plans.loc["tower", ["n_surely_overloaded", "n_possibly_overloaded"]].tolist() == [2, 2]
+    assert run("loads", "run", "--articles", str(articles)) == 0
+    assert "1 surely, 2 possibly" in capsys.readouterr().out
+    # articles without a strength leave open what is possible, not what is sure
+    plans = petmjx.loads(results, table(f"donut-00101843,,{strength},,,", "plank,,9,,,")).plans.set_index("plan_id")
+    assert plans["possibly_overloaded"].isna().to_dict() == {"bridge": True, "tower": False}
+
+
 def test_mckee_takes_the_sizes_of_the_plan(results: petmjx.RunResults) -> None:
     found = petmjx.loads("run", table(",confectionery,,5,4,5"), plans="plans.json")
     boxes = found.boxes.set_index(["plan_id", "box"])
