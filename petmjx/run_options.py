@@ -10,13 +10,14 @@ import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from petmjx.checked import Checked, complaint, got, hint
 from petmjx.config import Flag, Simulation, within
 from petmjx.errors import InputError
+from petmjx.units import PLAN_UNITS, plan_units
 
 AUTO: Final = "auto"
 
@@ -55,6 +56,18 @@ def _address(text: str | None) -> str | None:
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {got(text)}")
     return text
+
+
+def _units(text: str) -> str:
+    """The units of lengths and masses, both named."""
+    try:
+        return ",".join(plan_units(text))
+    except ValueError as error:
+        raise ValueError(f"{error}, {got(text)}") from None
+
+
+Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
+"""The point of a box whose coordinates a plan has; far-corner: the one with the largest x, y and z."""
 
 
 class Confidence(Checked):
@@ -110,6 +123,16 @@ class RunOptions(Checked):
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
+    )
+    units: Annotated[str, AfterValidator(_units), Flag("--units", "LENGTH,MASS")] = Field(
+        PLAN_UNITS,
+        description="what lengths and masses of the plans are given in: mm, cm, m or in; kg, g, lb or t; one of them "
+        "or both, as in cm,g",
+    )
+    anchor: Annotated[Anchor, Flag("--anchor", "POINT")] = Field(
+        "corner",
+        description="the point of a box whose coordinates the plans have: corner, the one with the smallest x, y and "
+        "z; centre; base-centre, the centre of its base; or far-corner",
     )
     record: Annotated[str | tuple[str, ...] | None, Flag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,

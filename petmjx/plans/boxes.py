@@ -9,6 +9,7 @@ import numpy as np
 
 from petmjx.errors import InputError
 from petmjx.plans.columns import as_column
+from petmjx.plans.given import Given
 from petmjx.plans.plan import Plan
 from petmjx.plans.table import Refused, Table, sorted_columns, table_plans
 from petmjx.text import shown
@@ -28,6 +29,7 @@ def plan_from_boxes(
     boxes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None,
     arrays: Mapping[str, Any],
     more: Mapping[str, Any],
+    given: Given,
 ) -> Plan:
     """See ``Plan.from_boxes``.
 
@@ -59,7 +61,7 @@ def plan_from_boxes(
     if unread:
         raise InputError(f"{where}: unknown field {shown(unread[0])}")
     table = Table({name: as_column(columns[names[index]]) for name, index in positions.items()}, (), np.arange(n_boxes))
-    (found_plan,) = table_plans(table, SOURCE, n_boxes, [])
+    (found_plan,) = table_plans(table, SOURCE, n_boxes, [], given)
     if isinstance(found_plan, Refused):
         raise InputError(found_plan.message.removeprefix(f"{SOURCE}: ").replace(", row ", ", box ", 1))
     return found_plan

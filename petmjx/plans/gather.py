@@ -12,9 +12,11 @@ import numpy as np
 from petmjx.checked import similar
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
+from petmjx.plans.conventions import warn
 from petmjx.plans.forms import SupportsArrow
+from petmjx.plans.given import USUAL, Given
 from petmjx.plans.plan import Plan, PlanSet, Skipped
-from petmjx.plans.read import load_plans
+from petmjx.plans.read import read_plans, with_conventions
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
 from petmjx.text import counted, shown
@@ -31,11 +33,23 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     Raises:
         InputError: there is none, or with ``options.strict`` a plan would be skipped.
     """
-    found = without_vanishing_boxes(gather_plans(plans, sim, options), sim.size_reduction_mm, options.strict)
+    gathered = gather_plans(plans, sim, options)
+    if (options.units, options.anchor) != (USUAL.units, USUAL.anchor) and not is_read(plans):
+        raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
+    told = plans.conventions if isinstance(plans, PlanSet) else ()
+    warn(line for line in gathered.conventions if line not in told)
+    found = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
     if not found.plans:
         first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
         raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
     return found
+
+
+def is_read(plans: PlanSource | None) -> bool:
+    """Whether plans are read from files or a data frame; else they are ``Plan`` objects, in millimetres."""
+    if plans is None or isinstance(plans, str | PathLike | SupportsArrow):
+        return True
+    return not isinstance(plans, Plan | PlanSet) and not any(isinstance(plan, Plan) for plan in plans)
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
@@ -43,7 +57,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
-        return _each_id_once(plans, options)
+        return _with_conventions(_each_id_once(plans, options), sim)
     if isinstance(plans, SupportsArrow):
         return _load(plans, sim, options)
     given = [plans] if isinstance(plans, str | PathLike | Plan) else list(plans)
@@ -51,18 +65,27 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if ready:
         if len(ready) != len(given):
             raise InputError("give either paths or plans, not both")
-        return _each_id_once(PlanSet(ready), options)
+        return _with_conventions(_each_id_once(PlanSet(ready), options), sim)
     return _load(given, sim, options)
 
 
 def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
-    extent_m = CARRIER_EXTENT_M[sim.carrier]
-    return load_plans(
+    return read_plans(
         given,
         limit=options.limit,
         strict=options.strict,
-        carrier_extent_mm=None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M),
+        extent_mm=_extent_mm(sim),
+        given=Given(options.units, options.anchor),
     )
+
+
+def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
+    extent_m = CARRIER_EXTENT_M[sim.carrier]
+    return None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M)
+
+
+def _with_conventions(found: PlanSet, sim: Simulation) -> PlanSet:
+    return with_conventions(found, _extent_mm(sim))
 
 
 def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:

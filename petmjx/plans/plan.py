@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from petmjx.errors import InputError
 from petmjx.plans.warnings import PlanWarnings
+from petmjx.run_options import Anchor
 from petmjx.text import counted, shown
+from petmjx.units import PLAN_UNITS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,6 +56,8 @@ class Plan:
         size_mm: Any = None,
         corner_mm: Any = None,
         mass_kg: Any = None,
+        units: str = PLAN_UNITS,
+        anchor: Anchor = "corner",
         **columns: Any,
     ) -> Plan:
         """A plan from plain values, checked as those of files are.
@@ -70,16 +74,19 @@ class Plan:
                 length, width and height.
             corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
             mass_kg: (n,) kg.
+            units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) in all these, such as "cm,g".
+            anchor: the point of a box whose coordinates they have: ``corner``, ``centre``, ``base-centre`` or
+                ``far-corner``.
             columns: further fields as lists of n values.
 
         Raises:
             InputError: a field is missing, unknown or unusable; the line names the box and the field.
         """
         from petmjx.plans.boxes import plan_from_boxes
+        from petmjx.plans.given import Given
 
-        return plan_from_boxes(
-            plan_id, boxes, {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}, columns
-        )
+        arrays = {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}
+        return plan_from_boxes(plan_id, boxes, arrays, columns, Given.checked(units, anchor))
 
     @property
     def n_boxes(self) -> int:
@@ -133,14 +140,16 @@ class Skipped:
 class PlanSet:
     """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
 
-    ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box; ``notes``
-    has lines about all that was read, such as which fields nobody reads.
+    ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box;
+    ``conventions`` a line for each convention that plans seem to follow instead of petmjx's; ``notes`` lines about all
+    that was read, such as which fields nobody reads.
     """
 
     plans: list[Plan] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[PlanWarnings] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    conventions: list[str] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.plans)

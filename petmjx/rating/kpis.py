@@ -17,6 +17,7 @@ import pandas as pd
 
 from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples.order_files import read_orders
@@ -91,6 +92,7 @@ def kpis(
     if assume_stable and run:
         raise InputError("give either runs or assume_stable (--assume-stable): a run says itself which plans stand")
     read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
+    warn(read.conventions)
     by_id = {plan.plan_id: plan for plan in read.plans}
     skipped = [str(each) for each in read.skipped]
     wanted: dict[str, Order] = {}
