@@ -183,6 +183,19 @@ def test_plans_are_counted_and_told_once() -> None:
     assert len(found.warnings) == 440
 
 
+def test_odd_plans_of_no_convention_are_not_explained() -> None:
+    """Boxes that float here and there, as packers do leave them."""
+    rng = np.random.default_rng(0)
+    odd = []
+    for k, (_, placed) in enumerate(200 * list(generate(5, 3))):
+        plan = Plan.from_boxes(f"p{k}", _columns(placed))
+        plan.corner_mm[rng.integers(0, plan.n_boxes, 4), 2] += rng.uniform(5, 80, 4)
+        odd.append(plan)
+    found = gather_plans(odd, Simulation(), RunOptions())
+    assert len(found.warnings) > 900
+    assert found.conventions == []
+
+
 def test_python_warns_where_it_was_called_and_once_of_a_set() -> None:
     file = as_json(boxes(MISTAKES["centres"]))
     with pytest.warns(PlanWarning, match="anchor centre") as caught:
