@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -44,7 +45,7 @@ def _share(text: str | None) -> str | None:
 def _workers(value: Any) -> Any:
     """A whole number ≥ 1 or ``auto``; the command line gives both as text."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
-    if number is None or number == AUTO:
+    if number is None or (isinstance(number, str) and number == AUTO):
         return number
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_WORKERS:
         raise ValueError(f"must be {AUTO} or a whole number from 1 to {MOST_WORKERS:,}, {got(value)}")
@@ -66,6 +67,16 @@ def _units(text: str) -> str:
         raise ValueError(f"{error}, {got(text)}") from None
 
 
+def _named(value: Any) -> Any:
+    """A path that names something, which the empty one does not."""
+    if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
+        raise ValueError(f"must be a path, {got(value)}")
+    return value
+
+
+File = Annotated[Path, BeforeValidator(_named)]
+"""A path that an option names."""
+
 Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 """The point of a box whose coordinates a plan has; far-corner: the one with the largest x, y and z."""
 
@@ -78,7 +89,7 @@ class Confidence(Checked):
         description="simulate each plan also in this many worlds with errors of placement, friction, mass and size, "
         "and say which share stands; at least 4, since of fewer no share is far from one half",
     )
-    errors: Annotated[Path | None, Flag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
+    errors: Annotated[File | None, Flag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
         None, description="sweep file with these errors, those of a robot and of its cartons"
     )
 
@@ -145,7 +156,7 @@ class RunOptions(Checked):
     record_details: Annotated[bool, Flag("--record-details")] = Field(
         False, description="histories with accelerations, penetrations and contacts; engine mujoco only"
     )
-    orders: Annotated[Path | None, Flag("--orders", "FILE")] = Field(
+    orders: Annotated[File | None, Flag("--orders", "FILE")] = Field(
         None,
         description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
         "without a plan; changes no verdict",
@@ -156,7 +167,7 @@ class RunOptions(Checked):
     allow_large: Annotated[bool, Flag("--yes", short="-y")] = Field(
         False, description="run more than a million worlds too"
     )
-    out: Annotated[Path | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
+    out: Annotated[File | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
         description="folder for the results; in Python by default a temporary one that goes with what is returned",
     )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.arguments import list_of, path_of
 from petmjx.checked import similar
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
@@ -25,6 +26,8 @@ from petmjx.units import MM_PER_M
 PathArgument = str | PathLike[str]
 PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet | SupportsArrow
 """A file, a folder, several of them; a plan, a list of plans, or a ``PlanSet``; a data frame in the table form."""
+
+_SOURCES = "paths or Plan objects, or one of them, a PlanSet or a data frame"
 
 
 def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
@@ -60,13 +63,14 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
         return _with_conventions(_each_id_once(plans, options), sim)
     if isinstance(plans, SupportsArrow):
         return _load(plans, sim, options)
-    given = [plans] if isinstance(plans, str | PathLike | Plan) else list(plans)
+    alone = isinstance(plans, str | PathLike | Plan)
+    given: list[Any] = [plans] if alone else list_of(plans, "plans", object, _SOURCES)
     ready = [plan for plan in given if isinstance(plan, Plan)]
     if ready:
         if len(ready) != len(given):
-            raise InputError("give either paths or plans, not both")
+            raise InputError("plans: give either paths or plans, not both")
         return _with_conventions(_each_id_once(PlanSet(ready), options), sim)
-    return _load(given, sim, options)
+    return _load([path_of(path, "plans") for path in given], sim, options)
 
 
 def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:

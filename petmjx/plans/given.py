@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, get_args
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from petmjx.arguments import text_of
 from petmjx.checked import got
 from petmjx.errors import InputError
 from petmjx.plans.fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
@@ -46,12 +47,12 @@ class Given:
     @classmethod
     def checked(cls, units: Any, anchor: Any) -> Given:
         """Raises InputError: there are no such units or anchor."""
-        if not isinstance(units, str):
-            raise InputError(f"units must be text, {got(units)}")
-        if anchor not in get_args(Anchor):
+        text_of(units, "units")
+        known = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
+        if known is None:
             raise InputError(f"anchor must be one of {', '.join(ANCHORS)}, {got(anchor)}")
         try:
-            return cls(",".join(plan_units(units)), anchor)
+            return cls(",".join(plan_units(units)), known)
         except ValueError as error:
             raise InputError(f"units {error}, {got(units)}") from None
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.arguments import array_of, instance_of, list_of, text_of
 from petmjx.errors import InputError
 from petmjx.plans.warnings import PlanWarnings
 from petmjx.run_options import Anchor
@@ -46,6 +47,40 @@ class Plan:
     sequence: NDArray[np.int64]
     orientation: NDArray[np.int64] | None = None
     product_groups: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Take lists for arrays, and refuse what no engine could use; from_boxes says which box it is.
+
+        Raises:
+            InputError: a field has another type or length, or a number is not finite or not positive.
+        """
+        text_of(self.plan_id, "plan_id")
+        text_of(self.source, "source")
+        fields: dict[str, Any] = {
+            "size_mm": array_of(self.size_mm, "size_mm", (3,)),
+            "corner_mm": array_of(self.corner_mm, "corner_mm", (3,)),
+            "mass_kg": array_of(self.mass_kg, "mass_kg", ()),
+            **{name: tuple(list_of(getattr(self, name), name, str, "text")) for name in ("item_ids", "articles")},
+            "sequence": _whole_numbers(self.sequence, "sequence"),
+        }
+        if self.orientation is not None:
+            fields["orientation"] = _whole_numbers(self.orientation, "orientation")
+            if not ((fields["orientation"] == 0) | (fields["orientation"] == 1)).all():
+                raise InputError("orientation must be 0 or 1 for each box")
+        groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
+        if groups:
+            fields["product_groups"] = groups
+        n_boxes = len(fields["mass_kg"])
+        if not n_boxes:
+            raise InputError("mass_kg must have a value for each box, got none")
+        for name, values in fields.items():
+            if len(values) != n_boxes:
+                raise InputError(f"{name} must have {counted(n_boxes, 'value')}, as mass_kg has, got {len(values)}")
+            object.__setattr__(self, name, values)
+        for name in ("size_mm", "mass_kg"):
+            if not fields[name].min() > 0:
+                raise InputError(f"{name} must be > 0, got {fields[name].min():g}")
+        object.__setattr__(self, "product_groups", groups)
 
     @classmethod
     def from_boxes(
@@ -106,6 +141,15 @@ class Plan:
         return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
 
 
+def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
+    """(n,) whole numbers."""
+    array = array_of(values, name, ())
+    given = np.asarray(values)
+    if given.dtype.kind == "f" and (array % 1).any():
+        raise InputError(f"{name} must be whole numbers")
+    return given.astype(np.int64, copy=False)
+
+
 @dataclass(frozen=True, slots=True)
 class Skipped:
     """Something that was not used. ``message`` is the whole line, with file and plan.
@@ -150,6 +194,13 @@ class PlanSet:
     warnings: list[PlanWarnings] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     conventions: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Raises InputError: ``plans`` is no list of plans."""
+        if not isinstance(self.plans, list) or not all(type(plan) is Plan for plan in self.plans):
+            object.__setattr__(self, "plans", list_of(self.plans, "plans", Plan, "Plan objects"))
+        for name in ("skipped", "warnings", "notes", "conventions"):
+            instance_of(getattr(self, name), name, list, "a list")
 
     def __len__(self) -> int:
         return len(self.plans)

@@ -12,7 +12,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from petmjx.checked import reason
+from petmjx.arguments import flag_of, list_of, number_of, path_of, whole_of
+from petmjx.checked import got, reason
 from petmjx.errors import InputError
 from petmjx.plans.conventions import find_conventions, warn
 from petmjx.plans.fields import LONGEST_NAME, Unread
@@ -76,6 +77,15 @@ def load_plans(
         InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument makes
             no sense. With ``strict`` also if anything would be skipped.
     """
+    if limit is not None:
+        whole_of(limit, "limit", 1)
+    flag_of(strict, "strict")
+    whole_of(max_boxes, "max_boxes", 1)
+    if carrier_extent_mm is not None:
+        if len(list_of(carrier_extent_mm, "carrier_extent_mm", object, "numbers")) != 2:
+            raise InputError(f"carrier_extent_mm must be two numbers, {got(carrier_extent_mm)}")
+        for length in carrier_extent_mm:
+            number_of(length, "carrier_extent_mm", 0)
     found = read_plans(
         paths,
         limit=limit,
@@ -98,16 +108,12 @@ def read_plans(
     given: Given,
 ) -> PlanSet:
     """As :func:`load_plans`, without a Python warning."""
-    if limit is not None and limit < 1:
-        raise InputError(f"limit must be at least 1, got {limit}")
-    if max_boxes < 1:
-        raise InputError(f"max_boxes must be at least 1, got {max_boxes}")
     loading = _Loading(limit, strict, max_boxes, extent_mm, given)
     if isinstance(paths, SupportsArrow):
         loading.read_frame(paths)
         return loading.done()
-    several = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
-    for file in _list_files([Path(path) for path in several]):
+    several = [paths] if isinstance(paths, (str, PathLike)) else list_of(paths, "plans", object, "paths")
+    for file in _list_files([path_of(path, "plans") for path in several]):
         loading.read_file(file)
         if loading.full:
             break

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from petmjx.arguments import flag_of, path_of
 from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.conventions import warn
@@ -89,6 +90,9 @@ def kpis(
     Raises:
         InputError: no usable plan or order, or a run of other plans.
     """
+    flag_of(strict, "strict")
+    flag_of(assume_stable, "assume_stable")
+    orders = path_of(orders, "orders")
     if assume_stable and run:
         raise InputError("give either runs or assume_stable (--assume-stable): a run says itself which plans stand")
     read = gather_plans(plans, Simulation(), RunOptions(strict=strict))

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from petmjx.arguments import flag_of, path_of
 from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.conventions import warn
@@ -64,11 +65,14 @@ def criteria(
         InputError: unusable plans, run or options; or SciPy or shapely is missing.
     """
     chosen = CriteriaOptions(**options)
+    flag_of(overwrite, "overwrite")
+    read = RunOptions(limit=limit, strict=strict, units=units, anchor=anchor)
     _need_packers()
     if out is not None:
-        check_free(Path(out), overwrite)
+        out = path_of(out, "out")
+        check_free(out, overwrite)
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
-    found = gather_plans(plans, Simulation(), RunOptions(limit=limit, strict=strict, units=units, anchor=anchor))
+    found = gather_plans(plans, Simulation(), read)
     warn(found.conventions)
     if not found.plans:
         first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
