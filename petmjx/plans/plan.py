@@ -143,11 +143,12 @@ class Plan:
 
 def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
     """(n,) whole numbers."""
+    if isinstance(values, np.ndarray) and values.dtype == np.int64 and values.ndim == 1:
+        return values
     array = array_of(values, name, ())
-    given = np.asarray(values)
-    if given.dtype.kind == "f" and (array % 1).any():
+    if (array % 1).any():
         raise InputError(f"{name} must be whole numbers")
-    return given.astype(np.int64, copy=False)
+    return np.asarray(values).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)

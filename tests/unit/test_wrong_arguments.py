@@ -139,7 +139,7 @@ def test_strange_arguments_are_one_line(seed: int) -> None:
         ("sweep", "file", None, "file must be a path, got None"),
         ("tell", "plan_id", 3, "plan_id must be text, got 3"),
         ("tell", "interval_s", "1", "interval_s must be a number, got '1'"),
-        ("Plan", "size_mm", "big", "size_mm must be an array of numbers of shape (n, 3), got 'big'"),
+        ("Plan", "size_mm", "big", "size_mm must be an array of numbers, got 'big'"),
         ("Plan", "corner_mm", [[1, 2]], "corner_mm must have the shape (n, 3), got (1, 2)"),
         ("Plan", "mass_kg", [1], "size_mm must have 1 value, as mass_kg has, got 3"),
         ("Plan", "articles", "abc", "articles must be a list of text, got 'abc'"),
