@@ -55,7 +55,7 @@ def first_box_in_words(story: Story) -> str:
     when = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
     name = shown(story.plan.articles[box])
     gap_mm = _gap_mm(story, box)
-    planned = f"was planned {gap_mm:.3g} mm in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
+    planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
     signs = " and ".join(_signs(story, box)) or "crossed a limit"
     return f"Box {box} ({name}) {planned}went first:{when} it {signs}."
 

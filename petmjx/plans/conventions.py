@@ -293,12 +293,12 @@ def _what_is_odd(plan: Plan, odd: PlanWarnings, way: Convention) -> str:
     bottom = plan.corner_mm[lowest, 2]
     if bottom > DEFAULT_TOLERANCE_MM:
         share = "half its height, " if way is CENTRES else ""
-        return f"the lowest box, {_box(plan, lowest)}, floats by {share}{bottom:.4g} mm"
+        return f"the lowest box, {_box(plan, lowest)}, floats by {share}{three_digits(bottom)} mm"
     if odd.n_overlapping_pairs:
         return f"{counted(odd.n_overlapping_pairs, 'pair')} of boxes overlap, such as {odd.overlapping[0]}"
     gap = gaps_mm(plan.corner_mm, plan.size_mm)
     box = int(gap.argmax())
-    return f"{counted(odd.n_floating, 'box floats', 'boxes float')}, {_box(plan, box)} by {gap[box]:.4g} mm"
+    return f"{counted(odd.n_floating, 'box floats', 'boxes float')}, {_box(plan, box)} by {three_digits(gap[box])} mm"
 
 
 def _box(plan: Plan, box: int) -> str:

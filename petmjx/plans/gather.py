@@ -36,9 +36,13 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     Raises:
         InputError: there is none, or with ``options.strict`` a plan would be skipped.
     """
+    usual = (options.units, options.anchor) == (USUAL.units, USUAL.anchor)
+    if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
+        given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
+        if any(isinstance(plan, Plan) for plan in given):
+            raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
+        plans = given
     gathered = gather_plans(plans, sim, options)
-    if (options.units, options.anchor) != (USUAL.units, USUAL.anchor) and not is_read(plans):
-        raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
     told = plans.conventions if isinstance(plans, PlanSet) else ()
     warn(line for line in gathered.conventions if line not in told)
     found = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
@@ -46,13 +50,6 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
         first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
         raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
     return found
-
-
-def is_read(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files or a data frame; else they are ``Plan`` objects, in millimetres."""
-    if plans is None or isinstance(plans, str | PathLike | SupportsArrow):
-        return True
-    return not isinstance(plans, Plan | PlanSet) and not any(isinstance(plan, Plan) for plan in plans)
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.text import counted, shown
+from petmjx.text import counted, shown, three_digits
 from petmjx.units import FloatArray
 
 DEFAULT_TOLERANCE_MM: Final = 0.5
@@ -96,7 +96,7 @@ def check_layout(
         len(floating),
         tuple(f"{one} and {other}" for one, other in first_pairs),
         tuple(str(box) for box in np.flatnonzero(outside)[:MOST_NAMED]),
-        tuple(f"{box} by {gap[box]:.3g} mm" for box in floating[:MOST_NAMED]),
+        tuple(f"{box} by {three_digits(gap[box])} mm" for box in floating[:MOST_NAMED]),
     )
 
 
