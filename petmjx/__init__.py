@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         Solver,
         Thresholds,
     )
-    from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+    from petmjx.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
     from petmjx.history import History
     from petmjx.packers.compare import compare_packers
     from petmjx.pages.report.make import report
@@ -61,6 +61,7 @@ _HOME = {
     "EngineUnavailable": "petmjx.errors",
     "InputError": "petmjx.errors",
     "PetmjxError": "petmjx.errors",
+    "PlanWarning": "petmjx.errors",
     "History": "petmjx.history",
     "draw": "petmjx.pictures.save",
     "report": "petmjx.pages.report.make",
@@ -93,6 +94,7 @@ __all__ = [
     "Physics",
     "Plan",
     "PlanSet",
+    "PlanWarning",
     "Quiet",
     "RunOptions",
     "RunResults",

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
-from petmjx.checked import Checked
+from petmjx.arguments import instance_of, path_of
+from petmjx.checked import Checked, got
 from petmjx.config import Simulation
+from petmjx.errors import InputError
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.results.reader import RunResults
 from petmjx.run_options import Confidence, RunOptions, sorted_options
@@ -45,6 +46,11 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
     return decorate
 
 
+def _check_watcher(watcher: Watcher | None) -> None:
+    if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
+        raise InputError(f"watcher must have the methods begin and world_done, {got(watcher)}")
+
+
 @_takes_options(Simulation, Confidence, RunOptions)
 def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **options: Any) -> RunResults:
     """Simulate each plan and say whether it stands, and with ``confidence`` how sure that is.
@@ -65,6 +71,7 @@ def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
+    _check_watcher(watcher)
     of_simulation, of_run, of_confidence = sorted_options(options, Confidence)
     run, sure = RunOptions(**of_run), Confidence(**of_confidence)
     if sure.confidence is None:
@@ -98,8 +105,11 @@ def sweep(
         InputError: an unusable sweep file, plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
+    _check_watcher(watcher)
+    if batching is not None:
+        instance_of(batching, "batching", Batching, "a Batching")
     of_simulation, of_run = sorted_options(options)
-    asked = load_sweep(find_sweep(Path(file)), plans_given=plans is not None, simulation=of_simulation)
+    asked = load_sweep(find_sweep(path_of(file, "file")), plans_given=plans is not None, simulation=of_simulation)
     if plans is None and isinstance(asked.plans, tuple):
         plans = list(asked.plans)
     return simulate("sweep", asked, plans, RunOptions(**of_run), watcher, batching=batching)

@@ -159,13 +159,15 @@ def by_entry(key: str) -> Discriminator:
 
 
 def got(value: object) -> str:
-    """The end of a message: "got" and the value, in bounded length."""
+    """The end of a message: "got" and the value, in one line of bounded length."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):
         # a whole number with more digits than Python writes, or tables nested too deeply
         return f"got {type(value).__name__} too large to be shown"
-    return f"got {shortened(text)}"
+    except Exception:  # of an object of the user's own
+        return f"got {type(value).__name__} that cannot be shown"
+    return f"got {shortened(' '.join(text.split()) if len(text.splitlines()) > 1 else text)}"
 
 
 def describe(error: ValidationError) -> str:

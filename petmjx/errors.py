@@ -11,5 +11,9 @@ class InputError(PetmjxError):
     """Unusable plans, sweep files or options. The command line ends with exit code 2."""
 
 
+class PlanWarning(UserWarning):
+    """Plans that look as if they followed another convention than petmjx's, such as other units."""
+
+
 class EngineUnavailable(PetmjxError):
     """An engine that cannot run on this machine, and why."""

@@ -9,14 +9,16 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from petmjx.checked import Checked, complaint, got, hint
 from petmjx.config import Flag, Simulation, within
 from petmjx.errors import InputError
+from petmjx.units import PLAN_UNITS, plan_units
 
 AUTO: Final = "auto"
 
@@ -43,7 +45,7 @@ def _share(text: str | None) -> str | None:
 def _workers(value: Any) -> Any:
     """A whole number ≥ 1 or ``auto``; the command line gives both as text."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
-    if number is None or number == AUTO:
+    if number is None or (isinstance(number, str) and number == AUTO):
         return number
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_WORKERS:
         raise ValueError(f"must be {AUTO} or a whole number from 1 to {MOST_WORKERS:,}, {got(value)}")
@@ -57,6 +59,28 @@ def _address(text: str | None) -> str | None:
     return text
 
 
+def _units(text: str) -> str:
+    """The units of lengths and masses, both named."""
+    try:
+        return ",".join(plan_units(text))
+    except ValueError as error:
+        raise ValueError(f"{error}, {got(text)}") from None
+
+
+def _named(value: Any) -> Any:
+    """A path that names something, which the empty one does not."""
+    if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
+        raise ValueError(f"must be a path, {got(value)}")
+    return value
+
+
+File = Annotated[Path, BeforeValidator(_named)]
+"""A path that an option names."""
+
+Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
+"""The point of a box whose coordinates a plan has; far-corner: the one with the largest x, y and z."""
+
+
 class Confidence(Checked):
     """Whether a score says how sure it is, and by which errors."""
 
@@ -65,7 +89,7 @@ class Confidence(Checked):
         description="simulate each plan also in this many worlds with errors of placement, friction, mass and size, "
         "and say which share stands; at least 4, since of fewer no share is far from one half",
     )
-    errors: Annotated[Path | None, Flag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
+    errors: Annotated[File | None, Flag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
         None, description="sweep file with these errors, those of a robot and of its cartons"
     )
 
@@ -111,6 +135,16 @@ class RunOptions(Checked):
     limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
     )
+    units: Annotated[str, AfterValidator(_units), Flag("--units", "LENGTH,MASS")] = Field(
+        PLAN_UNITS,
+        description="what lengths and masses of the plans are given in: mm, cm, m or in; kg, g, lb or t; one of them "
+        "or both, as in cm,g",
+    )
+    anchor: Annotated[Anchor, Flag("--anchor", "POINT")] = Field(
+        "corner",
+        description="the point of a box whose coordinates the plans have: corner, the one with the smallest x, y and "
+        "z; centre; base-centre, the centre of its base; or far-corner",
+    )
     record: Annotated[str | tuple[str, ...] | None, Flag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
         description="keep histories, frame by frame, of the worlds that are not stable, of all, or of these plans; no "
@@ -127,7 +161,7 @@ class RunOptions(Checked):
         description="also the least and the most force on top of each box at rest that balance and friction allow: a "
         "tenth of a second or more for each world; needs SciPy (extra packers); changes no other result",
     )
-    orders: Annotated[Path | None, Flag("--orders", "FILE")] = Field(
+    orders: Annotated[File | None, Flag("--orders", "FILE")] = Field(
         None,
         description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
         "without a plan; changes no verdict",
@@ -138,7 +172,7 @@ class RunOptions(Checked):
     allow_large: Annotated[bool, Flag("--yes", short="-y")] = Field(
         False, description="run more than a million worlds too"
     )
-    out: Annotated[Path | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
+    out: Annotated[File | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
         description="folder for the results; in Python by default a temporary one that goes with what is returned",
     )

@@ -238,7 +238,7 @@ class _Run:
         for skipped in self.found.skipped:
             writer.skip(skipped)
         writer.odd_plans += map(str, self.found.warnings)
-        for note in (*self.found.notes, *hopeless_profiles(self.asked)):
+        for note in (*self.found.conventions, *self.found.notes, *hopeless_profiles(self.asked)):
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.out_dir)):
             of = counted(missing, "world")

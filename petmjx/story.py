@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from petmjx.arguments import flag_of, number_of, text_of, whole_of
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.choose import ENGINES, engine_for, make_engine
@@ -96,7 +97,12 @@ def tell(
         EngineUnavailable: the engine asked for cannot run here.
         PetmjxError: the simulation failed, or the engine records no histories.
     """
-    if interval_s is not None and not interval_s > 0:
+    text_of(plan_id, "plan_id")
+    if variant is not None:
+        whole_of(variant, "variant", 0)
+    if details is not None:
+        flag_of(details, "details")
+    if interval_s is not None and not number_of(interval_s, "interval_s") > 0:
         raise InputError(f"interval_s must be > 0, got {interval_s}")
     record = Record(FRAME_INTERVAL_S if interval_s is None else interval_s, details is not False)
     run = _run_in(source)

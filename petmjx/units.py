@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,39 @@ MICROMETRES_PER_M = 1_000_000.0
 
 STANDARD_GRAVITY = 9.81
 """m/s², the value of the reference implementation; levels given in g are multiples of it."""
+
+LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
+    "mm": (1.0, "millimetres"),
+    "cm": (10.0, "centimetres"),
+    "m": (1000.0, "metres"),
+    "in": (25.4, "inches"),
+}
+MASSES_KG: Final[Mapping[str, tuple[float, str]]] = {
+    "kg": (1.0, "kilograms"),
+    "g": (0.001, "grams"),
+    "lb": (0.45359237, "pounds"),
+    "t": (1000.0, "tonnes"),
+}
+"""Units in which plans may be given: how many millimetres or kilograms they are, and their name."""
+
+PLAN_UNITS: Final = "mm,kg"
+"""The units of plans, if nobody says otherwise."""
+
+
+def plan_units(text: str) -> tuple[str, str]:
+    """The units of lengths and masses that a text such as "cm", "g" or "cm,g" names; what it leaves out is as usual.
+
+    Raises:
+        ValueError: it names something else, or two of a kind.
+    """
+    names = [name.strip() for name in text.split(",")]
+    lengths = [name for name in names if name in LENGTHS_MM]
+    masses = [name for name in names if name in MASSES_KG]
+    if len(lengths) > 1 or len(masses) > 1 or len(lengths) + len(masses) != len(names):
+        known = f"one of {', '.join(LENGTHS_MM)} and one of {', '.join(MASSES_KG)}"
+        raise ValueError(f"must be {known}, with a comma between them, such as cm or cm,g")
+    usual_length, usual_mass = PLAN_UNITS.split(",")
+    return (lengths or [usual_length])[0], (masses or [usual_mass])[0]
 
 
 def mm_to_m(value_mm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -45,6 +45,8 @@ def whole_file(file: Path) -> Iterator[Path]:
     Raises:
         InputError: it cannot be written.
     """
+    if "\0" in str(file):
+        raise InputError(f"{printable(str(file))}: cannot be written: no file has such a name")
     target = file.resolve() if file.is_symlink() else file
     direct = target.exists() and not target.is_file()
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")

@@ -6,7 +6,13 @@ import codecs
 import io
 import os
 import sys
-from typing import TYPE_CHECKING, Final
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+from petmjx.errors import PlanWarning
+from petmjx.text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,6 +41,25 @@ def prepare_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="petmjx")
+
+
+@contextmanager
+def as_notes() -> Iterator[None]:
+    """A ``PlanWarning`` is one line on standard error, at once: a long run in a wrong unit is best stopped."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", PlanWarning)
+        otherwise = warnings.showwarning
+
+        def show(
+            message: Warning | str, category: type[Warning], filename: str, lineno: int, *more: Any, **named: Any
+        ) -> None:
+            if issubclass(category, PlanWarning):
+                print(f"note: {printable(str(message))}", file=sys.stderr)
+            else:
+                otherwise(message, category, filename, lineno, *more, **named)
+
+        warnings.showwarning = show
+        yield
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:

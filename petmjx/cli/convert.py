@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,19 +16,15 @@ SHOWN_SKIPPED = 10
 """Most skipped plans that are shown."""
 
 
+@opt.takes("units", "anchor", "limit", "strict")
 def convert(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
     out: Annotated[
         Path,
         typer.Option("--out", "-o", metavar="FILE", help="File to write: *.json, *.csv (both also *.gz) or *.parquet."),
     ],
-    limit: Annotated[
-        int | None, typer.Option("--limit", metavar="N", min=1, help="Take only this many plans.", show_default=False)
-    ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Stop at the first unusable plan instead of skipping it.")
-    ] = False,
     overwrite: opt.Overwrite = False,
+    **options: Any,
 ) -> None:
     """Write packing plans in another form: BED-BPP's JSON, or a table with a row a box as CSV or Parquet.
 
@@ -39,7 +35,7 @@ def convert(
     from petmjx.plans.write import save_plans
 
     check_free(out, overwrite, plans)
-    found = load_plans(plans, limit=limit, strict=strict)
+    found = load_plans(plans, **options)
     print_skipped([str(skipped) for skipped in found.skipped])
     for note in found.notes:
         typer.echo(f"note: {printable(note)}", err=True)

@@ -18,7 +18,17 @@ ASKED = "What is asked"
 """Heading of the options of the criteria."""
 
 
-@opt.takes("limit", "strict", "friction", "side_friction", "tolerance_mm", "seed", more=((CriteriaOptions, ASKED),))
+@opt.takes(
+    "limit",
+    "strict",
+    "units",
+    "anchor",
+    "friction",
+    "side_friction",
+    "tolerance_mm",
+    "seed",
+    more=((CriteriaOptions, ASKED),),
+)
 def criteria(
     plans: opt.PlanPaths = None,
     run: Annotated[

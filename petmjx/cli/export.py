@@ -13,7 +13,7 @@ from petmjx.text import counted, printable
 from petmjx.whole import check_free
 
 
-@opt.takes("physics", "size_reduction_mm", "carrier")
+@opt.takes("physics", "size_reduction_mm", "carrier", "units", "anchor")
 def export(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan to write.")],
     plans: opt.PlanPaths = None,
@@ -33,8 +33,9 @@ def export(
 
     if out is not None:
         check_free(out, overwrite, plans or ())
+    read = RunOptions(**{name: options.pop(name) for name in ("units", "anchor") if name in options})
     sim = Simulation(**options)
-    plan = find_plan(usable_plans(plans or None, sim, RunOptions()), plan_id)
+    plan = find_plan(usable_plans(plans or None, sim, read), plan_id)
     mjcf = to_mjcf(build_scene(plan, sim), sim.physics)
     if out is None:
         print(mjcf)

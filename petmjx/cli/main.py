@@ -30,7 +30,7 @@ from petmjx.cli import (
     show,
     sweep,
 )
-from petmjx.cli.console import prepare_streams
+from petmjx.cli.console import as_notes, prepare_streams
 from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
@@ -137,7 +137,8 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
         given = sys.argv[1:] if arguments is None else list(arguments)
         if "" in given:  # a path would be the current folder
             raise InputError(f"argument {given.index('') + 1} is empty: a variable of the shell that is not set?")
-        result = application(args=given, standalone_mode=False)
+        with as_notes():
+            result = application(args=given, standalone_mode=False)
         sys.stdout.flush()  # an error shows here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:

@@ -20,7 +20,7 @@ MOST_SHOWN: Final = 10
 
 def samples(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; *.gz is gzipped.")],
-    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of plans.")] = 100,
+    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of plans, 1 to 200,000.")] = 100,
     seed: Annotated[
         int,
         typer.Option("--seed", metavar="SEED", help="Plan i depends on the seed, i, --packer and --loose-share alone."),

@@ -57,6 +57,6 @@ def _rows(run: RunResults, wanted: set[str], orders: Mapping[str, Order]) -> lis
         records = Manifest.read(run.path, run.info).plans
     except InputError:  # of petmjx before 0.2, which did not keep what a run was of
         return []
-    plans = find_plans(records, wanted & orders.keys()).plans
+    plans = find_plans(run.info, records, wanted & orders.keys()).plans
     each = (kpis_of(plan, orders[plan_id]) for plan_id, plan in plans.items())
     return [{name: row[name] for name in ("plan_id", *KPIS)} for row in each]

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.config import Thresholds
+from petmjx.config import Check, Thresholds
 from petmjx.metrics import motion_np
+from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.story import Story
 from petmjx.text import shown
 from petmjx.units import MM_PER_M, FloatArray
@@ -53,7 +54,16 @@ def first_box_in_words(story: Story) -> str:
         return ""
     when = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
     name = shown(story.plan.articles[box])
-    return f"Box {box} ({name}) went first:{when} it {' and '.join(_signs(story, box)) or 'crossed a limit'}."
+    gap_mm = _gap_mm(story, box)
+    planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
+    signs = " and ".join(_signs(story, box)) or "crossed a limit"
+    return f"Box {box} ({name}) {planned}went first:{when} it {signs}."
+
+
+def _gap_mm(story: Story, box: int) -> float:
+    """How far above what is there at its placement a box is planned, mm."""
+    in_order = story.options.get("check") != Check.STATIC
+    return float(gaps_mm(story.plan.corner_mm, story.plan.size_mm, in_order)[box])
 
 
 def _signs(story: Story, box: int) -> list[str]:

@@ -7,8 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from petmjx.arguments import list_of, text_of
+from petmjx.checked import got
 from petmjx.errors import InputError
 from petmjx.plans.columns import as_column
+from petmjx.plans.fields import plan_id_fault
+from petmjx.plans.given import Given
 from petmjx.plans.plan import Plan
 from petmjx.plans.table import Refused, Table, sorted_columns, table_plans
 from petmjx.text import shown
@@ -28,14 +32,16 @@ def plan_from_boxes(
     boxes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None,
     arrays: Mapping[str, Any],
     more: Mapping[str, Any],
+    given: Given,
 ) -> Plan:
     """See ``Plan.from_boxes``.
 
     Raises:
         InputError: a field is missing, unknown or unusable, or fields have different lengths.
     """
-    if not isinstance(plan_id, str):
-        raise InputError(f"the plan id must be text, got {type(plan_id).__name__}")
+    text_of(plan_id, "plan_id")
+    if fault := plan_id_fault(plan_id):
+        raise InputError(fault)
     where = f"plan {shown(plan_id)}"
     columns = {**_columns_of(boxes, where), **_columns_of_arrays(arrays, where), **more}
     lengths = {name: _length(values, f"{where}: {name}") for name, values in columns.items()}
@@ -59,7 +65,7 @@ def plan_from_boxes(
     if unread:
         raise InputError(f"{where}: unknown field {shown(unread[0])}")
     table = Table({name: as_column(columns[names[index]]) for name, index in positions.items()}, (), np.arange(n_boxes))
-    (found_plan,) = table_plans(table, SOURCE, n_boxes, [])
+    (found_plan,) = table_plans(table, SOURCE, n_boxes, [], given)
     if isinstance(found_plan, Refused):
         raise InputError(found_plan.message.removeprefix(f"{SOURCE}: ").replace(", row ", ", box ", 1))
     return found_plan
@@ -69,9 +75,9 @@ def _columns_of(boxes: Any, where: str) -> dict[str, Any]:
     """Columns of a list of dictionaries, of a dictionary of lists, or of a data frame."""
     if boxes is None:
         return {}
-    if hasattr(boxes, "iloc") or isinstance(boxes, Mapping):
+    if isinstance(boxes, Mapping) or (hasattr(boxes, "iloc") and hasattr(boxes, "columns")):
         return {str(name): boxes[name] for name in boxes if name != "plan_id"}
-    rows = list(boxes)
+    rows: list[Any] = list_of(boxes, f"{where}: boxes", object, "dictionaries")
     if not all(isinstance(row, Mapping) for row in rows):
         raise InputError(f"{where}: boxes must be dictionaries, or one dictionary of lists")
     names = dict.fromkeys(str(name) for row in rows for name in row if name != "plan_id")
@@ -83,7 +89,10 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
     for argument, names in _ARRAYS.items():
         if arrays[argument] is None:
             continue
-        values = np.asarray(arrays[argument])
+        try:
+            values = np.asarray(arrays[argument])
+        except Exception:  # whatever an object says when it is asked for an array
+            raise InputError(f"{where}: {argument} must be an array of numbers, {got(arrays[argument])}") from None
         shape = (len(names),) if len(names) > 1 else ()
         if values.ndim != 1 + len(shape) or values.shape[1:] != shape:
             expected = "(n, 3)" if shape else "(n,)"
@@ -95,5 +104,5 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
 def _length(values: Any, what: str) -> int:
     try:
         return len(values)
-    except TypeError:
+    except Exception:  # whatever an object says when it is asked
         raise InputError(f"{what} must be a list of values, one for each box") from None

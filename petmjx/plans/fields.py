@@ -24,8 +24,12 @@ LARGEST_KG: Final = 10_000.0
 LONGEST_NAME: Final = 1000
 """Characters of a plan id, an item id, an article or a product group."""
 
-SIZES: Final = (SMALLEST_MM, LARGEST_MM, "millimetres")
-WEIGHTS: Final = (SMALLEST_KG, LARGEST_KG, "kilograms")
+_LIKE: Final = {
+    ("millimetres", False): (1000.0, "metres? then give units m"),
+    ("kilograms", False): (1000.0, "tonnes? then give units t"),
+    ("kilograms", True): (0.001, "grams? then give units g"),
+}
+"""The unit of a value, and whether it is too large → a factor that would make it usual, and what it may be in then."""
 
 _NUMBERS: Final = {int, float}
 _INT64: Final = np.iinfo(np.int64)
@@ -65,23 +69,29 @@ def number_fault(field: str, value: object) -> str | None:
 
 
 def positive_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """What is wrong with a size or mass (`SIZES`, `WEIGHTS`); None if nothing is."""
+    """What is wrong with a size or mass, of which the limits are in its unit; None if nothing is."""
     fault = number_fault(field, value)
     if fault is not None:
         return fault
     if value <= 0:
         return f"{field} must be > 0, got {kind(value)}"
     if not smallest <= value <= largest:
-        return f"{field} must be from {smallest:g} to {largest:g} ({unit}), got {kind(value)}"
+        factor, like = _LIKE.get((unit, value > largest), (0.0, ""))
+        likely = smallest <= factor * value <= largest
+        return _out_of_range(field, value, smallest, largest, unit) + (f"; in {like}" if likely else "")
     return None
 
 
-def coordinate_fault(field: str, value: Any) -> str | None:
-    """What is wrong with a coordinate, mm; None if nothing is."""
+def coordinate_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
+    """What is wrong with a coordinate; None if nothing is."""
     fault = number_fault(field, value)
-    if fault is None and abs(value) > FARTHEST_MM:
-        fault = f"{field} must be from {-FARTHEST_MM:g} to {FARTHEST_MM:g} (millimetres), got {kind(value)}"
+    if fault is None and not smallest <= value <= largest:
+        return _out_of_range(field, value, smallest, largest, unit)
     return fault
+
+
+def _out_of_range(field: str, value: Any, smallest: float, largest: float, unit: str) -> str:
+    return f"{field} must be from {smallest:g} to {largest:g} ({unit}), got {kind(value)}"
 
 
 def whole_fault(field: str, value: object) -> str | None:

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.arguments import list_of, path_of
 from petmjx.checked import similar
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
+from petmjx.plans.conventions import warn
 from petmjx.plans.forms import SupportsArrow
+from petmjx.plans.given import USUAL, Given
 from petmjx.plans.plan import Plan, PlanSet, Skipped
-from petmjx.plans.read import load_plans
+from petmjx.plans.read import read_plans, with_conventions
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
 from petmjx.text import counted, shown
@@ -24,6 +27,8 @@ PathArgument = str | PathLike[str]
 PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet | SupportsArrow
 """A file, a folder, several of them; a plan, a list of plans, or a ``PlanSet``; a data frame in the table form."""
 
+_SOURCES = "paths or Plan objects, or one of them, a PlanSet or a data frame"
+
 
 def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     """The plans that can be simulated; None: the bundled samples.
@@ -31,7 +36,16 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     Raises:
         InputError: there is none, or with ``options.strict`` a plan would be skipped.
     """
-    found = without_vanishing_boxes(gather_plans(plans, sim, options), sim.size_reduction_mm, options.strict)
+    usual = (options.units, options.anchor) == (USUAL.units, USUAL.anchor)
+    if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
+        given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
+        if any(isinstance(plan, Plan) for plan in given):
+            raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
+        plans = given
+    gathered = gather_plans(plans, sim, options)
+    told = plans.conventions if isinstance(plans, PlanSet) else ()
+    warn(line for line in gathered.conventions if line not in told)
+    found = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
     if not found.plans:
         first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
         raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
@@ -43,26 +57,36 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
-        return _each_id_once(plans, options)
+        return _with_conventions(_each_id_once(plans, options), sim)
     if isinstance(plans, SupportsArrow):
         return _load(plans, sim, options)
-    given = [plans] if isinstance(plans, str | PathLike | Plan) else list(plans)
+    alone = isinstance(plans, str | PathLike | Plan)
+    given: list[Any] = [plans] if alone else list_of(plans, "plans", object, _SOURCES)
     ready = [plan for plan in given if isinstance(plan, Plan)]
     if ready:
         if len(ready) != len(given):
-            raise InputError("give either paths or plans, not both")
-        return _each_id_once(PlanSet(ready), options)
-    return _load(given, sim, options)
+            raise InputError("plans: give either paths or plans, not both")
+        return _with_conventions(_each_id_once(PlanSet(ready), options), sim)
+    return _load([path_of(path, "plans") for path in given], sim, options)
 
 
 def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
-    extent_m = CARRIER_EXTENT_M[sim.carrier]
-    return load_plans(
+    return read_plans(
         given,
         limit=options.limit,
         strict=options.strict,
-        carrier_extent_mm=None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M),
+        extent_mm=_extent_mm(sim),
+        given=Given(options.units, options.anchor),
     )
+
+
+def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
+    extent_m = CARRIER_EXTENT_M[sim.carrier]
+    return None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M)
+
+
+def _with_conventions(found: PlanSet, sim: Simulation) -> PlanSet:
+    return with_conventions(found, _extent_mm(sim))
 
 
 def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.arguments import array_of, instance_of, list_of, text_of
 from petmjx.errors import InputError
 from petmjx.plans.warnings import PlanWarnings
+from petmjx.run_options import Anchor
 from petmjx.text import counted, shown
+from petmjx.units import PLAN_UNITS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,6 +48,40 @@ class Plan:
     orientation: NDArray[np.int64] | None = None
     product_groups: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Take lists for arrays, and refuse what no engine could use; from_boxes says which box it is.
+
+        Raises:
+            InputError: a field has another type or length, or a number is not finite or not positive.
+        """
+        text_of(self.plan_id, "plan_id")
+        text_of(self.source, "source")
+        fields: dict[str, Any] = {
+            "size_mm": array_of(self.size_mm, "size_mm", (3,)),
+            "corner_mm": array_of(self.corner_mm, "corner_mm", (3,)),
+            "mass_kg": array_of(self.mass_kg, "mass_kg", ()),
+            **{name: tuple(list_of(getattr(self, name), name, str, "text")) for name in ("item_ids", "articles")},
+            "sequence": _whole_numbers(self.sequence, "sequence"),
+        }
+        if self.orientation is not None:
+            fields["orientation"] = _whole_numbers(self.orientation, "orientation")
+            if not ((fields["orientation"] == 0) | (fields["orientation"] == 1)).all():
+                raise InputError("orientation must be 0 or 1 for each box")
+        groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
+        if groups:
+            fields["product_groups"] = groups
+        n_boxes = len(fields["mass_kg"])
+        if not n_boxes:
+            raise InputError("mass_kg must have a value for each box, got none")
+        for name, values in fields.items():
+            if len(values) != n_boxes:
+                raise InputError(f"{name} must have {counted(n_boxes, 'value')}, as mass_kg has, got {len(values)}")
+            object.__setattr__(self, name, values)
+        for name in ("size_mm", "mass_kg"):
+            if not fields[name].min() > 0:
+                raise InputError(f"{name} must be > 0, got {fields[name].min():g}")
+        object.__setattr__(self, "product_groups", groups)
+
     @classmethod
     def from_boxes(
         cls,
@@ -54,6 +91,8 @@ class Plan:
         size_mm: Any = None,
         corner_mm: Any = None,
         mass_kg: Any = None,
+        units: str = PLAN_UNITS,
+        anchor: Anchor = "corner",
         **columns: Any,
     ) -> Plan:
         """A plan from plain values, checked as those of files are.
@@ -70,16 +109,19 @@ class Plan:
                 length, width and height.
             corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
             mass_kg: (n,) kg.
+            units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) in all these, such as "cm,g".
+            anchor: the point of a box whose coordinates they have: ``corner``, ``centre``, ``base-centre`` or
+                ``far-corner``.
             columns: further fields as lists of n values.
 
         Raises:
             InputError: a field is missing, unknown or unusable; the line names the box and the field.
         """
         from petmjx.plans.boxes import plan_from_boxes
+        from petmjx.plans.given import Given
 
-        return plan_from_boxes(
-            plan_id, boxes, {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}, columns
-        )
+        arrays = {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}
+        return plan_from_boxes(plan_id, boxes, arrays, columns, Given.checked(units, anchor))
 
     @property
     def n_boxes(self) -> int:
@@ -97,6 +139,16 @@ class Plan:
 
     def __repr__(self) -> str:
         return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
+
+
+def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
+    """(n,) whole numbers."""
+    if isinstance(values, np.ndarray) and values.dtype == np.int64 and values.ndim == 1:
+        return values
+    array = array_of(values, name, ())
+    if (array % 1).any():
+        raise InputError(f"{name} must be whole numbers")
+    return np.asarray(values).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,14 +185,23 @@ class Skipped:
 class PlanSet:
     """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
 
-    ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box; ``notes``
-    has lines about all that was read, such as which fields nobody reads.
+    ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box;
+    ``conventions`` a line for each convention that plans seem to follow instead of petmjx's; ``notes`` lines about all
+    that was read, such as which fields nobody reads.
     """
 
     plans: list[Plan] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[PlanWarnings] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    conventions: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Raises InputError: ``plans`` is no list of plans."""
+        if not isinstance(self.plans, list) or not all(type(plan) is Plan for plan in self.plans):
+            object.__setattr__(self, "plans", list_of(self.plans, "plans", Plan, "Plan objects"))
+        for name in ("skipped", "warnings", "notes", "conventions"):
+            instance_of(getattr(self, name), name, list, "a list")
 
     def __len__(self) -> int:
         return len(self.plans)

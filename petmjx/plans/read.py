@@ -7,21 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from petmjx.checked import reason
+from petmjx.arguments import flag_of, list_of, number_of, path_of, whole_of
+from petmjx.checked import got, reason
 from petmjx.errors import InputError
+from petmjx.plans.conventions import find_conventions, warn
 from petmjx.plans.fields import LONGEST_NAME, Unread
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
+from petmjx.plans.given import Given
 from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.scan import Damage, describe, scan_plans
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.plans.validate import PlanError, parse_plan
 from petmjx.plans.warnings import check_layout
+from petmjx.run_options import Anchor
 from petmjx.text import counted, printable, shown
+from petmjx.units import PLAN_UNITS
 
 if TYPE_CHECKING:
     from petmjx.plans.table import Table
@@ -44,8 +49,12 @@ def load_plans(
     strict: bool = False,
     max_boxes: int = DEFAULT_MAX_BOXES,
     carrier_extent_mm: tuple[float, float] | None = None,
+    units: str = PLAN_UNITS,
+    anchor: Anchor = "corner",
 ) -> PlanSet:
     """Read and validate packing plans.
+
+    What looks like another convention than petmjx's, such as coordinates of centres, is told as a ``PlanWarning``.
 
     Args:
         paths: a file, a folder, or several of them; or a table of placements as a pandas data frame, or as anything
@@ -56,29 +65,66 @@ def load_plans(
         strict: raise at the first thing that would be skipped.
         max_boxes: plans with more boxes are skipped.
         carrier_extent_mm: x–y extent within which boxes are not reported as outside; None: the plan's footprint.
+        units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) as the plans have them, such as "cm,g".
+        anchor: the point of a box whose coordinates the plans have: ``corner``, the front-left-bottom one, ``centre``,
+            ``base-centre`` or ``far-corner``, the one with the largest x, y and z.
 
     Returns:
         The good plans. Bad plans, damaged spots and unusable files are in ``skipped``. Of plans with the same id the
         first good one is kept.
 
     Raises:
-        InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an option makes no
-            sense. With ``strict`` also if anything would be skipped.
+        InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument makes
+            no sense. With ``strict`` also if anything would be skipped.
     """
-    if limit is not None and limit < 1:
-        raise InputError(f"limit must be at least 1, got {limit}")
-    if max_boxes < 1:
-        raise InputError(f"max_boxes must be at least 1, got {max_boxes}")
-    loading = _Loading(limit, strict, max_boxes, carrier_extent_mm)
+    if limit is not None:
+        whole_of(limit, "limit", 1)
+    flag_of(strict, "strict")
+    whole_of(max_boxes, "max_boxes", 1)
+    if carrier_extent_mm is not None:
+        if len(list_of(carrier_extent_mm, "carrier_extent_mm", object, "numbers")) != 2:
+            raise InputError(f"carrier_extent_mm must be two numbers, {got(carrier_extent_mm)}")
+        for length in carrier_extent_mm:
+            number_of(length, "carrier_extent_mm", 0)
+    found = read_plans(
+        paths,
+        limit=limit,
+        strict=strict,
+        max_boxes=max_boxes,
+        extent_mm=carrier_extent_mm,
+        given=Given.checked(units, anchor),
+    )
+    warn(found.conventions)
+    return found
+
+
+def read_plans(
+    paths: str | PathLike[str] | Sequence[str | PathLike[str]] | SupportsArrow,
+    *,
+    limit: int | None,
+    strict: bool,
+    max_boxes: int = DEFAULT_MAX_BOXES,
+    extent_mm: tuple[float, float] | None,
+    given: Given,
+) -> PlanSet:
+    """As :func:`load_plans`, without a Python warning."""
+    loading = _Loading(limit, strict, max_boxes, extent_mm, given)
     if isinstance(paths, SupportsArrow):
         loading.read_frame(paths)
         return loading.done()
-    given = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
-    for file in _list_files([Path(path) for path in given]):
+    several = [paths] if isinstance(paths, (str, PathLike)) else list_of(paths, "plans", object, "paths")
+    for file in _list_files([path_of(path, "plans") for path in several]):
         loading.read_file(file)
         if loading.full:
             break
     return loading.done()
+
+
+def with_conventions(found: PlanSet, extent_mm: tuple[float, float] | None) -> PlanSet:
+    """The same plans with what is odd about them, and what that looks like."""
+    layouts = (check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm) for plan in found)
+    odd = [layout for layout in layouts if layout.any]
+    return replace(found, warnings=odd, conventions=find_conventions(found.plans, odd, extent_mm))
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
@@ -114,6 +160,7 @@ class _Loading:
     strict: bool
     max_boxes: int
     carrier_extent_mm: tuple[float, float] | None
+    given: Given
     found: PlanSet = field(default_factory=PlanSet)
     source_of: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
@@ -128,7 +175,7 @@ class _Loading:
     def done(self) -> PlanSet:
         """What was found, when all is read."""
         self.found.notes.extend(self.unread.notes())
-        return self.found
+        return with_conventions(self.found, self.carrier_extent_mm)
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
@@ -185,7 +232,7 @@ class _Loading:
         if not len(table.numbers) and not table.lost:
             self._skip(source, None, f"{source}: holds no plan")
         self.unread.update(dict.fromkeys(table.unread, len(table.numbers)))
-        with closing(table_plans(table, source, self.max_boxes, self.found.notes)) as plans:
+        with closing(table_plans(table, source, self.max_boxes, self.found.notes, self.given)) as plans:
             for plan in plans:
                 if isinstance(plan, Refused):
                     self._skip(source, plan.plan_id, plan.message)
@@ -220,7 +267,7 @@ class _Loading:
 
     def _take(self, source: str, plan_id: str, value: object) -> None:
         try:
-            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names, self.unread)
+            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names, self.unread, self.given)
         except PlanError as error:
             self._skip(source, plan_id, str(error), error)
         else:
@@ -236,9 +283,6 @@ class _Loading:
             return
         self.source_of[plan_id] = source
         self.found.plans.append(plan)
-        warnings = check_layout(plan_id, source, plan.corner_mm, plan.size_mm, self.carrier_extent_mm)
-        if warnings.any:
-            self.found.warnings.append(warnings)
 
     def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
         if self.strict:

@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.plans.columns import Column
 from petmjx.plans.fields import (
-    FARTHEST_MM,
-    SIZES,
-    WEIGHTS,
     coordinate_fault,
     missing_anywhere,
     missing_fault,
@@ -30,14 +27,14 @@ from petmjx.plans.fields import (
     too_many_boxes,
     whole_fault,
 )
+from petmjx.plans.given import USUAL, Given, Limits
 from petmjx.plans.plan import Plan
 from petmjx.text import counted, first_names, shown
 from petmjx.units import FloatArray
 
 _SIZE: Final = ("length_mm", "width_mm", "height_mm")
-_RANGES: Final = {**dict.fromkeys(_SIZE, SIZES), "weight_kg": WEIGHTS}
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")
-NEEDED: Final = ("plan_id", "sequence", "article", *_RANGES, *_CORNER)
+NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
 """Columns that every table has."""
 OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence")
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
@@ -46,7 +43,7 @@ _TEXTS: Final = ("article", "item_id", "product_group")
 _NAMES: Final = ("plan_id", *_TEXTS)
 _MAY_LACK: Final = ("item_id", "product_group")
 """Columns that may have no value in a row."""
-_ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in _RANGES}
+_ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg")}
 """BED-BPP's own spelling of sizes and weights."""
 
 
@@ -115,15 +112,18 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
     return found, unread
 
 
-def table_plans(table: Table, source: str, max_boxes: int, notes: list[str]) -> Generator[Plan | Refused, None, None]:
+def table_plans(
+    table: Table, source: str, max_boxes: int, notes: list[str], given: Given = USUAL
+) -> Generator[Plan | Refused, None, None]:
     """The plans of a table in the order in which they appear, and what is refused.
 
     Args:
         source: the file, for messages.
         max_boxes: plans with more boxes are refused.
         notes: gets a line on plans whose ``sequence`` has gaps.
+        given: units and point of its numbers.
     """
-    return _Reading(table, source, max_boxes, notes).plans()
+    return _Reading(table, source, max_boxes, notes, given).plans()
 
 
 @dataclass(eq=False)
@@ -134,6 +134,7 @@ class _Reading:
     source: str
     max_boxes: int
     notes: list[str]
+    given: Given
     gaps: list[str] = field(default_factory=list)
 
     def plans(self) -> Generator[Plan | Refused, None, None]:
@@ -169,14 +170,21 @@ class _Reading:
 
     @cached_property
     def _numbers(self) -> dict[str, FloatArray]:
-        """Sizes, weights and coordinates; NaN where a value cannot be used."""
+        """Sizes, weights and coordinates, mm and kg; NaN where a value cannot be used."""
         found = {}
-        for name in (*_RANGES, *_CORNER):
+        for name, (low, high, _) in self._limits.items():
             numbers, usable = self.table.columns[name].numbers()
-            low, high = _RANGES[name][:2] if name in _RANGES else (-FARTHEST_MM, FARTHEST_MM)
+            unit = self.given.mass_kg if name == "weight_kg" else self.given.length_mm
             # comparisons with NaN are false
-            found[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers, np.nan)
+            found[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers * unit, np.nan)
         return found
+
+    @cached_property
+    def _limits(self) -> dict[str, Limits]:
+        given = self.given
+        return (
+            dict.fromkeys(_SIZE, given.sizes) | {"weight_kg": given.weights} | dict.fromkeys(_CORNER, given.coordinates)
+        )
 
     @cached_property
     def _whole(self) -> dict[str, tuple[NDArray[np.int64], NDArray[np.bool_]]]:
@@ -230,7 +238,6 @@ class _Reading:
         order, number, whole, texts = self._order, self._numbers, self._whole, self._texts
         size = np.stack([number[name][order] for name in _SIZE], axis=1)
         found: dict[str, NDArray[Any]] = {
-            "corner": np.stack([number[name][order] for name in _CORNER], axis=1),
             "mass": number["weight_kg"][order],
             "number": whole["sequence"][0][order],
             "sequence": whole["order_sequence" if "order_sequence" in whole else "sequence"][0][order],
@@ -239,7 +246,8 @@ class _Reading:
         if "orientation" in whole:
             found["orientation"] = turned = whole["orientation"][0][order]
             size[turned == 1, :2] = size[turned == 1, 1::-1]
-        return {"size": size, **found}
+        point = np.stack([number[name][order] for name in _CORNER], axis=1)
+        return {"size": size, "corner": self.given.corner_mm(point, size), **found}
 
     # One plan.
 
@@ -304,9 +312,9 @@ class _Reading:
         faults = (
             *(whole_fault(name, _whole_value(raw[name])) for name in ("sequence", "order_sequence") if name in raw),
             *(text_fault(name, value) for name, value in texts.items()),
-            *(positive_fault(name, raw[name], *limits) for name, limits in _RANGES.items()),
+            *(positive_fault(name, raw[name], *self._limits[name]) for name in (*_SIZE, "weight_kg")),
             orientation_fault(_whole_value(raw["orientation"])) if "orientation" in raw else None,
-            *(coordinate_fault(name, raw[name]) for name in _CORNER),
+            *(coordinate_fault(name, raw[name], *self._limits[name]) for name in _CORNER),
         )
         return next(filter(None, faults), None)
 

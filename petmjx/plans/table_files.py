@@ -197,12 +197,16 @@ def frame_table(frame: Any) -> Table:
     Raises:
         TableError: it lacks a column. The text does not name it.
     """
-    if hasattr(frame, "iloc"):  # pandas: columns one by one, since some may be of several types
+    if hasattr(frame, "iloc") and hasattr(frame, "columns"):
+        # pandas: columns one by one, since some may be of several types
         names = [str(name) for name in frame.columns]
         where, unread = sorted_columns(names)
         columns = {name: as_column(frame.iloc[:, index]) for name, index in where.items()}
         return Table(columns, unread, np.arange(len(frame)))
-    rows = pa.table(frame)
+    try:
+        rows = pa.table(frame)
+    except (pa.ArrowException, TypeError, ValueError) as error:  # a single column
+        raise TableError(f"is no table: {reason(error)}") from error
     where, unread = sorted_columns(rows.column_names)
     columns = {name: as_column(rows.column(index)) for name, index in where.items()}
     return Table(columns, unread, np.arange(rows.num_rows))

@@ -13,10 +13,8 @@ from petmjx.plans.fields import (
     LARGEST_KG,
     LARGEST_MM,
     LONGEST_NAME,
-    SIZES,
     SMALLEST_KG,
     SMALLEST_MM,
-    WEIGHTS,
     Unread,
     coordinate_fault,
     kind,
@@ -29,11 +27,13 @@ from petmjx.plans.fields import (
     too_many_boxes,
     whole_fault,
 )
+from petmjx.plans.given import USUAL, Given
 from petmjx.plans.plan import Plan
 from petmjx.text import is_text, shown
 
-_RANGES: Final = {**dict.fromkeys(("length/mm", "width/mm", "height/mm"), SIZES), "weight/kg": WEIGHTS}
-_NEEDED: Final = ("article", "id", *_RANGES, "sequence")
+_SIZES: Final = ("length/mm", "width/mm", "height/mm")
+_NUMBERS_OF_ITEM: Final = (*_SIZES, "weight/kg")
+_NEEDED: Final = ("article", "id", *_NUMBERS_OF_ITEM, "sequence")
 _ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group"})
 _OF_PLACEMENT: Final = ("item", "orientation", "flb_coordinates")
 _PLACEMENT_FIELDS: Final = frozenset(_OF_PLACEMENT)
@@ -51,6 +51,7 @@ def parse_plan(
     max_boxes: int,
     names: dict[str, str],
     unread: Unread | None = None,
+    given: Given = USUAL,
 ) -> Plan:
     """Validate one decoded plan.
 
@@ -59,6 +60,7 @@ def parse_plan(
         max_boxes: plans with more boxes are refused, never cut.
         names: item ids and articles read so far; equal ones share one string (BED-BPP repeats each about 20 times).
         unread: counts the fields of a good plan that nobody reads.
+        given: units and point of its numbers.
 
     Raises:
         PlanError: naming file, plan, placement (counted from 0, as boxes are everywhere) and field.
@@ -73,13 +75,13 @@ def parse_plan(
         raise PlanError(f"{where}: has no placement")
     if len(value) > max_boxes:
         raise PlanError(f"{where}: {too_many_boxes(len(value), max_boxes)}")
-    plan = _parse_columns(plan_id, source, value, names)
+    plan = _parse_columns(plan_id, source, value, names, given)
     if plan is None:
         missing = _all_missing(value)
         if missing is not None:
             raise PlanError(f"{where}: {missing}")
         for index, placement in enumerate(value):
-            fault = find_fault(placement)
+            fault = find_fault(placement, given)
             if fault is not None:
                 raise PlanError(f"{where}, placement {index}: {fault}")
         raise PlanError(f"{where}: is unusable")
@@ -96,7 +98,7 @@ def _count_unread(placements: list[dict[str, Any]], unread: Unread) -> None:
             unread.add(placement["item"], _ITEM_FIELDS, "item.")
 
 
-def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str, str]) -> Plan | None:
+def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str, str], given: Given) -> Plan | None:
     """Read all placements column by column; None if anything is wrong.
 
     10,003 plans have 3 million numbers, so a good plan is checked in C, over whole columns. For a bad plan `find_fault`
@@ -106,7 +108,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         items = [placement["item"] for placement in value]
         corners = [placement["flb_coordinates"] for placement in value]
         orientations = [placement["orientation"] for placement in value]
-        columns = [[item[field] for item in items] for field in _RANGES]
+        columns = [[item[field] for item in items] for field in _NUMBERS_OF_ITEM]
         sequences = [item["sequence"] for item in items]
         ids = [item["id"] for item in items]
         articles = [item["article"] for item in items]
@@ -129,17 +131,17 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         return None
     try:
         numbers = np.array(columns, dtype=np.float64)
-        corner = np.array(coordinates, dtype=np.float64).reshape(-1, 3)
+        point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
         sequence = np.array(sequences, dtype=np.int64)
     except OverflowError:
         return None
-    size = np.ascontiguousarray(numbers[:3].T)
-    mass = numbers[3].copy()
+    size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
+    mass = numbers[3] * given.mass_kg
     # Comparisons with NaN are false, so each range also refuses NaN.
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
-        and (np.abs(corner) <= FARTHEST_MM).all()
+        and (np.abs(point) <= FARTHEST_MM).all()
     )
     if not in_range:
         return None
@@ -150,7 +152,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         plan_id=plan_id,
         source=source,
         size_mm=size,
-        corner_mm=corner,
+        corner_mm=given.corner_mm(point, size),
         mass_kg=mass,
         item_ids=tuple([names.setdefault(name, name) for name in ids]),
         articles=tuple([names.setdefault(name, name) for name in articles]),
@@ -160,7 +162,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
     )
 
 
-def find_fault(placement: object) -> str | None:
+def find_fault(placement: object, given: Given = USUAL) -> str | None:
     """What is wrong with one placement, in the order of the fields; None if nothing is."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
@@ -175,10 +177,11 @@ def find_fault(placement: object) -> str | None:
         text_fault("article", item["article"])
         or text_fault("id", item["id"])
         or (None if group is None else text_fault("product_group", group))
-        or next(filter(None, (positive_fault(field, item[field], *_RANGES[field]) for field in _RANGES)), None)
+        or next(filter(None, (positive_fault(field, item[field], *given.sizes) for field in _SIZES)), None)
+        or positive_fault("weight/kg", item["weight/kg"], *given.weights)
         or whole_fault("sequence", item["sequence"])
         or orientation_fault(placement["orientation"])
-        or _corner_fault(placement["flb_coordinates"])
+        or _corner_fault(placement["flb_coordinates"], given)
     )
 
 
@@ -199,10 +202,12 @@ def _all_missing(placements: list[Any]) -> str | None:
     return missing_anywhere(missing, "placement")
 
 
-def _corner_fault(corner: object) -> str | None:
+def _corner_fault(corner: object, given: Given) -> str | None:
     if not isinstance(corner, list):
         return f"flb_coordinates must be a list of 3 numbers, got {kind(corner)}"
     if len(corner) != 3:
         return f"flb_coordinates must be 3 numbers, got {len(corner)}"
-    faults = (coordinate_fault(f"flb_coordinates[{axis}]", value) for axis, value in enumerate(corner))
+    faults = (
+        coordinate_fault(f"flb_coordinates[{axis}]", value, *given.coordinates) for axis, value in enumerate(corner)
+    )
     return next(filter(None, faults), None)

@@ -8,27 +8,33 @@ boxes stand.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.text import counted
+from petmjx.text import counted, shown, three_digits
 from petmjx.units import FloatArray
 
-DEFAULT_TOLERANCE_MM = 0.5
+DEFAULT_TOLERANCE_MM: Final = 0.5
 """Gaps and overlaps up to this count as touching. Plans are written in whole millimetres, in which neighbours touch:
 half of the last digit separates rounding from intent."""
 
 
+MOST_NAMED: Final = 3
+"""Boxes, or pairs of them, that a warning names."""
+
+
 @dataclass(frozen=True, slots=True)
 class PlanWarnings:
-    """What is odd about one plan, as counts.
+    """What is odd about one plan, as counts and with the boxes that come first in packing order.
 
     Attributes:
         plan_id, source: which plan, and the file it came from.
         n_overlapping_pairs: pairs of boxes that share more than the tolerance along all three axes.
         n_outside: boxes that reach beyond the carrier or below its top.
         n_floating: boxes with nothing under them at the moment they are placed.
+        overlapping, outside, floating: the first ``MOST_NAMED`` of each, in words: "3 and 7", "3", "3 by 100 mm".
     """
 
     plan_id: str
@@ -36,6 +42,9 @@ class PlanWarnings:
     n_overlapping_pairs: int
     n_outside: int
     n_floating: int
+    overlapping: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()
+    floating: tuple[str, ...] = ()
 
     @property
     def any(self) -> bool:
@@ -43,12 +52,16 @@ class PlanWarnings:
 
     def __str__(self) -> str:
         counts = (
-            (self.n_overlapping_pairs, "overlapping pair", "overlapping pairs"),
-            (self.n_outside, "box outside the carrier", "boxes outside the carrier"),
-            (self.n_floating, "floating box", "floating boxes"),
+            (self.n_overlapping_pairs, self.overlapping, "overlapping pair", "overlapping pairs"),
+            (self.n_outside, self.outside, "box outside the carrier", "boxes outside the carrier"),
+            (self.n_floating, self.floating, "floating box", "floating boxes"),
         )
-        found = ", ".join(counted(count, one, many) for count, one, many in counts if count)
-        return f"{self.source}: plan {self.plan_id}: {found or 'nothing odd'}"
+        found = [
+            f"{counted(count, one, many)} ({', '.join([*first, *(['…'] if count > len(first) else [])])})"
+            for count, first, one, many in counts
+            if count
+        ]
+        return f"{self.source}: plan {shown(self.plan_id)}: {', '.join(found) or 'nothing odd'}"
 
 
 def check_layout(
@@ -59,7 +72,7 @@ def check_layout(
     carrier_extent_mm: tuple[float, float] | None = None,
     tolerance_mm: float = DEFAULT_TOLERANCE_MM,
 ) -> PlanWarnings:
-    """Count what is odd about one plan's layout.
+    """Count and name what is odd about one plan's layout.
 
     Args:
         carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's
@@ -67,13 +80,36 @@ def check_layout(
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side = _shared(low[0], high[0], tolerance_mm) & _shared(low[1], high[1], tolerance_mm)
+    overlapping = side_by_side & _shared(low[2], high[2], tolerance_mm)
+    thick_enough = ((high - low) > tolerance_mm).all(axis=0)
+    # The matrix is symmetric, and its diagonal says of each box whether it overlaps itself.
+    n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(thick_enough)) // 2)
+    outside = _outside(low, high, carrier_extent_mm, tolerance_mm)
+    gap = _gaps(low, high, side_by_side, tolerance_mm)
+    floating = np.flatnonzero(gap > tolerance_mm)
+    first_pairs = np.argwhere(np.triu(overlapping, k=1))[:MOST_NAMED] if n_pairs else ()
     return PlanWarnings(
         plan_id,
         source,
-        _count_overlapping_pairs(low, high, side_by_side, tolerance_mm),
-        _count_outside(low, high, carrier_extent_mm, tolerance_mm),
-        _count_floating(low, high, side_by_side, tolerance_mm),
+        n_pairs,
+        int(np.count_nonzero(outside)),
+        len(floating),
+        tuple(f"{one} and {other}" for one, other in first_pairs),
+        tuple(str(box) for box in np.flatnonzero(outside)[:MOST_NAMED]),
+        tuple(f"{box} by {three_digits(gap[box])} mm" for box in floating[:MOST_NAMED]),
     )
+
+
+def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -> FloatArray:
+    """(n,) how far each box is above what is under it, the carrier's top or a box, mm; 0 where one reaches into it.
+
+    Args:
+        in_order: whether only boxes that are placed before it are there; else all of them.
+    """
+    low, high = corner_mm.T, (corner_mm + size_mm).T
+    tolerance = DEFAULT_TOLERANCE_MM
+    side_by_side = _shared(low[0], high[0], tolerance) & _shared(low[1], high[1], tolerance)
+    return _gaps(low, high, side_by_side, tolerance, in_order)
 
 
 def _shared(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
@@ -82,37 +118,34 @@ def _shared(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[n
     return length > tolerance_mm
 
 
-def _count_overlapping_pairs(
-    low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float
-) -> int:
-    both = side_by_side & _shared(low[2], high[2], tolerance_mm)
-    thick_enough = ((high - low) > tolerance_mm).all(axis=0)
-    # The matrix is symmetric, and its diagonal says of each box whether it overlaps itself.
-    return int((np.count_nonzero(both) - np.count_nonzero(thick_enough)) // 2)
-
-
-def _count_outside(
-    low: FloatArray,
-    high: FloatArray,
-    carrier_extent_mm: tuple[float, float] | None,
-    tolerance_mm: float,
-) -> int:
-    outside = low[2] < -tolerance_mm
+def _outside(
+    low: FloatArray, high: FloatArray, carrier_extent_mm: tuple[float, float] | None, tolerance_mm: float
+) -> NDArray[np.bool_]:
+    """(n,) whether a box reaches beyond the carrier."""
+    outside: NDArray[np.bool_] = low[2] < -tolerance_mm
     if carrier_extent_mm is not None:
         outside |= (low[:2] < -tolerance_mm).any(axis=0)
         outside |= (high[0] > carrier_extent_mm[0] + tolerance_mm) | (high[1] > carrier_extent_mm[1] + tolerance_mm)
-    return int(np.count_nonzero(outside))
+    return outside
 
 
-def _count_floating(low: FloatArray, high: FloatArray, side_by_side: NDArray[np.bool_], tolerance_mm: float) -> int:
-    """Boxes above the carrier's top that no earlier box supports from below.
+def _gaps(
+    low: FloatArray,
+    high: FloatArray,
+    side_by_side: NDArray[np.bool_],
+    tolerance_mm: float,
+    in_order: bool = True,
+) -> FloatArray:
+    """(n,) mm from each box down to the highest thing that begins below it, the carrier's top or a box.
 
     A box into which another one reaches from below counts as overlapping, not as floating. A box that is placed before
     the box under it floats: placed one by one, it falls.
     """
     bottom, top = low[2], high[2]
-    begins_below = np.less.outer(bottom, bottom)
-    reaches_up = np.greater_equal.outer(top, bottom - tolerance_mm)
     # Row: supporter, column: the box above it; supporters are earlier in packing order.
-    supports = np.triu(side_by_side & begins_below & reaches_up, k=1)
-    return int(np.count_nonzero((bottom > tolerance_mm) & ~supports.any(axis=0)))
+    below = side_by_side & np.less.outer(bottom, bottom)
+    if in_order:
+        below = np.triu(below, k=1)
+    support = np.where(below, top[:, None], 0.0).max(axis=0, initial=0.0)
+    gap: FloatArray = np.maximum(bottom - support, 0.0)
+    return gap

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
+from petmjx.arguments import list_of, path_of
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
@@ -41,7 +42,8 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
     Raises:
         InputError: another ending, no plan, two of one id, or a path that cannot be written.
     """
-    file, chosen = Path(path), [plans] if isinstance(plans, Plan) else list(plans)
+    file = path_of(path, "path")
+    chosen = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", Plan, "Plan objects")
     write = _writer_for(file)
     if not chosen:
         raise InputError(f"{printable(str(file))}: there is no plan to write")

@@ -15,8 +15,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from petmjx.arguments import flag_of, path_of
 from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples.order_files import read_orders
@@ -88,9 +90,13 @@ def kpis(
     Raises:
         InputError: no usable plan or order, or a run of other plans.
     """
+    flag_of(strict, "strict")
+    flag_of(assume_stable, "assume_stable")
+    orders = path_of(orders, "orders")
     if assume_stable and run:
         raise InputError("give either runs or assume_stable (--assume-stable): a run says itself which plans stand")
     read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
+    warn(read.conventions)
     by_id = {plan.plan_id: plan for plan in read.plans}
     skipped = [str(each) for each in read.skipped]
     wanted: dict[str, Order] = {}

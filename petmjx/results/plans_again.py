@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from petmjx.config import Simulation
 from petmjx.plans.gather import PlanSource, gather_plans
@@ -32,11 +33,15 @@ class PlansAgain:
 
 
 def find_plans(
-    records: Mapping[str, PlanRecord], wanted: Collection[str], given: PlanSource | None = None
+    info: Mapping[str, Any],
+    records: Mapping[str, PlanRecord],
+    wanted: Collection[str],
+    given: PlanSource | None = None,
 ) -> PlansAgain:
     """Read the plans of a run, and take those that are what it simulated.
 
     Args:
+        info: the run's ``run.json``.
         records: what the run says of its plans, by id; of a plan without a record any version is taken.
         wanted: ids of the plans to find.
         given: where they are now; None: the files that the run names.
@@ -51,7 +56,7 @@ def find_plans(
         given = [file for file in files.values() if file is not None]
     read: dict[str, Plan] = {}
     if not isinstance(given, list) or given:
-        read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), RunOptions())}
+        read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(info))}
     there = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
     changed = {name for name, plan in there.items() if name in records and records[name].digest != plan_digest(plan)}
     return PlansAgain(
@@ -60,6 +65,16 @@ def find_plans(
         changed=tuple(sorted(changed)),
         gone=tuple(gone),
     )
+
+
+def how_read(info: Mapping[str, Any]) -> RunOptions:
+    """The options with which a run read its plans: units and anchor.
+
+    Raises:
+        InputError: they are damaged.
+    """
+    config = info.get("config", {})
+    return RunOptions(**{name: config[name] for name in ("units", "anchor") if name in config})
 
 
 def file_again(source: str) -> Path | None:

@@ -10,12 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from petmjx.arguments import flag_of, path_of
 from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.reader import RunResults, load_run
-from petmjx.run_options import RunOptions
+from petmjx.run_options import Anchor, RunOptions
 from petmjx.statics.answers import Answers, answer
 from petmjx.statics.friction import Friction
 from petmjx.statics.judged import best_thresholds, judge
@@ -23,6 +25,7 @@ from petmjx.statics.options import CriteriaOptions
 from petmjx.statics.record import CriteriaResults, check_free
 from petmjx.statics.tables import boxes_frame, plans_frame
 from petmjx.text import counted, shown
+from petmjx.units import PLAN_UNITS
 
 CHUNK: Final = 16
 """Plans that a process takes at a time: half a second of force balance."""
@@ -36,6 +39,8 @@ def criteria(
     overwrite: bool = False,
     limit: int | None = None,
     strict: bool = False,
+    units: str = PLAN_UNITS,
+    anchor: Anchor = "corner",
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> CriteriaResults:
@@ -51,6 +56,7 @@ def criteria(
         overwrite: whether tables that are there are replaced.
         limit: at most so many plans.
         strict: raise at the first plan that would be skipped.
+        units, anchor: of files and data frames, as for ``petmjx.load_plans``.
         progress: called with the number of plans done, and of all.
         options: fields of ``petmjx.statics.options.CriteriaOptions``: ``friction``, ``side_friction``,
             ``tolerance_mm``, ``only``, ``processes``, ``seed``. With ``processes`` a script needs its ``if __name__``.
@@ -59,11 +65,15 @@ def criteria(
         InputError: unusable plans, run or options; or SciPy or shapely is missing.
     """
     chosen = CriteriaOptions(**options)
+    flag_of(overwrite, "overwrite")
+    read = RunOptions(limit=limit, strict=strict, units=units, anchor=anchor)
     _need_packers()
     if out is not None:
-        check_free(Path(out), overwrite)
+        out = path_of(out, "out")
+        check_free(out, overwrite)
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
-    found = gather_plans(plans, Simulation(), RunOptions(limit=limit, strict=strict))
+    found = gather_plans(plans, Simulation(), read)
+    warn(found.conventions)
     if not found.plans:
         first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
         raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")

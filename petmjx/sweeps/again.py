@@ -13,9 +13,8 @@ from petmjx.plans.gather import PlanSource, find_plan, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
 from petmjx.results.manifest import Manifest, plan_digest
-from petmjx.results.plans_again import file_again
+from petmjx.results.plans_again import file_again, how_read
 from petmjx.results.reader import RunResults
-from petmjx.run_options import RunOptions
 from petmjx.sweeps.confidence import confidence_sweep
 from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
 from petmjx.sweeps.identity import sweep_identity
@@ -37,7 +36,8 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
         among = f"is not among its {counted(len(manifest.plans), 'plan')}{similar(plan_id, manifest.plans)}"
         raise InputError(f"{run.path}: plan {shown(plan_id)} {among}")
     known = manifest.plans[plan_id]
-    plan = find_plan(gather_plans(plans or _file(run, plan_id, known.source), Simulation(), RunOptions()), plan_id)
+    given = plans or _file(run, plan_id, known.source)
+    plan = find_plan(gather_plans(given, Simulation(), how_read(run.info)), plan_id)
     if plan_digest(plan) != known.digest:
         raise InputError(f"{plan.source}: plan {shown(plan_id)} is not the one that {run.path} was made of: it changed")
     return plan

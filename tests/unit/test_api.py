@@ -172,7 +172,7 @@ def test_a_plan_is_found_by_its_id_or_why_not_is_said() -> None:
 
 
 def test_a_box_that_the_size_reduction_eats_is_named() -> None:
-    thin = make_plan("thin", stack(2, size_mm=(400.0, 300.0, 0.05)))
+    thin = make_plan("thin", stack(2, size_mm=(400.0, 300.0, 0.05), kg=0.005))
     results = petmjx.score([STANDS, thin], engine="mujoco")
     [skipped] = results.info["skipped"]
     assert skipped["error"] == (

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "machine", "bounded", "checked", "whole", "config"}),
+    frozenset({"errors", "text", "units", "machine", "bounded", "checked", "arguments", "whole", "config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),

@@ -166,7 +166,7 @@ def test_a_run_has_them_beside_its_verdicts(orders: Path) -> None:
 
 
 def test_a_plan_that_cannot_be_used_leaves_its_order_without_one(orders: Path) -> None:
-    results = score(plans=[A, make_plan("b", [((0.1, 1.0, 1.0), (0.0, 0.0, 0.0), 1.0)])], orders=orders)
+    results = score(plans=[A, make_plan("b", [((0.1, 300.0, 200.0), (0.0, 0.0, 0.0), 0.005)])], orders=orders)
     assert [entry["plan_id"] for entry in results.info["skipped"]] == ["b"]
     assert results.info["orders"]["without_plan"] == ["b", "c", "lost"]
 

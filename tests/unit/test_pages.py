@@ -184,6 +184,9 @@ def test_a_story_in_words() -> None:
     assert first_box_in_words(story) == (
         "Box 2 (milk) went first: at 0.80 s it was tilted by 45.8° (limit 20°) and had shifted by 400 mm (limit 20 mm)."
     )
+    high = story.plan.corner_mm + np.array([0, 0, 100.0]) * (np.arange(3)[:, None] == story.outcome.culprit)
+    planned = first_box_in_words(replace(story, plan=replace(story.plan, corner_mm=high)))
+    assert planned.startswith("Box 2 (milk) was planned 100 mm in the air and went first: at 0.80 s it was tilted")
     standing = standing_story()
     assert first_box_in_words(standing) == ""
     assert reason_in_words(standing) == "no box shifted by more than 20 mm, tilted by more than 20° or dropped"

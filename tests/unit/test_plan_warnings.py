@@ -66,6 +66,6 @@ def test_odd_plans_are_kept_and_reported_with_counts() -> None:
     assert len(found) == 3
     assert found.skipped == []
     assert [str(w) for w in found.warnings] == [
-        "p.json: plan odd: 1 box outside the carrier, 1 floating box",
-        "p.json: plan more: 4 overlapping pairs, 2 boxes outside the carrier",
+        "p.json: plan odd: 1 box outside the carrier (0), 1 floating box (1 by 50 mm)",
+        "p.json: plan more: 4 overlapping pairs (0 and 1, 0 and 2, 1 and 2, …), 2 boxes outside the carrier (0, 3)",
     ]

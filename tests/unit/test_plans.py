@@ -89,10 +89,10 @@ def test_extra_fields_are_ignored_also_nested_lists_of_objects() -> None:
 
 
 def test_plans_show_themselves_briefly() -> None:
-    plans = {"s0-000003": tower(41), "odd": [placement(corner=(0, 0, 500))], "bad": []}
+    plans = {"s0-000003": tower(41), "odd": [placement(), placement(corner=(0, 0, 500))], "bad": []}
     found = load_plans(write(Path("p.json"), plans))
     assert repr(found) == "PlanSet(2 plans, 1 skipped, 1 odd)"
-    assert [repr(plan) for plan in found] == ["Plan('s0-000003', 41 boxes)", "Plan('odd', 1 box)"]
+    assert [repr(plan) for plan in found] == ["Plan('s0-000003', 41 boxes)", "Plan('odd', 2 boxes)"]
 
 
 def test_real_plans_are_read_without_complaint(real_data: Path) -> None:

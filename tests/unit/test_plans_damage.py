@@ -19,6 +19,8 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan, PlanSet
 from petmjx.plans.read import load_plans
 
+pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # boxes at random places look like anything
+
 N_PLANS = 14
 
 

@@ -46,7 +46,11 @@ FIELD_FAULTS = [
     ([*ITEM, "weight/kg"], float("nan"), "weight/kg must be finite, got NaN"),
     ([*ITEM, "weight/kg"], 1e-9, "weight/kg must be from 0.001 to 10000 (kilograms), got 1e-09"),
     ([*ITEM, "length/mm"], float("inf"), "length/mm must be finite, got Infinity"),
-    ([*ITEM, "length/mm"], 0.6, "length/mm must be from 1 to 4000 (millimetres), got 0.6"),
+    (
+        [*ITEM, "length/mm"],
+        0.6,
+        "length/mm must be from 1 to 4000 (millimetres), got 0.6; in metres? then give units m",
+    ),
     ([*ITEM, "width/mm"], 10**400, "width/mm must be finite, got an integer of more than 60 digits"),
     ([*ITEM, "width/mm"], [400], "width/mm must be a number, got a list"),
     ([*ITEM, "height/mm"], MISSING, "height/mm is missing"),
@@ -70,7 +74,11 @@ FIELD_FAULTS = [
     (CORNER, "000", 'flb_coordinates must be a list of 3 numbers, got "000"'),
     ([*CORNER, 1], float("-inf"), "flb_coordinates[1] must be finite, got -Infinity"),
     ([*ITEM, "height/mm"], 4000.5, "height/mm must be from 1 to 4000 (millimetres), got 4000.5"),
-    ([*ITEM, "weight/kg"], 1e5, "weight/kg must be from 0.001 to 10000 (kilograms), got 100000.0"),
+    (
+        [*ITEM, "weight/kg"],
+        1e5,
+        "weight/kg must be from 0.001 to 10000 (kilograms), got 100000.0; in grams? then give units g",
+    ),
     ([*CORNER, 2], False, "flb_coordinates[2] must be a number, got false"),
     ([*CORNER, 0], -1e300, "flb_coordinates[0] must be from -20000 to 20000 (millimetres), got -1e+300"),
 ]

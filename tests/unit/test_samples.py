@@ -205,9 +205,10 @@ def test_written_samples_read_back_plain_and_gzipped(tmp_path: Path, plans: dict
     ("n", "seed", "loose_share", "text"),
     [
         (0, 0, 0.5, "at least 1"),
-        (1, -1, 0.5, "negative"),
-        (1, 0, 1.5, "between 0 and 1"),
-        (1, 0, float("nan"), "between"),
+        (200_001, 0, 0.5, "n must be at most 200,000, got 200001"),
+        (1, -1, 0.5, "seed must be at least 0"),
+        (1, 0, 1.5, "loose_share must be at most 1"),
+        (1, 0, float("nan"), "loose_share must be finite"),
     ],
 )
 def test_unusable_options_are_refused(n: int, seed: int, loose_share: float, text: str) -> None:

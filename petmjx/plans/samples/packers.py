@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from petmjx.checked import hint
+from petmjx.checked import got, hint
 from petmjx.errors import InputError
 from petmjx.plans.samples.balanced import pack_balanced
 from petmjx.plans.samples.orders import Item
@@ -54,6 +54,8 @@ def packer_named(name: str) -> Packer:
     Raises:
         InputError: there is none.
     """
+    if not isinstance(name, str):
+        raise InputError(f"packer must be text, {got(name)}")
     if name not in PACKERS:
         raise InputError(f"unknown packer {shown(name)}; {hint(name, list(PACKERS))}")
     return PACKERS[name]

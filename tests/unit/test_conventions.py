@@ -1,0 +1,235 @@
+"""Mistakes of convention: what users give instead of petmjx's plans is named, in every form of input."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.plans import make_plan
+
+import petmjx
+from petmjx.cli import main
+from petmjx.config import Carrier, Simulation
+from petmjx.errors import InputError, PlanWarning
+from petmjx.plans.gather import gather_plans
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import bundled_path, generate
+from petmjx.run_options import RunOptions
+from petmjx.units import FloatArray
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+SOUND = next(plan for plan in petmjx.load_plans(bundled_path()) if plan.plan_id == "s0-000003")
+
+SIZES, CORNERS, MASS = ["length_mm", "width_mm", "height_mm"], ["x_mm", "y_mm", "z_mm"], "weight_kg"
+
+
+class Boxes(NamedTuple):
+    """The numbers of a plan, as somebody gives them, in packing order."""
+
+    size: FloatArray
+    corner: FloatArray
+    mass: FloatArray
+
+
+class Mistake(NamedTuple):
+    """What somebody makes of a right plan, the words that name it, and the options that read it rightly, if any."""
+
+    made: Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+    named: str
+    options: dict[str, str] | None = None
+
+
+MISTAKES = {
+    "centres": Mistake(lambda s, c, m: (s, c + s / 2, m), "of centres, not of corners", {"anchor": "centre"}),
+    "centres of bases": Mistake(
+        lambda s, c, m: (s, c + s * [0.5, 0.5, 0], m), "x and y look like those of centres", {"anchor": "base-centre"}
+    ),
+    "far corners": Mistake(lambda s, c, m: (s, c + s, m), "the corners with the largest x", {"anchor": "far-corner"}),
+    "metres": Mistake(lambda s, c, m: (s / 1000, c / 1000, m), "in metres", {"units": "m"}),
+    "centimetres": Mistake(
+        lambda s, c, m: (s / 10, c / 10, m), "lengths look as if they were in cent", {"units": "cm"}
+    ),
+    "inches": Mistake(lambda s, c, m: (s / 25.4, c / 25.4, m), "as if they were in inches", {"units": "in"}),
+    "coordinates in centimetres": Mistake(lambda s, c, m: (s, c / 10, m), "coordinates look as if they were in cent"),
+    "sizes in centimetres": Mistake(lambda s, c, m: (s / 10, c, m), "sizes look as if they were in cent"),
+    "y upwards": Mistake(lambda s, c, m: (s[:, [0, 2, 1]], c[:, [0, 2, 1]], m), "y and z look swapped"),
+    "y and z of coordinates": Mistake(lambda s, c, m: (s, c[:, [0, 2, 1]], m), "y and z look swapped"),
+    "last box first": Mistake(lambda s, c, m: (s[::-1], c[::-1], m[::-1]), "packing order looks reversed"),
+    "z from the floor": Mistake(lambda s, c, m: (s, c + np.array([0, 0, 144]), m), "z looks counted from the floor"),
+    "middle of the pallet": Mistake(lambda s, c, m: (s, c - [600, 400, 0], m), "the middle of the carrier"),
+    "width first": Mistake(lambda s, c, m: (s[:, [1, 0, 2]], c, m), "length and width look swapped"),
+    "grams": Mistake(lambda s, c, m: (s, c, m * 1000), "grams", {"units": "g"}),
+    "tonnes": Mistake(lambda s, c, m: (s, c, m / 1000), "tonnes", {"units": "t"}),
+}
+
+
+def boxes(mistake: Mistake) -> Boxes:
+    return Boxes(*mistake.made(SOUND.size_mm, SOUND.corner_mm, SOUND.mass_kg))
+
+
+def frame(given: Boxes) -> pd.DataFrame:
+    n = len(given.mass)
+    columns = {"plan_id": ["A"] * n, "sequence": range(n), "article": SOUND.articles}
+    sizes, corners = pd.DataFrame(given.size, columns=SIZES), pd.DataFrame(given.corner, columns=CORNERS)
+    return pd.concat([pd.DataFrame(columns), sizes, corners, pd.Series(given.mass, name=MASS)], axis=1)
+
+
+def as_json(given: Boxes) -> str:
+    placements = [
+        {
+            "item": {
+                "article": article,
+                "id": "1",
+                **dict(zip(("length/mm", "width/mm", "height/mm"), size, strict=True)),
+                "weight/kg": mass,
+                "sequence": number,
+            },
+            "orientation": 0,
+            "flb_coordinates": corner,
+        }
+        for number, (article, size, corner, mass) in enumerate(
+            zip(SOUND.articles, given.size.tolist(), given.corner.tolist(), given.mass.tolist(), strict=True)
+        )
+    ]
+    Path("a.json").write_text(json.dumps({"A": placements}), encoding="utf-8")
+    return "a.json"
+
+
+def as_table(given: Boxes) -> str:
+    frame(given).to_csv("a.csv", index=False)
+    return "a.csv"
+
+
+def as_plan(given: Boxes, **options: Any) -> Plan:
+    return Plan.from_boxes(
+        "A", size_mm=given.size, corner_mm=given.corner, mass_kg=given.mass, article=SOUND.articles, **options
+    )
+
+
+FORMS: dict[str, Callable[[Boxes], Any]] = {"json": as_json, "csv": as_table, "frame": frame, "plan": as_plan}
+
+
+def gathered(plans: Any, **options: Any) -> list[str]:
+    """What a run says of these plans: lines about conventions, or why there is none."""
+    found = gather_plans(plans, Simulation(carrier=Carrier.EURO_PALLET), RunOptions(**options))
+    return [*found.conventions, *(skipped.message for skipped in found.skipped)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("mistake", MISTAKES.values(), ids=MISTAKES)
+def test_each_mistake_is_named_in_each_form(mistake: Mistake, form: str) -> None:
+    try:
+        (line,) = gathered(FORMS[form](boxes(mistake)))
+    except InputError as error:  # of values that no box has
+        line = str(error)
+    assert mistake.named in line
+    assert "plan A" in line
+    assert "box" in line or "row" in line or "placement" in line
+
+
+@pytest.mark.parametrize("name", [name for name, mistake in MISTAKES.items() if mistake.options is not None])
+def test_the_option_that_is_named_reads_the_plan_rightly(name: str) -> None:
+    options: Any = MISTAKES[name].options
+    given = boxes(MISTAKES[name])
+    read = [*(petmjx.load_plans(FORMS[form](given), **options).plans[0] for form in ("json", "csv", "frame"))]
+    for plan in (*read, as_plan(given, **options)):
+        np.testing.assert_allclose(plan.size_mm, SOUND.size_mm, atol=1e-9)
+        np.testing.assert_allclose(plan.corner_mm, SOUND.corner_mm, atol=1e-9)
+        np.testing.assert_allclose(plan.mass_kg, SOUND.mass_kg, atol=1e-12)
+
+
+def test_sound_plans_are_not_suspected(real_data: Path) -> None:
+    files = [bundled_path(), *sorted(real_data.glob("*plan*.json")), *sorted(real_data.glob("third_party*.json.gz"))]
+    generated = [Plan.from_boxes(plan_id, _columns(boxes)) for plan_id, boxes in generate(60, 7, loose_share=0.8)]
+    for carrier in Carrier:
+        sim = Simulation(carrier=carrier)
+        assert gather_plans(files, sim, RunOptions()).conventions == []
+        assert gather_plans(generated, sim, RunOptions()).conventions == []
+
+
+def _columns(placements: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [
+        {
+            **{
+                name.replace("/", "_"): box["item"][name]
+                for name in ("length/mm", "width/mm", "height/mm", "weight/kg")
+            },
+            **dict(zip(CORNERS, box["flb_coordinates"], strict=True)),
+            "orientation": box["orientation"],
+        }
+        for box in placements
+    ]
+
+
+def test_plans_are_counted_and_told_once() -> None:
+    """Also behind more odd plans of no convention than are read in all ways."""
+    centres = boxes(MISTAKES["centres"])
+    plans = [replace(as_plan(centres), plan_id=f"p{k}") for k in range(300)]
+    floating = [((100.0, 100.0, 100.0), (300.0 * k, 0.0, 40.0 * k), 1.0) for k in range(3)]
+    odd = [make_plan(f"q{k}", floating) for k in range(140)]
+    found = gather_plans([*odd, SOUND, *plans], Simulation(), RunOptions())
+    (line,) = found.conventions
+    assert "(290 of 441 plans)" in line  # the first ten only bring the next plan that is read in all ways nearer
+    lowest = int(SOUND.corner_mm[:, 2].argmin())
+    assert f"box {lowest} ({SOUND.articles[lowest]}), floats by half its height" in line
+    assert len(found.warnings) == 440
+
+
+def test_odd_plans_of_no_convention_are_not_explained() -> None:
+    """Boxes that float here and there, as packers do leave them."""
+    rng = np.random.default_rng(0)
+    odd = []
+    for k, (_, placed) in enumerate(200 * list(generate(5, 3))):
+        plan = Plan.from_boxes(f"p{k}", _columns(placed))
+        plan.corner_mm[rng.integers(0, plan.n_boxes, 4), 2] += rng.uniform(5, 80, 4)
+        odd.append(plan)
+    found = gather_plans(odd, Simulation(), RunOptions())
+    assert len(found.warnings) > 900
+    assert found.conventions == []
+
+
+def test_python_warns_where_it_was_called_and_once_of_a_set() -> None:
+    file = as_json(boxes(MISTAKES["centres"]))
+    with pytest.warns(PlanWarning, match="anchor centre") as caught:
+        found = petmjx.load_plans(file)
+    assert [each.filename for each in caught] == [__file__]
+    quick = {"engine": "mujoco", "check": "static", "duration_s": 0.01}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        results = petmjx.score(found, **quick)  # it was told when the plans were read
+    assert results.info["warnings"][0] == found.conventions[0] == str(caught[0].message)
+    with pytest.warns(PlanWarning, match="anchor centre"):
+        petmjx.score(found.plans, **quick)
+
+
+def test_a_run_remembers_how_its_plans_were_read() -> None:
+    file = as_json(boxes(MISTAKES["centres"]))
+    run = petmjx.score(file, anchor="centre", out="run", engine="mujoco", check="static", duration_s=0.01)
+    assert run.info["config"]["anchor"] == "centre"
+    np.testing.assert_allclose(petmjx.tell("A", "run").plan.corner_mm, SOUND.corner_mm)
+
+
+def test_units_and_anchor_are_refused_where_they_say_nothing() -> None:
+    with pytest.raises(InputError, match=r"^units and anchor are for files and data frames"):
+        petmjx.score((plan for plan in [SOUND]), units="cm")
+    with pytest.raises(InputError, match=r"^units must be one of mm, .* got 'cm,m'$"):
+        petmjx.load_plans(bundled_path(), units="cm,m")
+    with pytest.raises(InputError, match=r"^anchor must be one of corner, .* got 'middle'$"):
+        as_plan(boxes(MISTAKES["centres"]), anchor="middle")
+
+
+def test_the_command_line_tells_and_takes_the_option(capsys: pytest.CaptureFixture[str]) -> None:
+    file = as_table(boxes(MISTAKES["centimetres"]))
+    assert main(["convert", file, "-o", "b.json"]) == 0
+    assert "note: lengths look as if they were in centimetres: in plan A box" in capsys.readouterr().err
+    assert main(["convert", file, "-o", "c.json", "--units", "cm"]) == 0
+    assert capsys.readouterr().err == ""
+    np.testing.assert_allclose(petmjx.load_plans("c.json").plans[0].size_mm, SOUND.size_mm)
