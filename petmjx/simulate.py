@@ -17,7 +17,8 @@ from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan, PlanSet
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
-from petmjx.results.writer import RunWriter, write_summary
+from petmjx.results.schema import summary_table
+from petmjx.results.writer import RunWriter
 from petmjx.run_options import RunOptions
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
@@ -98,7 +99,8 @@ def simulate(
     if options.orders is not None:
         whole, strict = options.limit is None, options.strict
         orders = check_orders(options.orders, everything, takes=options.takes, all_plans=whole, strict=strict)
-    found = replace(found, skipped=[*found.skipped, *plan.skipped])
+    late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in plan.skipped)
+    found = replace(found, skipped=[*found.skipped, *late])
     with engine_for(options, plan.work()) as (engine, choice):
         recording = recording_of(options, choice.name, everything)
         run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording)
@@ -187,7 +189,7 @@ class _Run:
         with RunWriter(
             folder,
             self.config(),
-            manifest=Manifest.of(self.identity(), self.everything),
+            manifest=Manifest.of(self.identity(), self.everything, self.found.numbers),
             orders=self.orders,
             params=columns.params if columns else (),
             dynamic=bool(columns and columns.has_drives),
@@ -215,18 +217,19 @@ class _Run:
                 if watcher is not None:
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=self.progress.compile_s)
+            writer.put_in_order()
             if self.plan.plans:  # a shard may have none
-                self._summarise(writer, folder)
+                self._summarise(writer)
         return load_run(folder)
 
     def _note_input(self, writer: RunWriter) -> None:
         """Write skipped plans and warnings into ``run.json``."""
         for skipped in self.found.skipped:
             writer.skip(skipped)
-        writer.odd_plans += map(str, self.found.warnings)
+        writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
         for note in (*self.found.notes, *hopeless_profiles(self.asked)):
             writer.warn(note)
-        if len(writer.recorded) and (missing := self.recording.missing(writer.out_dir)):
+        if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = counted(missing, "world")
             writer.warn(f"no history of {of} of before, not simulated again: name another folder to record them")
 
@@ -253,13 +256,13 @@ class _Run:
             variant = f", variant {index}" if self.columns else ""
             writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
 
-    def _summarise(self, writer: RunWriter, folder: Path) -> None:
+    def _summarise(self, writer: RunWriter) -> None:
         """Write the table ``summary``, which is made of what is on disk."""
         if self.columns is None:
             return
         writer.flush()
         if self.confidence is not None:
-            write_confidence(folder)
+            write_confidence(writer)
             return
-        frame = summarise_shares(folder, self.shares) if self.shares else search_frame(self.answers)
-        write_summary(folder, frame, *summary_units(frame, self.plan))
+        frame = summarise_shares(writer.parts, self.shares) if self.shares else search_frame(self.answers)
+        writer.write_summary(summary_table(frame, *summary_units(frame, self.plan)))

@@ -150,7 +150,7 @@ def _worlds(plan_id: str, run: RunResults, plans: PlanSource | None, variant: in
 def _recorded(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:
     """The story that a run recorded; None where it did not."""
     (plan,) = worlds.plans
-    history = read_history(run.path, plan.plan_id, index, plan.n_boxes)
+    history = read_history(run, plan.plan_id, index, plan.n_boxes)
     outcome = read_outcome(run, plan.plan_id, index)
     if history is None or outcome is None:
         return None
