@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import weakref
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any, Protocol
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice, engine_for
 from petmjx.machine import device_name, package_versions
-from petmjx.plans.gather import PlanSource, usable_plans
+from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan, PlanSet
 from petmjx.results.manifest import Manifest
@@ -103,7 +104,8 @@ def simulate(
     found = replace(found, skipped=[*found.skipped, *late])
     with engine_for(options, plan.work()) as (engine, choice):
         recording = recording_of(options, choice.name, everything)
-        run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording)
+        held = {} if are_files(plans) else {each.plan_id: each for each in everything}
+        run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording, held)
         if options.out is not None:
             return run.into(options.out, watcher, batching or Batching())
         # a folder that is deleted together with the returned results, or when the run fails
@@ -124,6 +126,7 @@ class _Run:
     Attributes:
         everything: the plans of all shards; those of ``plan`` are this run's.
         found: how plans were read: what was skipped, and warnings.
+        held: plans that are in no file, by id.
     """
 
     command: str
@@ -136,6 +139,7 @@ class _Run:
     engine: Engine
     choice: Choice
     recording: Recording
+    held: Mapping[str, Plan]
     progress: Progress = field(default_factory=Progress)
     answers: list[dict[str, Any]] = field(default_factory=list)
 
@@ -220,7 +224,7 @@ class _Run:
             writer.put_in_order()
             if self.plan.plans:  # a shard may have none
                 self._summarise(writer)
-        return load_run(folder)
+        return load_run(folder, self.held)
 
     def _note_input(self, writer: RunWriter) -> None:
         """Write skipped plans and warnings into ``run.json``."""

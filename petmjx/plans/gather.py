@@ -40,6 +40,14 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     return found
 
 
+def are_files(plans: PlanSource | None) -> bool:
+    """Whether plans are read from files; the bundled ones are."""
+    if isinstance(plans, PlanSet | Plan | SupportsArrow):
+        return False
+    given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
+    return not any(isinstance(each, Plan) for each in given)
+
+
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     """Read and check files; take plans as they are, those that repeat an id under names of their own."""
     if plans is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +15,7 @@ import pyarrow as pa
 from petmjx.bounded import read_regular
 from petmjx.errors import InputError
 from petmjx.plans.ordered import Ordered
+from petmjx.plans.plan import Plan
 from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import RUN_FILE
 from petmjx.results.given import Given
@@ -38,10 +39,12 @@ class RunResults:
     Attributes:
         path: the run's folder.
         info: ``run.json``.
+        held: the plans by id, of a run that was given them as objects and has just ended: no file has them.
     """
 
     path: Path
     info: dict[str, Any]
+    held: Mapping[str, Plan] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         counts = self.info.get("counts", {})
@@ -148,8 +151,11 @@ class RunResults:
         return frame
 
 
-def load_run(path: str | Path) -> RunResults:
+def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunResults:
     """Open the folder of a run.
+
+    Args:
+        held: its plans by id, if they are in no file.
 
     Raises:
         InputError: there is no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. The tables raise
@@ -157,7 +163,7 @@ def load_run(path: str | Path) -> RunResults:
     """
     folder = Path(path)
     info = read_info(folder)
-    run = RunResults(folder, info)
+    run = RunResults(folder, info, held or {})
     expected = info.get("counts", {}).get("worlds")
     if run.parts.digests is None and isinstance(expected, int):
         found = sum(_rows(file) for file in run.parts.files("worlds"))
