@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -29,15 +30,15 @@ def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False) -> None:
         InputError: it cannot be written, or for ``xlsx`` openpyxl is not installed.
     """
     folder = Path(folder)
-    workbook = _workbook(found) if xlsx else None
+    workbook = _workbook(found) if xlsx else b""
     table = kpis_table(found)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         summary = {**found.summary, "notes": found.notes, "skipped": found.skipped}
         files = {folder / "kpis.parquet": parquet(table), folder / "kpis.csv": csv(table)}
         files[folder / "summary.json"] = text(json.dumps(summary, indent=2) + "\n")
-        if workbook is not None:
-            files[folder / "kpis.xlsx"] = workbook.save
+        if xlsx:
+            files[folder / "kpis.xlsx"] = lambda file: file.write(workbook)
         write_together(files)
     except OSError as error:
         raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
@@ -57,7 +58,7 @@ def kpis_table(found: Kpis) -> pa.Table:
     return pa.table(arrays, schema=pa.schema(fields))
 
 
-def _workbook(found: Kpis) -> Any:
+def _workbook(found: Kpis) -> bytes:
     """A workbook with the sheets that BED-BPP's evaluator writes, ``overview`` and ``orderwise``."""
     try:
         from openpyxl import Workbook
@@ -85,4 +86,6 @@ def _workbook(found: Kpis) -> Any:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    return workbook
+    content = io.BytesIO()  # openpyxl is loud about a workbook that cannot be saved
+    workbook.save(content)
+    return content.getvalue()

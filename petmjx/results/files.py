@@ -62,7 +62,7 @@ def part_files(folder: Path, table: str) -> list[Path]:
     return sorted(_named(folder / table, _PART), key=part_number)
 
 
-Write = Callable[[BinaryIO], None]
+Write = Callable[[BinaryIO], object]
 """Writes the content of a file."""
 
 
@@ -78,11 +78,7 @@ def csv(table: pa.Table) -> Write:
 
 def text(content: str) -> Write:
     """A text as UTF-8. What is no UTF-8, as names of files may be, is escaped as in JSON."""
-    return lambda file: _write_bytes(file, content.encode(errors="backslashreplace"))
-
-
-def _write_bytes(file: BinaryIO, content: bytes) -> None:
-    file.write(content)
+    return lambda file: file.write(content.encode(errors="backslashreplace"))
 
 
 def write_together(files: Mapping[Path, Write]) -> None:

@@ -95,10 +95,9 @@ class Parts:
         }
         return Parts(self.folder, kept)
 
-    @property
-    def next_number(self) -> int:
-        """The number of the next part: no file has it."""
-        return 1 + max((part_number(file) for table in TABLES for file in self.files(table)), default=-1)
+    def next_number(self, *tables: str) -> int:
+        """The number of the next part: no file of these tables has it."""
+        return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:
         """Check that a file is what the run wrote, as far as the run says.

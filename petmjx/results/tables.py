@@ -29,7 +29,7 @@ class Tables:
         """Write the table ``plans``, beside one that says something else; returns whether there was none like it."""
         if [plans] == self.parts.table("plans"):
             return False
-        number = self.parts.next_number if self.parts.files("plans") else 0
+        number = self.parts.next_number("plans")
         self.parts = self.parts.without("plans")
         self._write(plans, "plans", number)
         return True
@@ -48,7 +48,7 @@ class Tables:
         Raises:
             InputError: one of its files is damaged or missing.
         """
-        first = self.parts.next_number
+        first = self.parts.next_number(*OF_WORLDS)
         others.check_tables(OF_WORLDS)
         for file in (file for table in OF_WORLDS for file in others.files(table)):
             place = self._folder / file.parent.name / part_name(first + part_number(file))

@@ -8,7 +8,7 @@ import platform
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -20,12 +20,7 @@ from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan, Skipped
 from petmjx.results.counts import COUNTED
-from petmjx.results.files import (
-    RUN_FILE,
-    make_room,
-    tidy,
-    write_text,
-)
+from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy, write_text
 from petmjx.results.given import Given
 from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
@@ -173,7 +168,7 @@ class RunWriter:
         self.recorded = Recorded(parts, [param.name for param in self.params])
         parts.check_tables(SORTED)
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        self._pending = Pending(Part(self.parts.next_number), self.recorded.counts())
+        self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self.recorded.counts())
         self.earlier_s = dict(info["timings"])
         self._head |= {"started": info["started"], "resumed": [*info["resumed"], _now()]}
         self._write_info()  # before files go that it listed, and after a kill the run must not look finished
@@ -222,9 +217,6 @@ class RunWriter:
         if self._manifest is None:
             return False
         return self._tables.write_plans(self._manifest.table(self._orders.of_plan if self._orders else None))
-
-    def _next_part(self) -> None:
-        self._pending = Pending(Part(self.parts.next_number), self._pending.counts)
 
     @property
     def info(self) -> dict[str, Any]:
@@ -309,11 +301,9 @@ class RunWriter:
         with self._lock:
             for worlds in parts.table("worlds", COUNTED):
                 self._pending.counts.add_worlds(worlds)
-            try:
+            with self._writing():
                 self._tables.adopt(parts)
-            except OSError as error:
-                raise self._trouble(error) from error
-            self._next_part()
+            self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self._pending.counts)
             self._write_info()
 
     def put_in_order(self) -> None:
@@ -341,12 +331,9 @@ class RunWriter:
                 self.warn(f"rows are in the order in which worlds finished: {error.strerror or error}")
                 return
             if done is not None:
-                with shielded(afterwards=True):
-                    try:
-                        self._tables.replace(done)
-                    except OSError as error:
-                        raise self._trouble(error) from error
-                    self._next_part()
+                with shielded(afterwards=True), self._writing():
+                    self._tables.replace(done)
+                    self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self._pending.counts)
                     self._write_info()
                     self._tables.drop_others()
 
@@ -356,10 +343,8 @@ class RunWriter:
         Raises:
             PetmjxError: the file cannot be written.
         """
-        try:
+        with self._writing():
             self._tables.write_first("summary", answers)
-        except OSError as error:
-            raise self._trouble(error) from error
 
     def skip(self, skipped: Skipped) -> None:
         """Record a plan or a file that is not simulated, and why."""
@@ -381,28 +366,28 @@ class RunWriter:
         """Write the pending part and begin the next one, with the lock held."""
         part = self._pending.part
         # a run without worlds still gets one empty part, so that readers find the columns
-        if not part.rows and not (last and part.number == 0):
+        if not part.rows and not (last and not self.parts.files("worlds")):
             return
         self._timer.cancel()
-        try:
+        with self._writing():
             self.parts.add(part.write(self.out_dir, self.schemas))
-        except OSError as error:
-            raise self._trouble(error) from error
         # one assignment: after an interrupt before it the same part is written again, after it the next part begins
         self._pending = self._pending.following()
         self._write_info()
 
-    def _trouble(self, error: OSError) -> PetmjxError:
-        return PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}")
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
 
     def _write_info(self) -> None:
         info = plain(self.info)
         info["digest"] = run_digest(info)
         text = json.dumps(info, indent=2, ensure_ascii=False, allow_nan=False)
-        try:
+        with self._writing():
             write_text(text + "\n", self.out_dir / RUN_FILE)
-        except OSError as error:
-            raise self._trouble(error) from error
 
 
 def _as_json(skipped: Skipped) -> dict[str, Any]:

@@ -49,9 +49,7 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
 def _file(run: RunResults, plan_id: str, source: str) -> Path:
     file = file_again(source)
     if file is None:
-        gone = (
-            f"plan {shown(plan_id)} came from {printable(source)}, which is not there: give its file, or the plan"
-        )
+        gone = f"plan {shown(plan_id)} came from {printable(source)}, which is not there: give its file, or the plan"
         raise InputError(f"{run.path}: {gone}")
     return file
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import datetime
+import errno
+import itertools
 import json
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -297,6 +300,26 @@ def test_files(capsys: pytest.CaptureFixture[str]) -> None:
     (_, first, second) = sheet.iter_rows()
     assert (first[0].value, first[0].data_type) == ('=HYPERLINK("x")', "s")
     assert second[0].value == "B, \\u001b[31m"
+
+
+@pytest.mark.parametrize("at", [1, 3, 4])
+def test_on_a_full_disk_all_files_are_as_they_were(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = rate({"A": tower(1)}, assume_stable=True)
+    write_kpis(found, "before")
+    before = {file: file.read_bytes() for file in Path("before").iterdir()}
+    calls = itertools.count(1)
+
+    def full(descriptor: int) -> None:
+        if next(calls) == at:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    for folder in ("before", "new"):
+        with pytest.raises(petmjx.InputError, match=f"{folder}: cannot be written: No space left on device"):
+            write_kpis(rate({"A": tower(1), "B": tower(2)}, assume_stable=True), folder, xlsx=True)
+        calls = itertools.count(1)
+    assert {file: file.read_bytes() for file in Path("before").iterdir()} == before
+    assert not list(Path("new").iterdir())
 
 
 @pytest.mark.parametrize("columns", ["80", "120"])

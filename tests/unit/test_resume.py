@@ -312,6 +312,8 @@ def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_p
         simulate("score", folder, shard=f"{number}/2", plans=file)
     merged = petmjx.merge_runs(folders, tmp_path / "merged").info
     assert whole["counts"]["odd_plans"] == 1
+    of_shards = [load_run(folder).info["counts"]["odd_plans"] for folder in folders]
+    assert sorted(of_shards) == [0, 1]  # each counts its own
     assert {name: merged[name] for name in ("counts", "skipped", "warnings")} == {
         name: whole[name] for name in ("counts", "skipped", "warnings")
     }
