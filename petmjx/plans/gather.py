@@ -98,7 +98,8 @@ def _named_apart(found: PlanSet, options: RunOptions) -> PlanSet:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{counted(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    return replace(found, plans=plans, notes=notes, numbers=numbers)
+    skipped = [replace(each, number=None) for each in found.skipped]  # they are not among the plans given
+    return replace(found, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 
 def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:

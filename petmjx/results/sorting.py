@@ -96,7 +96,7 @@ def _rows(
     for part in parts.table(table):
         ranks = np.searchsorted(keys, given.keys(part))
         chosen = np.flatnonzero((ranks >= low) & (ranks < high))
-        found.append(part.take(chosen))
+        found.append(part if len(chosen) == len(ranks) else part.take(chosen))
         of.append(ranks[chosen])
     if not found:
         return pa.table({}), np.empty(0, np.int64)
