@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.results.listed import Parts
 
-MOST_VARIANTS = 1 << 32
+_MOST_VARIANTS: Final = 1 << 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Given:
 
     def keys(self, table: pa.Table) -> NDArray[np.int64]:
         """(n,) numbers by which worlds are sorted; those of two worlds differ."""
-        return self.places(table["plan_id"]) * MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
+        return self.places(table["plan_id"]) * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
 
     def ordered(self, table: pa.Table) -> pa.Table:
         """The rows in order; rows of one world stay as they are."""
