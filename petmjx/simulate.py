@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 import weakref
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,12 +16,13 @@ import numpy as np
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice, engine_for
 from petmjx.machine import device_name, package_versions
-from petmjx.plans.gather import PlanSource, usable_plans
+from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan, PlanSet
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
-from petmjx.results.writer import RunWriter, write_summary
+from petmjx.results.schema import summary_table
+from petmjx.results.writer import RunWriter
 from petmjx.run_options import RunOptions
 from petmjx.statics.intervals import force_intervals, need_scipy
 from petmjx.sweeps.confidence import write_confidence
@@ -105,10 +107,12 @@ def simulate(
     if options.orders is not None:
         whole, strict = options.limit is None, options.strict
         orders = check_orders(options.orders, everything, takes=options.takes, all_plans=whole, strict=strict)
-    found = replace(found, skipped=[*found.skipped, *plan.skipped])
+    late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in plan.skipped)
+    found = replace(found, skipped=[*found.skipped, *late])
     with engine_for(options, plan.work()) as (engine, choice):
         recording = recording_of(options, choice.name, everything)
-        run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording)
+        held = {} if are_files(plans) else {each.plan_id: each for each in everything}
+        run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording, held)
         if options.out is not None:
             return run.into(options.out, watcher, batching or Batching())
         # a folder that is deleted together with the returned results, or when the run fails
@@ -130,6 +134,7 @@ class _Run:
         everything: the plans of all shards; those of ``plan`` are this run's.
         found: how plans were read: what was skipped, and warnings.
         intervals_s: time that went into intervals of forces.
+        held: plans that are in no file, by id.
     """
 
     command: str
@@ -142,6 +147,7 @@ class _Run:
     engine: Engine
     choice: Choice
     recording: Recording
+    held: Mapping[str, Plan]
     progress: Progress = field(default_factory=Progress)
     answers: list[dict[str, Any]] = field(default_factory=list)
     intervals_s: float = 0.0
@@ -197,7 +203,7 @@ class _Run:
         with RunWriter(
             folder,
             self.config(),
-            manifest=Manifest.of(self.identity(), self.everything),
+            manifest=Manifest.of(self.identity(), self.everything, self.found.numbers),
             orders=self.orders,
             params=columns.params if columns else (),
             dynamic=bool(columns and columns.has_drives),
@@ -229,18 +235,19 @@ class _Run:
             self._take_notes(writer)
             if options.force_intervals:
                 writer.timings["intervals_s"] = round(self.intervals_s, 3)
+            writer.put_in_order()
             if self.plan.plans:  # a shard may have none
-                self._summarise(writer, folder)
-        return load_run(folder)
+                self._summarise(writer)
+        return load_run(folder, self.held)
 
     def _note_input(self, writer: RunWriter) -> None:
         """Write skipped plans and warnings into ``run.json``."""
         for skipped in self.found.skipped:
             writer.skip(skipped)
-        writer.odd_plans += map(str, self.found.warnings)
+        writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
         for note in (*self.found.conventions, *self.found.notes, *hopeless_profiles(self.asked)):
             writer.warn(note)
-        if len(writer.recorded) and (missing := self.recording.missing(writer.out_dir)):
+        if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = counted(missing, "world")
             writer.warn(f"no history of {of} of before, not simulated again: name another folder to record them")
 
@@ -286,13 +293,13 @@ class _Run:
         self.intervals_s += time.perf_counter() - start
         return found
 
-    def _summarise(self, writer: RunWriter, folder: Path) -> None:
+    def _summarise(self, writer: RunWriter) -> None:
         """Write the table ``summary``, which is made of what is on disk."""
         if self.columns is None:
             return
         writer.flush()
         if self.confidence is not None:
-            write_confidence(folder)
+            write_confidence(writer)
             return
-        frame = summarise_shares(folder, self.shares) if self.shares else search_frame(self.answers)
-        write_summary(folder, frame, *summary_units(frame, self.plan))
+        frame = summarise_shares(writer.parts, self.shares) if self.shares else search_frame(self.answers)
+        writer.write_summary(summary_table(frame, *summary_units(frame, self.plan)))

@@ -21,7 +21,7 @@ from petmjx.results.histories import read_history
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.worlds import read_outcome, world_row
 from petmjx.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
-from petmjx.sweeps.again import plan_of_run, sweep_of_run
+from petmjx.sweeps.again import worlds_of_run
 from petmjx.sweeps.file import nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.recording import Recording
@@ -113,7 +113,7 @@ def tell(
         return _of_plans(plan_id, source, record, options)
     if options:
         raise InputError(f"{next(iter(options))}: the options of a run's story are those of the run")
-    worlds, index = _worlds(plan_id, run, plans, variant)
+    worlds, index = worlds_of_run(run, plan_id, plans, variant)
     if interval_s is None and details is None and (story := _recorded(run, worlds, index)) is not None:
         return story
     engine, note = _engine_of(run.info["config"])
@@ -139,24 +139,10 @@ def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: 
         return _story(worlds, 0, engine, record)
 
 
-def _worlds(plan_id: str, run: RunResults, plans: PlanSource | None, variant: int | None) -> tuple[SweepPlan, int]:
-    """A plan's worlds in a run, and which of them is asked for: by default the nominal one."""
-    sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
-    if variant is None and not sweep.nominal:
-        raise InputError(f"{run.path}: plan {shown(plan_id)} has many worlds: name a variant, as in the table worlds")
-    worlds = SweepPlan(sweep, [plan])
-    if variant is not None:
-        try:
-            worlds.find(plan_id, variant)
-        except InputError as error:  # which tells of the sweep's file; a score has none, and people named the run
-            raise InputError(f"{run.path}: plan {shown(plan_id)} has no variant {variant}") from error
-    return worlds, variant or 0
-
-
 def _recorded(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:
     """The story that a run recorded; None where it did not."""
     (plan,) = worlds.plans
-    history = read_history(run.path, plan.plan_id, index, plan.n_boxes)
+    history = read_history(run, plan.plan_id, index, plan.n_boxes)
     outcome = read_outcome(run, plan.plan_id, index)
     if history is None or outcome is None:
         return None

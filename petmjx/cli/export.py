@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,31 +12,33 @@ from petmjx.errors import InputError
 from petmjx.text import counted, printable
 from petmjx.whole import check_free
 
+if TYPE_CHECKING:
+    from petmjx.config import Physics
+    from petmjx.world.scene import Scene
+
 
 @opt.takes("physics", "size_reduction_mm", "carrier", "units", "anchor")
 def export(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan to write.")],
-    plans: opt.PlanPaths = None,
+    source: opt.PlansOrRun = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="File to write.", show_default="standard output"),
     ] = None,
     overwrite: opt.Overwrite = False,
+    variant: opt.Variant = None,
     **options: Any,
 ) -> None:
-    """Write the exact MuJoCo model of one plan as MJCF, every box at its place; MuJoCo's viewer opens it."""
-    from petmjx.config import Simulation
-    from petmjx.plans.gather import find_plan, usable_plans
-    from petmjx.run_options import RunOptions
+    """Write the exact MuJoCo model of one plan as MJCF, every box at its place; MuJoCo's viewer opens it.
+
+    Of a run in DIR it is the world that the run simulated; else the options given here say what it is like.
+    """
     from petmjx.world.model import to_mjcf
-    from petmjx.world.scene import build_scene
 
     if out is not None:
-        check_free(out, overwrite, plans or ())
-    read = RunOptions(**{name: options.pop(name) for name in ("units", "anchor") if name in options})
-    sim = Simulation(**options)
-    plan = find_plan(usable_plans(plans or None, sim, read), plan_id)
-    mjcf = to_mjcf(build_scene(plan, sim), sim.physics)
+        check_free(out, overwrite, source or ())
+    scene, physics = _scene(plan_id, source or [], variant, options)
+    mjcf = to_mjcf(scene, physics)
     if out is None:
         print(mjcf)
         return
@@ -44,4 +46,26 @@ def export(
         out.write_text(mjcf, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
-    print(printable(f"plan {plan_id}: {counted(plan.n_boxes, 'box', 'boxes')}, MJCF in {out}"))
+    print(printable(f"plan {plan_id}: {counted(scene.n_boxes, 'box', 'boxes')}, MJCF in {out}"))
+
+
+def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[str, Any]) -> tuple[Scene, Physics]:
+    from petmjx.config import Simulation
+    from petmjx.plans.gather import find_plan, usable_plans
+    from petmjx.results.files import RUN_FILE
+    from petmjx.run_options import RunOptions
+    from petmjx.world.scene import build_scene
+
+    if source and (source[0] / RUN_FILE).is_file():
+        from petmjx.results.reader import load_run
+        from petmjx.sweeps.again import worlds_of_run
+
+        if options:
+            raise InputError(f"{next(iter(options))}: the options of a run's world are those of the run")
+        worlds, index = worlds_of_run(load_run(source[0]), plan_id, source[1:] or None, variant)
+        return worlds.scene(worlds.find(plan_id, index)[0]), worlds.sweep.simulation.physics
+    if variant is not None:
+        raise InputError("variant belongs to the world of a run: name its folder")
+    read = RunOptions(**{name: options.pop(name) for name in ("units", "anchor") if name in options})
+    sim = Simulation(**options)
+    return build_scene(find_plan(usable_plans(source or None, sim, read), plan_id), sim), sim.physics

@@ -31,6 +31,24 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is th
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 SIMULATED = "What is simulated"
+PlansOrRun = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="PLANS|DIR",
+        help=f"{PLANS_HELP} Or the folder of a run, which says with what options; after it, where its plans are if "
+        "they were moved. Without any: the bundled samples.",
+        show_default=False,
+    ),
+]
+Variant = Annotated[
+    int | None,
+    typer.Option(
+        "--variant",
+        metavar="N",
+        help="Which world of the plan, if the run has several: its number in the table worlds.",
+        rich_help_panel=SIMULATED,
+    ),
+]
 HOW_SURE = "How sure it is"
 HOW_IT_RUNS = "How it runs"
 

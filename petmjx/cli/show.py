@@ -35,15 +35,7 @@ def _file(name: str, text: str) -> Any:
 @opt.takes(without=_OF_RUNS, more=((PictureOptions, LOOK),))
 def show(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan.")],
-    source: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="PLANS|DIR",
-            help=f"{opt.PLANS_HELP} Or the folder of a run, which says with what options; after it, where its plans "
-            "are if they were moved. Without any: the bundled samples.",
-            show_default=False,
-        ),
-    ] = None,
+    source: opt.PlansOrRun = None,
     html: Annotated[Path | None, _file("--html", "A page to play it: one file that needs no network.")] = None,
     png: Annotated[Path | None, _file("--png", "A picture, or a row of pictures.")] = None,
     pdf: Annotated[Path | None, _file("--pdf", "A row of pictures, for a paper: its labels are text.")] = None,
@@ -54,15 +46,7 @@ def show(
     viewer: Annotated[
         bool, typer.Option("--viewer", help="Play it in MuJoCo's viewer, on a display.", rich_help_panel=DRAWN)
     ] = False,
-    variant: Annotated[
-        int | None,
-        typer.Option(
-            "--variant",
-            metavar="N",
-            help="Which world of the plan, if the run has several: its number in the table worlds.",
-            rich_help_panel=opt.SIMULATED,
-        ),
-    ] = None,
+    variant: opt.Variant = None,
     **options: Any,
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, as a film.

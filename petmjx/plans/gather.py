@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
 from os import PathLike
 from typing import Any
 
@@ -20,7 +22,7 @@ from petmjx.plans.plan import Plan, PlanSet, Skipped
 from petmjx.plans.read import read_plans, with_conventions
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
-from petmjx.text import counted, shown
+from petmjx.text import counted, first_names, shown
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
@@ -52,12 +54,20 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     return found
 
 
+def are_files(plans: PlanSource | None) -> bool:
+    """Whether plans are read from files; the bundled ones are."""
+    if isinstance(plans, PlanSet | Plan | SupportsArrow):
+        return False
+    given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
+    return not any(isinstance(each, Plan) for each in given)
+
+
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """Read and check files; take plans as they are, each id once."""
+    """Read and check files; take plans as they are, those that repeat an id under names of their own."""
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
-        return _with_conventions(_each_id_once(plans, options), sim)
+        return _with_conventions(_named_apart(plans, options), sim)
     if isinstance(plans, SupportsArrow):
         return _load(plans, sim, options)
     alone = isinstance(plans, str | PathLike | Plan)
@@ -66,7 +76,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if ready:
         if len(ready) != len(given):
             raise InputError("plans: give either paths or plans, not both")
-        return _with_conventions(_each_id_once(PlanSet(ready), options), sim)
+        return _with_conventions(_named_apart(PlanSet(ready), options), sim)
     return _load([path_of(path, "plans") for path in given], sim, options)
 
 
@@ -89,18 +99,31 @@ def _with_conventions(found: PlanSet, sim: Simulation) -> PlanSet:
     return with_conventions(found, _extent_mm(sim))
 
 
-def _each_id_once(found: PlanSet, options: RunOptions) -> PlanSet:
-    """The same rules as for files: of plans with one id the first is kept, and ``options.limit`` is the most."""
-    kept: dict[str, Plan] = {}
-    skipped = list(found.skipped)
-    for plan in found.plans:
-        if options.limit is not None and len(kept) == options.limit:
-            break
-        if plan.plan_id in kept:
-            skipped.append(Skipped.plan(plan, ": repeated plan id", options.strict))
-        else:
-            kept[plan.plan_id] = plan
-    return replace(found, plans=list(kept.values()), skipped=skipped)
+def _named_apart(found: PlanSet, options: RunOptions) -> PlanSet:
+    """Plans with an id each, since tables have ids as keys: of those with the same one the second is called "ID#2".
+
+    In files an id names one plan, and what repeats it is skipped (petmjx.plans.read). Who gives plans has made them,
+    and wants an answer for each.
+    """
+    given = found.plans[: options.limit]
+    taken = {plan.plan_id for plan in given}
+    seen: Counter[str] = Counter()
+    plans, renamed = [], []
+    for plan in given:
+        seen[plan.plan_id] += 1
+        if seen[plan.plan_id] > 1:
+            name = next(name for n in count(seen[plan.plan_id]) if (name := f"{plan.plan_id}#{n}") not in taken)
+            taken.add(name)
+            renamed.append(name)
+            plan = replace(plan, plan_id=name)
+        plans.append(plan)
+    notes = list(found.notes)
+    if renamed:
+        verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
+        notes.append(f"{counted(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
+    numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
+    skipped = [replace(each, number=None) for each in found.skipped]  # they are not among the plans given
+    return replace(found, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 
 def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
@@ -117,7 +140,8 @@ def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bo
             continue
         box = int(thin[0])
         side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
-        skipped.append(Skipped.plan(plan, f", placement {box}: {side}", strict))
+        why = Skipped.plan(plan, f", placement {box}: {side}", strict)
+        skipped.append(replace(why, number=found.numbers.get(plan.plan_id)))
     return replace(found, plans=kept, skipped=skipped)
 
 

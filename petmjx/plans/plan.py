@@ -155,12 +155,14 @@ def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
 class Skipped:
     """Something that was not used. ``message`` is the whole line, with file and plan.
 
-    ``plan_id`` is None if it is not about one plan (a file, or damage between plans).
+    ``plan_id`` is None if it is not about one plan (a file, or damage between plans). ``number`` is that of the plan
+    among those given, from 0.
     """
 
     source: str
     plan_id: str | None
     message: str
+    number: int | None = None
 
     @classmethod
     def plan(cls, plan: Plan, why: str, strict: bool) -> Skipped:
@@ -185,9 +187,10 @@ class Skipped:
 class PlanSet:
     """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
 
-    ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a box outside or a floating box;
-    ``conventions`` a line for each convention that plans seem to follow instead of petmjx's; ``notes`` lines about all
-    that was read, such as which fields nobody reads.
+    ``numbers`` says of each plan id which of the plans that were read it is, from 0, also counting those that were
+    skipped; empty: they are as in ``plans``. ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a
+    box outside or a floating box; ``conventions`` a line for each convention that plans seem to follow instead of
+    petmjx's; ``notes`` lines about all that was read, such as which fields nobody reads.
     """
 
     plans: list[Plan] = field(default_factory=list)
@@ -195,6 +198,7 @@ class PlanSet:
     warnings: list[PlanWarnings] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     conventions: list[str] = field(default_factory=list)
+    numbers: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raises InputError: ``plans`` is no list of plans."""

@@ -166,6 +166,8 @@ class _Loading:
     names: dict[str, str] = field(default_factory=dict)
     unread: Unread = field(default_factory=Unread)
     unlisted: int = 0
+    n_plans: int = 0
+    """Plans so far, usable or not."""
     most_skipped: int = MOST_LINES
 
     @property
@@ -283,16 +285,20 @@ class _Loading:
             return
         self.source_of[plan_id] = source
         self.found.plans.append(plan)
+        self.found.numbers[plan_id] = self.n_plans
+        self.n_plans += 1
 
     def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
         if self.strict:
             raise InputError(message) from cause
+        number = None if plan_id is None else self.n_plans
+        self.n_plans += plan_id is not None
         if len(self.found.skipped) >= self.most_skipped:
             self.unlisted += 1
             return
         if plan_id is not None:
             plan_id = printable(plan_id) if len(plan_id) <= LONGEST_NAME else shown(plan_id)
-        self.found.skipped.append(Skipped(source, plan_id, message))
+        self.found.skipped.append(Skipped(source, plan_id, message, number))
 
 
 def _orders_message(source: str, first: str, n_orders: int) -> str:

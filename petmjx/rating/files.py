@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,7 +14,7 @@ from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.rating.columns import COLUMNS, MEANS
 from petmjx.rating.kpis import Kpis
-from petmjx.results.files import write_csv, write_table, write_text
+from petmjx.results.files import csv, parquet, text, write_together
 from petmjx.text import printable
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -23,22 +24,22 @@ _SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdi
 def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False) -> None:
     """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
 
-    Files of these names are replaced; the folder is made if it is not there.
+    Files of these names are replaced, all or none; the folder is made if it is not there.
 
     Raises:
         InputError: it cannot be written, or for ``xlsx`` openpyxl is not installed.
     """
     folder = Path(folder)
-    workbook = _workbook(found) if xlsx else None
+    workbook = _workbook(found) if xlsx else b""
+    table = kpis_table(found)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        table = kpis_table(found)
-        write_table(table, folder / "kpis.parquet")
-        write_csv(table, folder / "kpis.csv")
         summary = {**found.summary, "notes": found.notes, "skipped": found.skipped}
-        write_text(json.dumps(summary, indent=2) + "\n", folder / "summary.json")
-        if workbook is not None:
-            workbook.save(folder / "kpis.xlsx")
+        files = {folder / "kpis.parquet": parquet(table), folder / "kpis.csv": csv(table)}
+        files[folder / "summary.json"] = text(json.dumps(summary, indent=2) + "\n")
+        if xlsx:
+            files[folder / "kpis.xlsx"] = lambda file: file.write(workbook)
+        write_together(files)
     except OSError as error:
         raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
 
@@ -57,7 +58,7 @@ def kpis_table(found: Kpis) -> pa.Table:
     return pa.table(arrays, schema=pa.schema(fields))
 
 
-def _workbook(found: Kpis) -> Any:
+def _workbook(found: Kpis) -> bytes:
     """A workbook with the sheets that BED-BPP's evaluator writes, ``overview`` and ``orderwise``."""
     try:
         from openpyxl import Workbook
@@ -85,4 +86,6 @@ def _workbook(found: Kpis) -> Any:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    return workbook
+    content = io.BytesIO()  # openpyxl is loud about a workbook that cannot be saved
+    workbook.save(content)
+    return content.getvalue()

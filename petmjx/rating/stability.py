@@ -14,9 +14,8 @@ import pyarrow.compute as pc
 from petmjx.config import Check
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
-from petmjx.results.files import part_files
 from petmjx.results.manifest import plan_digest
-from petmjx.results.reader import RunResults, load_run, read_part
+from petmjx.results.reader import RunResults, load_run
 from petmjx.text import shown
 from petmjx.verdict import Verdict
 
@@ -96,7 +95,7 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
 def _verdicts(run: RunResults) -> dict[str, str]:
     """Of the nominal worlds."""
     columns = ("plan_id", "variant", "verdict")
-    tables = [read_part(file, columns) for file in part_files(run.path, "worlds")]
+    tables = run.parts.table("worlds", columns)
     worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None
     if worlds is None:
         return {}
@@ -107,9 +106,8 @@ def _by_their_rule(run: RunResults) -> dict[str, bool]:
     """Plans of a run with check static that has an answer for them."""
     verdicts = _verdicts(run)
     largest: dict[str, float] = {}
-    for file in part_files(run.path, "worlds"):
-        boxes = read_part(run.path / "boxes" / file.name, ("plan_id", "variant", "shift_z_m"))
-        boxes = boxes.filter(pc.field("variant") == 0)
+    for part in run.parts.table("boxes", ("plan_id", "variant", "shift_z_m")):
+        boxes = part.filter(pc.field("variant") == 0)
         boxes = boxes.set_column(2, "shift_z_m", pc.abs(boxes["shift_z_m"]))
         grouped = boxes.group_by("plan_id").aggregate([("shift_z_m", "max")])
         largest |= dict(zip(grouped["plan_id"].to_pylist(), grouped["shift_z_m_max"].to_pylist(), strict=True))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pyarrow as pa
 
-from petmjx.results.files import write_csv, write_table
+from petmjx.results.files import Write, csv, parquet, write_together
 
 Described = Mapping[str, tuple[str, str]]
 """Column → unit and meaning."""
@@ -28,14 +28,20 @@ def described_table(frame: pd.DataFrame, name: str, described: Described) -> pa.
     return table.cast(pa.schema(fields, metadata={"table": name}))
 
 
-def write_described(folder: Path, tables: Iterable[tuple[str, pd.DataFrame, Described]]) -> None:
-    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder, which is made if it is not there.
+def write_described(
+    folder: Path, tables: Iterable[tuple[str, pd.DataFrame, Described]], others: Mapping[str, Write] | None = None
+) -> None:
+    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder, which is made if it is not there; all or none.
+
+    Args:
+        others: name → content of more files.
 
     Raises:
         OSError: they cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    files = {folder / name: write for name, write in (others or {}).items()}
     for name, frame, described in tables:
         table = described_table(frame, name, described)
-        write_table(table, folder / f"{name}.parquet")
-        write_csv(table, folder / f"{name}.csv")
+        files |= {folder / f"{name}.parquet": parquet(table), folder / f"{name}.csv": csv(table)}
+    write_together(files)

@@ -11,18 +11,19 @@
     DIR/plans/part-*.parquet        a row a plan, with its digest: what a run was of
     DIR/.lock                       while a run writes there
 
-Every file appears whole or not at all. Parts with the same number belong together. The boxes of a part, and all else
-that it has, are written before its worlds. What is without its worlds is left from a crash, and not read.
+Every file appears whole or not at all. A part counts once ``run.json`` lists it, with its digest
+(petmjx.results.listed); others are left from a kill. Parts of ``worlds``, ``boxes`` and ``attempts`` with the same
+number belong together, and so do those of ``histories``, ``frames`` and ``contacts``.
 """
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
 import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -36,7 +37,11 @@ RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
 """Tables of which a part may be missing: none of its worlds has a row there."""
 
-TABLES: Final = ("worlds", "boxes", *OF_SOME_WORLDS, "summary", "plans")
+OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
+TABLES: Final = (*OF_WORLDS, "summary", "plans")
+
+DIGEST_BYTES: Final = 16
+_BLOCK: Final = 1 << 20
 
 _PART: Final = re.compile(r"part-\d{5,}\.parquet")
 _TEMPORARY: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)(\.[0-9a-f]{32})?\.tmp")
@@ -57,31 +62,91 @@ def part_files(folder: Path, table: str) -> list[Path]:
     return sorted(_named(folder / table, _PART), key=part_number)
 
 
-def write_table(table: pa.Table, path: Path) -> None:
-    """Write one Parquet file so that it appears whole or not at all. The run's folder is never made anew."""
+Write = Callable[[BinaryIO], object]
+"""Writes the content of a file."""
+
+
+def parquet(table: pa.Table) -> Write:
+    """A table as Parquet."""
+    return lambda file: pq.write_table(table, file, compression="zstd", compression_level=1)
+
+
+def csv(table: pa.Table) -> Write:
+    """A table as CSV."""
+    return lambda file: pa_csv.write_csv(table, file)
+
+
+def text(content: str) -> Write:
+    """A text as UTF-8. What is no UTF-8, as names of files may be, is escaped as in JSON."""
+    return lambda file: file.write(content.encode(errors="backslashreplace"))
+
+
+def write_together(files: Mapping[Path, Write]) -> None:
+    """Write several files: each appears whole, and none before all are on disk. Folders are not made.
+
+    Raises:
+        OSError: one cannot be written; what was there before is as it was.
+    """
+    hidden: dict[Path, Path] = {}
+    try:
+        for path, write in files.items():
+            hidden[path] = _hidden(path)
+            _write(hidden[path], write)
+        appear(hidden)
+    except BaseException:
+        for temporary in hidden.values():
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+def appear(hidden: Mapping[Path, Path]) -> None:
+    """Rename files that are whole: path → where it was written."""
+    for path, temporary in hidden.items():
+        os.replace(temporary, path)
+    for folder in {path.parent for path in hidden}:
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def write_hidden(table: pa.Table, path: Path) -> tuple[Path, str]:
+    """Write a table beside its place; returns where it is, for :func:`appear`, and its digest."""
     path.parent.mkdir(exist_ok=True)
-    with _replacing(path) as file:
-        pq.write_table(table, file, compression="zstd", compression_level=1)
+    temporary = _hidden(path)
+    try:
+        return temporary, _write(temporary, parquet(table))
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
-def write_csv(table: pa.Table, path: Path) -> None:
-    """Write one CSV file so that it appears whole or not at all."""
-    with _replacing(path) as file:
-        pa_csv.write_csv(table, file)
-
-
-def write_text(text: str, path: Path) -> None:
-    """Write one UTF-8 text file so that it appears whole or not at all. What is no UTF-8, as names of files may be, is
-    escaped as in JSON."""
-    with _replacing(path) as file:
-        file.write(text.encode(errors="backslashreplace"))
-
-
-def copy_file(source: Path, path: Path) -> None:
-    """Copy one file so that it appears whole or not at all."""
+def write_table(table: pa.Table, path: Path) -> str:
+    """Write one Parquet file so that it appears whole or not at all; returns its digest. The run's folder is never made
+    anew."""
     path.parent.mkdir(exist_ok=True)
-    with source.open("rb") as original, _replacing(path) as file:
-        shutil.copyfileobj(original, file)
+    return _write_whole(path, parquet(table))
+
+
+def write_text(content: str, path: Path) -> None:
+    """Write one text file so that it appears whole or not at all; as :func:`text`."""
+    _write_whole(path, text(content))
+
+
+def copy_file(source: Path, path: Path) -> str:
+    """Copy one file so that it appears whole or not at all; returns its digest."""
+    path.parent.mkdir(exist_ok=True)
+    with source.open("rb") as original:
+        return _write_whole(path, lambda file: shutil.copyfileobj(original, file))
+
+
+def digest_of(stream: BinaryIO) -> str:
+    """Hexadecimal digest (BLAKE2b) of what a file has from here on: a gigabyte a second."""
+    digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+    while block := stream.read(_BLOCK):
+        digest.update(block)
+    return digest.hexdigest()
 
 
 def why_unwritable(file: Path) -> str:
@@ -134,12 +199,17 @@ def tidy(folder: Path) -> None:
             file.unlink()
 
 
-def drop_unfinished_parts(folder: Path) -> None:
-    """Take away boxes and all else of a part whose worlds were not written any more."""
-    whole = {file.name for file in part_files(folder, "worlds")}
-    for file in (file for table in ("boxes", *OF_SOME_WORLDS) for file in part_files(folder, table)):
-        if file.name not in whole:
-            file.unlink()
+def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
+    """Take away the parts that a kill has left.
+
+    Args:
+        kept: table → files that stay.
+    """
+    for table in TABLES:
+        files = kept(table)
+        for file in part_files(folder, table):
+            if file not in files:
+                file.unlink()
 
 
 def _named(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
@@ -147,23 +217,29 @@ def _named(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 
 
-@contextlib.contextmanager
-def _replacing(path: Path) -> Iterator[BinaryIO]:
-    """A hidden file beside ``path``. After the body it is brought to disk and renamed to ``path``."""
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
+def _hidden(path: Path) -> Path:
+    """Where a file is written before it takes its place."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
+
+
+def _write(path: Path, write: Write) -> str:
+    """Write a new file and bring it to disk; returns its digest."""
     # a name that nobody knows, and never a file that is there already: nothing can be planted in its place
-    how = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    with open(os.open(path, how, 0o666), "w+b") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+        file.seek(0)
+        return digest_of(file)
+
+
+def _write_whole(path: Path, write: Write) -> str:
+    temporary = _hidden(path)
     try:
-        with open(os.open(temporary, how, 0o666), "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        digest = _write(temporary, write)
+        appear({path: temporary})
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-    descriptor = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    return digest

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.errors import InputError
 from petmjx.history import Contacts, History
+from petmjx.results.reader import RunResults
 from petmjx.results.worlds import rows_of
 from petmjx.text import shown
 from petmjx.units import FloatArray
@@ -97,22 +97,21 @@ TABLES: Final[Mapping[str, Callable[[Sequence[Recorded]], Columns]]] = {
 """Table → what makes its columns."""
 
 
-def read_history(folder: Path, plan_id: str, variant: int, n_boxes: int) -> History | None:
+def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> History | None:
     """The history of a world; None if it was not recorded.
 
     Args:
-        folder: the run's.
         n_boxes: of the plan.
 
     Raises:
         InputError: a part is damaged, or the tables do not fit together.
     """
-    boxes, frames, touches = (_read(folder, table, plan_id, variant) for table in TABLES)
+    boxes, frames, touches = (_read(run, table, plan_id, variant) for table in TABLES)
     if frames is None or boxes is None:
         return None
     f = len(frames["frame"])
     if not np.array_equal(frames["frame"], np.arange(f)) or not _fits(boxes, f, n_boxes):
-        raise InputError(f"{folder}: histories and frames of plan {shown(plan_id)} do not fit together")
+        raise InputError(f"{run.path}: histories and frames of plan {shown(plan_id)} do not fit together")
     place = boxes["frame"], boxes["box"]
 
     def spread(values: FloatArray) -> FloatArray:
@@ -170,9 +169,9 @@ def _stacked(worlds: Sequence[Recorded], parts: Sequence[Columns]) -> Columns:
     return columns
 
 
-def _read(folder: Path, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
+def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
     """Columns of a world's rows, null as NaN; None where it has none."""
-    rows = rows_of(folder, table, plan_id, variant)
+    rows = rows_of(run, table, plan_id, variant)
     if rows is None:
         return None
     numbers = rows.drop_columns(["plan_id", "variant"])

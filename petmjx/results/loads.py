@@ -131,6 +131,8 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     """
     # a run that was written by petmjx before 0.2 does not say what it was of
     records = {} if results.plans.empty else Manifest.read(results.path, results.info).plans
+    if plans is None and results.held:
+        plans = list(results.held.values())
     found = find_plans(results.info, records, set(results.worlds["plan_id"]), plans)
     if plans is None and (found.gone or not records):
         what = f"{printable(found.gone[0])} is not there" if found.gone else "the run does not say which"

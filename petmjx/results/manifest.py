@@ -13,9 +13,9 @@ import pyarrow as pa
 from petmjx.errors import InputError
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
-from petmjx.results.files import RUN_FILE, part_files, part_name, write_table
+from petmjx.results.files import RUN_FILE
+from petmjx.results.listed import Parts
 from petmjx.results.plain import plain
-from petmjx.results.reader import read_part
 from petmjx.results.run_file import check_whole
 from petmjx.results.schema import plans_schema
 from petmjx.text import counted, printable, shortened, shown
@@ -49,6 +49,7 @@ class PlanRecord(NamedTuple):
         volume_m3: of its boxes.
         extent_x_m, extent_y_m: of its bounding box.
         height_m: its highest top above the carrier.
+        number: which of the plans given it is, counting those that were skipped.
     """
 
     digest: str
@@ -57,15 +58,16 @@ class PlanRecord(NamedTuple):
     extent_x_m: float | None = None
     extent_y_m: float | None = None
     height_m: float | None = None
+    number: int | None = None
 
     @classmethod
-    def of(cls, plan: Plan) -> PlanRecord:
+    def of(cls, plan: Plan, number: int | None = None) -> PlanRecord:
         """The record of a plan."""
         size, low = mm_to_m(plan.size_mm), mm_to_m(plan.corner_mm)
         high = low + size
         extent_x, extent_y, _ = (high.max(axis=0) - low.min(axis=0)).tolist()
         volume, height = float(size.prod(axis=1).sum()), float(high[:, 2].max())
-        return cls(plan_digest(plan), plan.source, volume, extent_x, extent_y, height)
+        return cls(plan_digest(plan), plan.source, volume, extent_x, extent_y, height, number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +76,23 @@ class Manifest:
 
     Attributes:
         settings: JSON-like: command, simulation, sweep, engine, shard.
-        plans: all plans by id, also those of other shards.
+        plans: all plans by id, also those of other shards, in the order given.
     """
 
     settings: Mapping[str, Any]
     plans: Mapping[str, PlanRecord]
 
     @classmethod
-    def of(cls, settings: Mapping[str, Any], plans: Sequence[Plan]) -> Manifest:
-        """The manifest of a run of these plans."""
-        return cls(plain(settings), {plan.plan_id: PlanRecord.of(plan) for plan in plans})
+    def of(
+        cls, settings: Mapping[str, Any], plans: Sequence[Plan], numbers: Mapping[str, int] | None = None
+    ) -> Manifest:
+        """The manifest of a run of these plans, in the order given.
+
+        Args:
+            numbers: plan id → which of the plans given it is; None: all are there.
+        """
+        numbers = numbers or {plan.plan_id: number for number, plan in enumerate(plans)}
+        return cls(plain(settings), {plan.plan_id: PlanRecord.of(plan, numbers.get(plan.plan_id)) for plan in plans})
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -92,8 +101,8 @@ class Manifest:
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
 
-    def write(self, folder: Path, ordered: Mapping[str, Ordered] | None = None) -> None:
-        """Write the table ``plans``; an old one is replaced.
+    def table(self, ordered: Mapping[str, Ordered] | None = None) -> pa.Table:
+        """The table ``plans``.
 
         Args:
             ordered: plan id → how it compares with its order; None: no columns about orders.
@@ -107,7 +116,7 @@ class Manifest:
             columns |= {name: [row and getattr(row, name) for row in rows] for name in Ordered._fields}
         schema = plans_schema(ordered is not None)
         arrays = [pa.array(columns[column.name], column.type) for column in schema]
-        write_table(pa.Table.from_arrays(arrays, schema=schema), folder / "plans" / part_name(0))
+        return pa.Table.from_arrays(arrays, schema=schema)
 
     @classmethod
     def read(cls, folder: Path, info: Mapping[str, Any]) -> Manifest:
@@ -116,14 +125,15 @@ class Manifest:
         Raises:
             InputError: it has none (of petmjx before 0.2), or it is damaged.
         """
-        files = part_files(folder, "plans")
+        parts = Parts.of(folder, info)
+        files = parts.files("plans")
         if "identity" not in info or not files:
             raise InputError(f"{folder}: the run does not say what it is of (written by petmjx before 0.2)")
         check_whole(info, folder / RUN_FILE)
         plans: dict[str, PlanRecord] = {}
         for file in files:
-            read_part(file, _ALWAYS)  # refused without them
-            table = read_part(file).to_pydict()
+            parts.read(file, _ALWAYS)  # refused without them
+            table = parts.read(file).to_pydict()
             there = [name for name in PlanRecord._fields if name in table]
             for row, plan_id in enumerate(table["plan_id"]):
                 plans[plan_id] = PlanRecord(**{name: table[name][row] for name in there})

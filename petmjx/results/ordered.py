@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from petmjx.plans.ordered import MOST_LISTED, OrderCheck, OrderCounts, Ordered
-from petmjx.results.files import part_files
-from petmjx.results.reader import read_part
+from petmjx.results.listed import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:
@@ -28,11 +27,6 @@ def counts_block(check: OrderCheck) -> dict[str, Any]:
     return asdict(check.counts)
 
 
-def has_order_columns(folder: Path) -> bool:
-    """Whether the table ``plans`` of a run has the columns about orders."""
-    return any(set(Ordered._fields) <= set(read_part(file).column_names) for file in part_files(folder, "plans"))
-
-
 def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
     """What a run found; None: it was not compared with orders.
 
@@ -43,8 +37,8 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
     if block is None:
         return None
     of_plan: dict[str, Ordered] = {}
-    for file in part_files(folder, "plans"):
-        rows = read_part(file, ("plan_id", *Ordered._fields)).to_pylist()
+    for part in Parts.of(folder, info).table("plans", ("plan_id", *Ordered._fields)):
+        rows = part.to_pylist()
         values = {row.pop("plan_id"): row for row in rows}
         of_plan |= {plan_id: Ordered(**row) for plan_id, row in values.items() if row["ordered_boxes"] is not None}
     return OrderCheck(

@@ -94,17 +94,21 @@ class Part:
         self.rows.append(row)
         self.history_bytes += row.recorded.size if row.recorded is not None else 0
 
-    def write(self, directory: Path, schemas: Mapping[str, pa.Schema]) -> None:
-        """Write the tables: ``worlds`` last, since a part counts only once its worlds are there."""
+    def write(self, directory: Path, schemas: Mapping[str, pa.Schema]) -> dict[Path, str]:
+        """Write the tables, ``worlds`` last; returns the digest of each file."""
+        digests: dict[Path, str] = {}
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in histories.TABLES.items():
             columns = columns_of(recorded)
             if len(columns["plan_id"]):
-                write_table(filled(columns, schemas[name]), directory / name / part_name(self.number))
+                file = directory / name / part_name(self.number)
+                digests[file] = write_table(filled(columns, schemas[name]), file)
         for name, make in (("boxes", self.boxes), ("attempts", self.attempts), ("worlds", self.worlds)):
             table = make(schemas[name])
             if len(table) or name != "attempts":
-                write_table(table, directory / name / part_name(self.number))
+                file = directory / name / part_name(self.number)
+                digests[file] = write_table(table, file)
+        return digests
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
         """The ``worlds`` table, with reductions over boxes, for the whole part at once."""

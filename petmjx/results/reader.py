@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from petmjx.bounded import open_regular, read_regular
+from petmjx.bounded import read_regular
 from petmjx.errors import InputError
 from petmjx.plans.ordered import Ordered
+from petmjx.plans.plan import Plan
 from petmjx.results.counts import COUNTED, Counts
-from petmjx.results.files import OF_SOME_WORLDS, RUN_FILE, part_files
+from petmjx.results.files import RUN_FILE
+from petmjx.results.given import Given
+from petmjx.results.listed import Parts, opened
 from petmjx.results.run_file import check_run_file
-from petmjx.results.schema import SCHEMA_VERSION, plans_schema, schema_version_of, schemas
+from petmjx.results.schema import check_version, plans_schema, schemas
 from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
 
@@ -38,15 +39,16 @@ class RunResults:
     Attributes:
         path: the run's folder.
         info: ``run.json``.
+        held: the plans by id, of a run that was given them as objects and has just ended: no file has them.
     """
 
     path: Path
     info: dict[str, Any]
+    held: Mapping[str, Plan] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         counts = self.info.get("counts", {})
-        config = self.info.get("config", {})
-        what = "world" if config.get("command") == "sweep" or "sweep" in config else "plan"
+        what = "world" if self._varied else "plan"
         verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
         status = self.unfinished or FINISHED
         return f"RunResults({self.path}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
@@ -62,11 +64,31 @@ class RunResults:
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
+    def parts(self) -> Parts:
+        """The files of the tables, for whoever reads some columns only."""
+        return Parts.of(self.path, self.info)
+
+    @cached_property
     def worlds(self) -> pd.DataFrame:
-        """One row per world. ``culprit`` is a nullable integer; other missing numbers are NaN."""
+        """One row per world, in the order in which plans were given. ``culprit`` is a nullable integer; other missing
+        numbers are NaN.
+
+        Of a score without ``confidence`` the index is the number of the plan: ``worlds.verdict[k]`` is plan k, and a
+        KeyError where that has no row: it was skipped, belongs to another shard, or the run did not come to it.
+        """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
+        if not self._varied:
+            frame.index = self._given.index(frame["plan_id"])
         return frame
+
+    @cached_property
+    def skipped(self) -> pd.DataFrame:
+        """What was not simulated, and why: ``number`` (of the plan, as in ``plans``; null for what is no plan, such as
+        a damaged file), ``plan_id``, ``source``, ``error``."""
+        columns = ["number", "plan_id", "source", "error"]
+        frame = pd.DataFrame(self.info.get("skipped", []), columns=columns)
+        return frame.astype({"number": "Int32"} | dict.fromkeys(columns[1:], "str"))
 
     @cached_property
     def boxes(self) -> pd.DataFrame:
@@ -95,33 +117,45 @@ class RunResults:
 
     @cached_property
     def plans(self) -> pd.DataFrame:
-        """One row per plan, also those of other shards; empty in runs of petmjx before 0.2. Missing counts are null."""
-        parts = [read_part(file) for file in part_files(self.path, "plans")]
+        """One row per plan, also those of other shards, in the order in which they were given; empty in runs of petmjx
+        before 0.2. Missing counts are null."""
+        parts = self.parts.table("plans")
         frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
-        return frame.astype({name: "Int32" for name in frame.columns if name in Ordered._fields})
+        return frame.astype({name: "Int32" for name in frame.columns if name in ("number", *Ordered._fields)})
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:
         """The answers of a sweep or of a score with confidence; None if the run has none."""
-        files = part_files(self.path, "summary")
-        return pa.concat_tables([read_part(file) for file in files]).to_pandas() if files else None
+        parts = self.parts.table("summary")
+        return pa.concat_tables(parts).to_pandas() if parts else None
 
     def units(self, table: str) -> dict[str, str]:
         """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty if the run has no such table."""
-        files = part_files(self.path, table)
-        schema = read_part(files[0]).schema if files else pa.schema([])
+        files = self.parts.files(table)
+        schema = self.parts.read(files[0]).schema if files else pa.schema([])
         return {column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema}
 
+    @property
+    def _varied(self) -> bool:
+        """Whether a plan may have several worlds."""
+        config = self.info.get("config", {})
+        return config.get("command") == "sweep" or "sweep" in config
+
+    @cached_property
+    def _given(self) -> Given:
+        return Given.of(self.parts)
+
     def _read(self, table: str) -> pd.DataFrame:
-        files = [self.path / table / file.name for file in part_files(self.path, "worlds")]
-        parts = [read_part(file) for file in files if table not in OF_SOME_WORLDS or file.exists()]
-        parts = parts or [schemas()[table].empty_table()]
-        frame: pd.DataFrame = pa.concat_tables(parts, promote_options="default").to_pandas()
+        parts = self.parts.table(table) or [schemas()[table].empty_table()]
+        frame: pd.DataFrame = self._given.ordered(pa.concat_tables(parts, promote_options="default")).to_pandas()
         return frame
 
 
-def load_run(path: str | Path) -> RunResults:
+def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunResults:
     """Open the folder of a run.
+
+    Args:
+        held: its plans by id, if they are in no file.
 
     Raises:
         InputError: there is no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. The tables raise
@@ -129,17 +163,18 @@ def load_run(path: str | Path) -> RunResults:
     """
     folder = Path(path)
     info = read_info(folder)
+    run = RunResults(folder, info, held or {})
     expected = info.get("counts", {}).get("worlds")
-    if isinstance(expected, int):
-        found = sum(_rows(file) for file in part_files(folder, "worlds"))
+    if run.parts.digests is None and isinstance(expected, int):
+        found = sum(_rows(file) for file in run.parts.files("worlds"))
         if found != expected and info.get("status") == FINISHED:
             raise InputError(
                 f"{folder}: {counted(found, 'world')} on disk, though the run finished with {expected:,}: parts were "
                 "taken away or added"
             )
         if found != expected:  # killed after a part was written, before run.json was
-            info["counts"] |= _counted(folder).as_json()
-    return RunResults(folder, info)
+            info["counts"] |= _counted(run.parts).as_json()
+    return run
 
 
 def read_info(folder: Path) -> dict[str, Any]:
@@ -159,7 +194,7 @@ def read_info(folder: Path) -> dict[str, Any]:
         raise InputError(f"{file}: cannot be read: {one_line(error)}") from error
     if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
-    _check_version(file, info["schema_version"])
+    check_version(file, info["schema_version"])
     check_run_file(info, file)
     return info
 
@@ -171,56 +206,16 @@ def told_apart(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     return warnings[:first_odd], warnings[first_odd:]
 
 
-def _counted(folder: Path) -> Counts:
+def _counted(parts: Parts) -> Counts:
     """The counts of the worlds on disk."""
     counts = Counts()
-    for file in part_files(folder, "worlds"):
-        counts.add_worlds(read_part(file, COUNTED))
+    for part in parts.table("worlds", COUNTED):
+        counts.add_worlds(part)
     return counts
 
 
 def _rows(file: Path) -> int:
     """How many worlds a part has, without reading them."""
-    with _opened(file) as parquet:
+    with opened(file) as parquet:
         rows: int = parquet.metadata.num_rows
     return rows
-
-
-def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """One Parquet file, or some of its columns.
-
-    Raises:
-        InputError: missing, damaged, without one of the columns, or of a newer petmjx.
-    """
-    with _opened(file) as parquet:
-        table = parquet.read(None if columns is None else list(columns))
-    _check_version(file, schema_version_of(table.schema.metadata))
-    for name in columns or ():
-        if name not in table.column_names:
-            raise InputError(f"{file}: damaged part, it has no column {name}")
-    return table
-
-
-@contextlib.contextmanager
-def _opened(file: Path) -> Iterator[pq.ParquetFile]:
-    """A part, in whatever folder.
-
-    Raises:
-        InputError: missing, or not a whole Parquet file.
-    """
-    # Python opens the file: Arrow waits for FIFOs, reads "s3:" as a scheme, "a=1" in a folder's name as a column, and
-    # knows no names that are not UTF-8
-    try:
-        with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
-            yield parquet
-    except FileNotFoundError:
-        raise InputError(f"{file}: missing, though the worlds of this part are there") from None
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error
-
-
-def _check_version(file: Path, version: int) -> None:
-    if version > SCHEMA_VERSION:
-        raise InputError(
-            f"{file}: written by a newer petmjx (schema {version}; this one reads up to {SCHEMA_VERSION}): update it"
-        )

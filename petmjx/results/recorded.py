@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
 
 from petmjx.errors import InputError
 from petmjx.results.counts import COUNTED, Counts
-from petmjx.results.files import part_files
-from petmjx.results.reader import read_part
+from petmjx.results.listed import Parts
 
 _COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
 
@@ -21,25 +19,23 @@ class Recorded:
     """Which worlds there are, and what their rows in the table ``worlds`` say.
 
     Args:
-        folder: a run's; None: there is no world.
+        parts: of a run; None: there is no world.
         columns: of ``worlds``, beside those that every run has.
 
     Raises:
-        InputError: a part is damaged, lacks its boxes, or has a world that another one has too.
+        InputError: a part is damaged or missing, or has a world that another one has too.
     """
 
-    def __init__(self, folder: Path | None = None, columns: Sequence[str] = ()) -> None:
-        parts = part_files(folder, "worlds") if folder is not None else []
-        for file in parts:
-            boxes = file.parents[1] / "boxes" / file.name
+    def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
+        for boxes in parts.files("boxes") if parts is not None else ():
             if not boxes.is_file():
                 raise InputError(f"{boxes}: missing, though the worlds of this part are there")
-        wanted = [*_COLUMNS, *columns]
-        self._table = pa.concat_tables([read_part(file, wanted) for file in parts]) if parts else None
+        tables = parts.table("worlds", [*_COLUMNS, *columns]) if parts is not None else []
+        self._table = pa.concat_tables(tables) if tables else None
         self._rows: dict[str, dict[int, int]] = {}
         for row, (plan_id, variant) in enumerate(zip(self._column("plan_id"), self._column("variant"), strict=True)):
             if self._rows.setdefault(plan_id, {}).setdefault(variant, row) != row:
-                raise InputError(f"{folder}: has plan {plan_id}, variant {variant} more than once")
+                raise InputError(f"{parts and parts.folder}: has plan {plan_id}, variant {variant} more than once")
 
     def __len__(self) -> int:
         return self._table.num_rows if self._table is not None else 0

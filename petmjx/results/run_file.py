@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, get_type_hints
@@ -11,7 +13,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from petmjx.checked import describe
 from petmjx.errors import InputError
 from petmjx.plans.ordered import OrderCounts
+from petmjx.results.files import DIGEST_BYTES, TABLES
 
+TableName = Annotated[str, Field(pattern=rf"^({'|'.join(TABLES)})$")]
+PartName = Annotated[str, Field(pattern=r"^part-[0-9]{5,12}\.parquet$")]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
 
 
@@ -42,6 +48,7 @@ class _Skipped(_Read):
     source: str
     plan_id: str | None = None
     error: str = ""
+    number: int | None = None
 
 
 class _Identity(_Read):
@@ -75,6 +82,20 @@ class RunFile(_Read):
     warnings: list[str] = []
     orders: _Orders | None = None
     """Of runs that were compared with orders, as ``counts.orders``."""
+    parts: dict[TableName, dict[PartName, Digest]] | None = None
+    """The files that count; runs that were begun before there were digests have none."""
+    digest: Digest | None = None
+    """Of all other entries."""
+
+
+_OPTIONAL: Final = ("orders", "parts", "digest")
+
+
+def run_digest(info: Mapping[str, Any]) -> str:
+    """Digest of all entries of a ``run.json`` but ``digest``, whatever their order and the spaces between them."""
+    rest = {name: value for name, value in info.items() if name != "digest"}
+    text = json.dumps(rest, sort_keys=True, ensure_ascii=True)
+    return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:
@@ -89,6 +110,10 @@ def check_run_file(info: Mapping[str, Any], file: Path) -> None:
         raise InputError(f"{file}: damaged: {describe(error)}") from None
     if (read.orders is None) != (read.counts.orders is None):
         raise InputError(f"{file}: damaged: {'counts.orders' if read.orders else 'orders'} is missing")
+    if read.digest is not None and read.digest != run_digest(info):
+        raise InputError(
+            f"{file}: damaged: it is not what the run wrote (who has changed it on purpose takes its entry digest away)"
+        )
 
 
 def check_whole(info: Mapping[str, Any], file: Path) -> None:
@@ -98,5 +123,5 @@ def check_whole(info: Mapping[str, Any], file: Path) -> None:
         InputError: "DIR/run.json: damaged: timings is missing".
     """
     for name in RunFile.model_fields:
-        if name not in info and name != "orders":
+        if name not in info and name not in _OPTIONAL:
             raise InputError(f"{file}: damaged: {name} is missing")

@@ -14,12 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 
 from petmjx.config import Schedule
+from petmjx.errors import InputError
 from petmjx.metrics import spec
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.verdict import Flag, Verdict
@@ -147,6 +150,9 @@ _CONTACT_COLUMNS = (
 )
 
 
+_NUMBER = _counts(number="which of the plans given it is, from 0, counting those that were skipped")
+"""Column of ``plans``, whose rows are in that order; null in runs that were begun before it was there."""
+
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
     _column("extent_x_m", pa.float64(), "m", "extent of its bounding box along x"),
@@ -200,7 +206,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
     texts = _texts(
         plan_id="id of the packing plan", digest="of all that reaches the results", source="the file it came from"
     )
-    return _schema("plans", [*texts, *_EXTENT_COLUMNS, *(_ORDER_COLUMNS if ordered else ())])
+    return _schema("plans", [*texts, *_EXTENT_COLUMNS, *_NUMBER, *(_ORDER_COLUMNS if ordered else ())])
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:
@@ -215,6 +221,22 @@ def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: 
             raise ValueError(f"summary column {field.name!r} needs a unit")
     columns = [_column(c.name, c.type, units.get(c.name, TEXT), descriptions.get(c.name, "")) for c in inferred]
     return _schema("summary", columns)
+
+
+def summary_table(
+    frame: pd.DataFrame, units: Mapping[str, str], descriptions: Mapping[str, str] | None = None
+) -> pa.Table:
+    """The table ``summary``; the frame's index is left out.
+
+    Args:
+        units: column → unit, for every column of numbers (``"1"`` for counts and shares).
+        descriptions: column → one line.
+
+    Raises:
+        ValueError: a numeric column without a unit.
+    """
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    return pa.Table.from_arrays(table.columns, schema=summary_schema(table.schema, units, descriptions or {}))
 
 
 def filled(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
@@ -238,3 +260,11 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
         return int(text)
     except ValueError:
         return 0
+
+
+def check_version(file: Path, version: int) -> None:
+    """Raises InputError if a newer petmjx wrote the results."""
+    if version > SCHEMA_VERSION:
+        raise InputError(
+            f"{file}: written by a newer petmjx (schema {version}; this one reads up to {SCHEMA_VERSION}): update it"
+        )

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from petmjx.metrics.spec import box_metrics, world_metrics
-from petmjx.results.files import OF_SOME_WORLDS, part_files
-from petmjx.results.reader import RunResults, read_part
+from petmjx.results.reader import RunResults
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+
+_NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
+"""Table → the table whose parts of the same numbers say which worlds it has; ``worlds`` for all others."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
     """A world's row of ``worlds``, column → value, null as None; None where there is no such world."""
-    rows = rows_of(run.path, "worlds", plan_id, variant)
+    rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
 
@@ -28,7 +29,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
     Values of boxes that were never placed are NaN, and measured ones have the precision of the table ``boxes``.
     """
     row = world_row(run, plan_id, variant)
-    boxes = rows_of(run.path, "boxes", plan_id, variant)
+    boxes = rows_of(run, "boxes", plan_id, variant)
     if row is None or boxes is None:
         return None
     table = boxes.sort_by("box")
@@ -51,19 +52,18 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
     )
 
 
-def rows_of(folder: Path, table: str, plan_id: str, variant: int) -> pa.Table | None:
+def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
     """A world's rows of a table of a run; None where it has none.
 
     Raises:
         InputError: a damaged or missing part.
     """
-    for file in part_files(folder, "worlds"):
-        if len(_only(read_part(file, ("plan_id", "variant")), plan_id, variant)):
-            there = folder / table / file.name  # parts with the same number belong together
-            if table in OF_SOME_WORLDS and not there.exists():
-                return None
-            rows = _only(read_part(there), plan_id, variant)
-            return rows if len(rows) else None
+    of_table = {file.name: file for file in run.parts.files(table)}
+    for file in run.parts.files(_NAMES_WORLDS.get(table, "worlds")):
+        if len(_only(run.parts.read(file, ("plan_id", "variant")), plan_id, variant)):
+            there = of_table.get(file.name)  # parts with the same number belong together
+            rows = None if there is None else _only(run.parts.read(there), plan_id, variant)
+            return rows if rows is not None and len(rows) else None
     return None
 
 

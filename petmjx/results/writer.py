@@ -8,42 +8,34 @@ import platform
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-import pandas as pd
 import pyarrow as pa
 
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan, Skipped
-from petmjx.results.counts import COUNTED, Counts
-from petmjx.results.files import (
-    OF_SOME_WORLDS,
-    RUN_FILE,
-    copy_file,
-    drop_unfinished_parts,
-    make_room,
-    part_files,
-    part_name,
-    part_number,
-    tidy,
-    write_table,
-    write_text,
-)
+from petmjx.results.counts import COUNTED
+from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy, write_text
+from petmjx.results.given import Given
+from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
-from petmjx.results.ordered import counts_block, has_order_columns, orders_block
+from petmjx.results.ordered import counts_block, orders_block
 from petmjx.results.parts import Part, Row
+from petmjx.results.pending import Pending
 from petmjx.results.plain import plain
-from petmjx.results.reader import read_info, read_part, told_apart
+from petmjx.results.reader import read_info, told_apart
 from petmjx.results.recorded import Recorded
-from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_schema
+from petmjx.results.run_file import run_digest
+from petmjx.results.schema import SCHEMA_VERSION, Param, schemas
 from petmjx.results.shield import shielded
+from petmjx.results.sorting import SORTED, sort_parts
+from petmjx.results.tables import Tables
 from petmjx.text import one_line
 from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
@@ -56,23 +48,6 @@ HISTORY_BYTES_PER_PART: Final = 64 << 20
 
 SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this time, even if worlds finish slowly."""
-
-
-@dataclass
-class _Pending:
-    """The part that is being collected, and what was written before it."""
-
-    part: Part
-    counts: Counts = field(default_factory=Counts)
-    since_s: float = 0.0
-    """When its first world came (monotonic clock). Time before that, such as for compiling, does not count."""
-
-    def following(self) -> _Pending:
-        """The next part, once this one is written."""
-        counts = replace(self.counts, verdicts=Counter(self.counts.verdicts))
-        cells = [row.cells for row in self.part.rows]
-        counts.add(*([cell[name] for cell in cells] for name in COUNTED))
-        return _Pending(Part(self.part.number + 1), counts)
 
 
 class RunWriter:
@@ -126,6 +101,7 @@ class RunWriter:
         self.out_dir = Path(out_dir)
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
+        self._tables = Tables(self.out_dir)
         self.recorded = Recorded()
         self.skipped: list[Skipped] = []
         self.warnings: dict[str, None] = {}
@@ -138,7 +114,7 @@ class RunWriter:
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
-        self._pending = _Pending(Part(0))
+        self._pending = Pending(Part(0))
         self._status = "running"
         self._error: str | None = None
         self._started = time.monotonic()
@@ -165,8 +141,8 @@ class RunWriter:
                     self._go_on()
                 else:
                     make_room(self.out_dir, self._overwrite)
-                    if self._manifest is not None:
-                        self._manifest.write(self.out_dir, self._orders.of_plan if self._orders else None)
+                    self._tables.drop_others()
+                    self._write_plans()
                 self._write_info()
             except OSError as error:
                 raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
@@ -190,15 +166,18 @@ class RunWriter:
             before = info["versions"].get(name)
             if before != version:
                 self.warn(f"resumed with {name} {version}; worlds before were simulated with {before or 'none'}")
-        drop_unfinished_parts(self.out_dir)
-        self.recorded = Recorded(self.out_dir, [param.name for param in self.params])
-        numbers = [part_number(file) for file in part_files(self.out_dir, "worlds")]
-        self._pending = _Pending(Part(max(numbers, default=-1) + 1), self.recorded.counts())
+        parts = Parts.of(self.out_dir, info).with_worlds()
+        self.recorded = Recorded(parts, [param.name for param in self.params])
+        parts.check_tables(SORTED)
+        self._tables = Tables(self.out_dir, parts.without("summary"))
+        self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self.recorded.counts())
         self.earlier_s = dict(info["timings"])
         self._head |= {"started": info["started"], "resumed": [*info["resumed"], _now()]}
-        if self._orders is not None or has_order_columns(self.out_dir):
-            self._write_info()  # after a kill between the two files the run must not look finished
-            self._manifest.write(self.out_dir, self._orders.of_plan if self._orders else None)
+        self._write_info()  # before files go that it listed, and after a kill the run must not look finished
+        self._tables.drop_others()
+        if self._write_plans():
+            self._write_info()
+            self._tables.drop_others()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -231,8 +210,19 @@ class RunWriter:
                     raise
 
     @property
+    def parts(self) -> Parts:
+        """The files of the tables, as they are now."""
+        return self._tables.parts
+
+    def _write_plans(self) -> bool:
+        """Write the table ``plans`` if there is none that says the same; returns whether it did."""
+        if self._manifest is None:
+            return False
+        return self._tables.write_plans(self._manifest.table(self._orders.of_plan if self._orders else None))
+
+    @property
     def info(self) -> dict[str, Any]:
-        """What ``run.json`` says now. Counts are of worlds on disk."""
+        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
         seconds = Counter(self.earlier_s)
         seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})
         return {
@@ -248,9 +238,10 @@ class RunWriter:
                 **({"orders": counts_block(self._orders)} if self._orders else {}),
             },
             "timings": dict(seconds),
-            "skipped": [{"plan_id": s.plan_id or "", "source": s.source, "error": s.message} for s in self.skipped],
+            "skipped": [_as_json(skipped) for skipped in self.skipped],
             "warnings": [*self.warnings, *self.odd_plans],
             **({"orders": orders_block(self._orders)} if self._orders else {}),
+            LISTED: self.parts.digests,
         }
 
     def add(
@@ -303,27 +294,60 @@ class RunWriter:
         with self._lock:
             self._write_part(last=True)
 
-    def adopt(self, folder: Path) -> None:
-        """Take over the parts of another run, which has the same columns.
+    def adopt(self, parts: Parts) -> None:
+        """Take over the worlds of another run, which has the same columns.
 
         Raises:
+            InputError: a part is damaged.
             PetmjxError: a part cannot be written.
         """
-        for file in part_files(folder, "worlds"):
-            worlds = read_part(file, COUNTED)
-            if not len(worlds):
-                continue
-            with self._lock:
-                number = self._pending.part.number
-                try:
-                    for table in (*OF_SOME_WORLDS, "boxes", "worlds"):
-                        source = folder / table / file.name
-                        if table not in OF_SOME_WORLDS or source.exists():
-                            copy_file(source, self.out_dir / table / part_name(number))
-                except OSError as error:
-                    raise self._trouble(error) from error
+        with self._lock:
+            for worlds in parts.table("worlds", COUNTED):
                 self._pending.counts.add_worlds(worlds)
-                self._pending = _Pending(Part(number + 1), self._pending.counts)
+            with self._writing():
+                self._tables.adopt(parts)
+            self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self._pending.counts)
+            self._write_info()
+
+    def put_in_order(self) -> None:
+        """Put all rows into the order in which plans were given, for runs of which no world is missing.
+
+        Until then parts are written as worlds finish. Where there is no room for the tables twice they stay so, and a
+        warning says it.
+
+        Raises:
+            PetmjxError: the last part or ``run.json`` cannot be written.
+        """
+        if self._manifest is None:
+            return
+        plans = self._manifest.plans
+        given = Given(list(plans), [plan.number or 0 for plan in plans.values()])
+        with self._lock:
+            place = {plan_id: at for at, plan_id in enumerate(plans)}
+            self._pending.part.rows.sort(key=lambda row: (place[row.plan.plan_id], row.cells["variant"]))
+            if not self.parts.files("worlds"):
+                return  # the part that waits is all there is
+            self._write_part()
+            try:
+                done = sort_parts(self.parts, given, self._pending.part.number, self._worlds_per_part)
+            except OSError as error:
+                self.warn(f"rows are in the order in which worlds finished: {error.strerror or error}")
+                return
+            if done is not None:
+                with shielded(afterwards=True), self._writing():
+                    self._tables.replace(done)
+                    self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self._pending.counts)
+                    self._write_info()
+                    self._tables.drop_others()
+
+    def write_summary(self, answers: pa.Table) -> None:
+        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An old one is replaced.
+
+        Raises:
+            PetmjxError: the file cannot be written.
+        """
+        with self._writing():
+            self._tables.write_first("summary", answers)
 
     def skip(self, skipped: Skipped) -> None:
         """Record a plan or a file that is not simulated, and why."""
@@ -345,54 +369,33 @@ class RunWriter:
         """Write the pending part and begin the next one, with the lock held."""
         part = self._pending.part
         # a run without worlds still gets one empty part, so that readers find the columns
-        if not part.rows and not (last and part.number == 0):
+        if not part.rows and not (last and not self.parts.files("worlds")):
             return
         self._timer.cancel()
-        try:
-            part.write(self.out_dir, self.schemas)
-        except OSError as error:
-            raise self._trouble(error) from error
+        with self._writing():
+            self.parts.add(part.write(self.out_dir, self.schemas))
         # one assignment: after an interrupt before it the same part is written again, after it the next part begins
         self._pending = self._pending.following()
         self._write_info()
 
-    def _trouble(self, error: OSError) -> PetmjxError:
-        return PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}")
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
 
     def _write_info(self) -> None:
-        text = json.dumps(plain(self.info), indent=2, ensure_ascii=False, allow_nan=False)
-        try:
+        info = plain(self.info)
+        info["digest"] = run_digest(info)
+        text = json.dumps(info, indent=2, ensure_ascii=False, allow_nan=False)
+        with self._writing():
             write_text(text + "\n", self.out_dir / RUN_FILE)
-        except OSError as error:
-            raise self._trouble(error) from error
 
 
-def write_summary(
-    out_dir: str | Path,
-    frame: pd.DataFrame,
-    units: Mapping[str, str],
-    descriptions: Mapping[str, str] | None = None,
-) -> Path:
-    """Write a sweep's ``summary`` table beside its worlds, whole or not at all. An old one is replaced.
-
-    Args:
-        out_dir: the run's folder.
-        frame: the table; its index is not written.
-        units: column → unit, for every column of numbers (``"1"`` for counts and shares).
-        descriptions: column → one line.
-
-    Raises:
-        ValueError: a numeric column without a unit.
-        PetmjxError: the file cannot be written.
-    """
-    table = pa.Table.from_pandas(frame, preserve_index=False)
-    schema = summary_schema(table.schema, units, descriptions or {})
-    path = Path(out_dir) / "summary" / part_name(0)
-    try:
-        write_table(pa.Table.from_arrays(table.columns, schema=schema), path)
-    except OSError as error:
-        raise PetmjxError(f"{path}: cannot write the summary: {error.strerror or error}") from error
-    return path
+def _as_json(skipped: Skipped) -> dict[str, Any]:
+    entry = {"plan_id": skipped.plan_id or "", "source": skipped.source, "error": skipped.message}
+    return entry if skipped.number is None else {**entry, "number": skipped.number}
 
 
 def _now() -> str:

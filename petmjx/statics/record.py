@@ -13,7 +13,7 @@ import pandas as pd
 from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.results.described import Described, write_described
-from petmjx.results.files import write_text
+from petmjx.results.files import text
 from petmjx.results.plain import plain
 from petmjx.statics.named import Criterion, chosen_criteria
 from petmjx.statics.tables import (
@@ -73,8 +73,8 @@ class CriteriaResults:
         folder = Path(folder)
         check_free(folder, overwrite)
         try:
-            write_described(folder, self._tables())
-            write_text(json.dumps(plain(self.info), indent=2, allow_nan=False), folder / INFO_FILE)
+            info = text(json.dumps(plain(self.info), indent=2, allow_nan=False))
+            write_described(folder, self._tables(), {INFO_FILE: info})
         except OSError as error:
             raise InputError(f"{folder}: cannot be written: {reason(error)}") from None
 

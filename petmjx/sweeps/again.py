@@ -17,6 +17,7 @@ from petmjx.results.plans_again import file_again, how_read
 from petmjx.results.reader import RunResults
 from petmjx.sweeps.confidence import confidence_sweep
 from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
+from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
 from petmjx.sweeps.ready import find_sweep
 from petmjx.text import counted, printable, shown
@@ -26,7 +27,7 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """A plan as the run had it.
 
     Args:
-        plans: where to look for it; None: the file that the run read it from.
+        plans: where to look for it; None: the plans that the run was given as objects, or the file that it read.
 
     Raises:
         InputError: the run has no such plan, its file is gone, or it has changed since.
@@ -36,8 +37,9 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
         among = f"is not among its {counted(len(manifest.plans), 'plan')}{similar(plan_id, manifest.plans)}"
         raise InputError(f"{run.path}: plan {shown(plan_id)} {among}")
     known = manifest.plans[plan_id]
-    given = plans or _file(run, plan_id, known.source)
-    plan = find_plan(gather_plans(given, Simulation(), how_read(run.info)), plan_id)
+    if plans is None:
+        plans = [run.held[plan_id]] if plan_id in run.held else _file(run, plan_id, known.source)
+    plan = find_plan(gather_plans(plans, Simulation(), how_read(run.info)), plan_id)
     if plan_digest(plan) != known.digest:
         raise InputError(f"{plan.source}: plan {shown(plan_id)} is not the one that {run.path} was made of: it changed")
     return plan
@@ -46,9 +48,29 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
 def _file(run: RunResults, plan_id: str, source: str) -> Path:
     file = file_again(source)
     if file is None:
-        gone = f"plan {shown(plan_id)} came from {printable(source)}, which is not there: name its file"
+        gone = f"plan {shown(plan_id)} came from {printable(source)}, which is not there: give its file, or the plan"
         raise InputError(f"{run.path}: {gone}")
     return file
+
+
+def worlds_of_run(
+    run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
+) -> tuple[SweepPlan, int]:
+    """A plan's worlds in a run, and which of them is asked for: by default the nominal one.
+
+    Raises:
+        InputError: as :func:`plan_of_run` and :func:`sweep_of_run`; or there is no such variant.
+    """
+    sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
+    if variant is None and not sweep.nominal:
+        raise InputError(f"{run.path}: plan {shown(plan_id)} has many worlds: name a variant, as in the table worlds")
+    worlds = SweepPlan(sweep, [plan])
+    if variant is not None:
+        try:
+            worlds.find(plan_id, variant)
+        except InputError as error:  # which tells of the sweep's file; a score has none, and people named the run
+            raise InputError(f"{run.path}: plan {shown(plan_id)} has no variant {variant}") from error
+    return worlds, variant or 0
 
 
 def sweep_of_run(run: RunResults) -> Sweep:

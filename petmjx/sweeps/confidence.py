@@ -15,9 +15,9 @@ import pyarrow as pa
 
 from petmjx.errors import InputError
 from petmjx.metrics.spec import DIMENSIONLESS
-from petmjx.results.files import part_files
-from petmjx.results.reader import read_part
-from petmjx.results.writer import write_summary
+from petmjx.results.listed import Parts
+from petmjx.results.schema import summary_table
+from petmjx.results.writer import RunWriter
 from petmjx.sweeps.file import Sweep, load_sweep
 from petmjx.sweeps.ready import find_sweep
 from petmjx.sweeps.shares import ONE_PLAN, share_standing
@@ -82,29 +82,32 @@ def _what_is_no_error(sweep: Sweep) -> str:
     return ""
 
 
-def summarise_confidence(folder: Path) -> pd.DataFrame:
-    """One row a plan, by id: its nominal verdict, and the share that stands with errors. Columns: docs/confidence.md.
+def summarise_confidence(parts: Parts) -> pd.DataFrame:
+    """One row a plan, in the order given: its nominal verdict, and the share that stands with errors.
+
+    Columns: docs/confidence.md.
 
     Args:
-        folder: the run's folder, with all parts written.
+        parts: of the run, all of them written and in order.
     """
     wanted = ["plan_id", "variant", "verdict", "reason", "margin"]
-    worlds = pa.concat_tables([read_part(file, wanted) for file in part_files(folder, "worlds")]).to_pandas()
+    worlds = pa.concat_tables(parts.table("worlds", wanted)).to_pandas()
     nominal = worlds[worlds["variant"] == 0]
     drawn = worlds[worlds["variant"] > 0]
     shares = share_standing(drawn.assign(draw=drawn["variant"]), ())
-    found = nominal.merge(shares[shares["scope"] == ONE_PLAN], on="plan_id", how="outer")
+    found = nominal.merge(shares[shares["scope"] == ONE_PLAN], on="plan_id", how="left")
     found["coin_toss"] = (found["low"] <= EVEN) & (found["high"] >= EVEN)
-    return found.sort_values("plan_id", ignore_index=True)[[*_DESCRIPTIONS]]
+    return found[[*_DESCRIPTIONS]]
 
 
-def write_confidence(folder: Path) -> None:
-    """Write the table ``summary`` of a run with confidence, whose parts are all written.
+def write_confidence(writer: RunWriter) -> None:
+    """Write the table ``summary`` of a run with confidence, whose parts are all written and in order.
 
     Raises:
         PetmjxError: the file cannot be written.
     """
-    write_summary(folder, summarise_confidence(folder), dict.fromkeys(_NUMBERS, DIMENSIONLESS), _DESCRIPTIONS)
+    units = dict.fromkeys(_NUMBERS, DIMENSIONLESS)
+    writer.write_summary(summary_table(summarise_confidence(writer.parts), units, _DESCRIPTIONS))
 
 
 def contradicted(summary: pd.DataFrame) -> pd.Series[bool]:

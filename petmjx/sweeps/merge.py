@@ -13,12 +13,11 @@ import pyarrow as pa
 from petmjx.errors import InputError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Skipped
-from petmjx.results.files import part_files, part_name, write_table
 from petmjx.results.manifest import Manifest
 from petmjx.results.ordered import joined, read_check
-from petmjx.results.reader import RunResults, load_run, read_part, told_apart
-from petmjx.results.schema import Param
-from petmjx.results.writer import RunWriter, write_summary
+from petmjx.results.reader import RunResults, load_run, told_apart
+from petmjx.results.schema import Param, summary_table
+from petmjx.results.writer import RunWriter
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.summary import ShareColumns, summarise_shares
 from petmjx.text import counted, first_names, shown
@@ -28,7 +27,7 @@ _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
-    """Join all shards of a run; the tables are those of the run without shards, in another order.
+    """Join all shards of a run; the tables are those of the run without shards.
 
     Args:
         shards: folders of the N runs with ``shard`` 1/N to N/N, finished, in any order.
@@ -67,16 +66,17 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
     ) as writer:
         seconds: Counter[str] = Counter()
         for run in runs:
-            writer.adopt(run.path)
+            writer.adopt(run.parts)
             seconds.update(run.info["timings"])
         writer.earlier_s = dict(seconds)
         _note_input(writer, [run.info for run in runs])
         for note in _other_versions(runs):
             writer.warn(note)
+        writer.put_in_order()
         if first["config"].get("confidence") is not None:
-            write_confidence(out)
+            write_confidence(writer)
         elif whole.settings["command"] == "sweep":
-            _write_summary(out, runs)
+            _write_summary(writer, runs)
     return load_run(out)
 
 
@@ -114,9 +114,9 @@ def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
     """Raises InputError where two shards have the same world, none has any of a plan, or boxes are missing."""
     home: dict[tuple[str, int], Path] = {}
     for run in runs:
-        for file in part_files(run.path, "worlds"):
-            read_part(run.path / "boxes" / file.name, ())
-            keys = read_part(file, ("plan_id", "variant"))
+        for boxes in run.parts.files("boxes"):
+            run.parts.read(boxes, ())
+        for keys in run.parts.table("worlds", ("plan_id", "variant")):
             for key in zip(keys["plan_id"].to_pylist(), keys["variant"].to_pylist(), strict=True):
                 if key in home:
                     where = f"{home[key]} and {run.path}" if home[key] != run.path else f"{run.path}"
@@ -160,7 +160,10 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
 def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
     """What all shards say of the same input once, and in the order in which it comes first."""
     entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
-    skipped = (Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", "")) for entry in entries)
+    skipped = (
+        Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))
+        for entry in entries
+    )
     for each in dict.fromkeys(skipped):
         writer.skip(each)
     warnings = [told_apart(info) for info in infos]
@@ -181,16 +184,16 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
                 yield f"shard {shard} was simulated with {name} {had}, shard {other} with {others}"
 
 
-def _write_summary(out: Path, runs: Sequence[RunResults]) -> None:
+def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
     """Shares are taken of all worlds anew; answers of searches are each plan's own."""
-    tables = [read_part(file) for run in runs for file in part_files(run.path, "summary")]
+    tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:
         answers = pa.concat_tables(tables).sort_by([(name, "ascending") for name in _ANSWER])
-        write_table(answers, out / "summary" / part_name(0))
+        writer.write_summary(answers)
         return
     columns = ShareColumns(**shares)
     metadata = {field.name: field.metadata or {} for field in tables[0].schema}
     units = {name: entry.get(b"unit", b"").decode() for name, entry in metadata.items()}
     texts = {name: entry.get(b"description", b"").decode() for name, entry in metadata.items()}
-    write_summary(out, summarise_shares(out, columns), units, texts)
+    writer.write_summary(summary_table(summarise_shares(writer.parts, columns), units, texts))

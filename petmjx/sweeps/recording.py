@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from petmjx.errors import InputError
 from petmjx.history import Record
 from petmjx.plans.plan import Plan
-from petmjx.results.files import part_files
-from petmjx.results.reader import read_part
+from petmjx.results.listed import Parts
 from petmjx.run_options import ALL, FAILED, RunOptions
 from petmjx.text import counted, first_names
 from petmjx.verdict import Outcome, Verdict
@@ -45,13 +43,13 @@ class Recording:
             return outcome
         return replace(outcome, history=None)
 
-    def missing(self, folder: Path) -> int:
-        """How many worlds that are in a run's folder should have a history, but have none."""
+    def missing(self, parts: Parts) -> int:
+        """How many worlds that a run has already should have a history, but have none."""
         if self.record is None:
             return 0
-        frames = [read_part(file, _KEY) for file in part_files(folder, "frames")]
+        frames = parts.table("frames", _KEY)
         there = {key for part in frames for key in zip(*part.to_pydict().values(), strict=True)}
-        worlds = [read_part(file, (*_KEY, "verdict")).to_pydict() for file in part_files(folder, "worlds")]
+        worlds = [part.to_pydict() for part in parts.table("worlds", (*_KEY, "verdict"))]
         rows = (row for part in worlds for row in zip(*part.values(), strict=True))
         return sum(
             (self.plan_ids is None or plan_id in self.plan_ids)

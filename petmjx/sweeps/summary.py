@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,7 @@ import pandas as pd
 import pyarrow as pa
 
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
-from petmjx.results.files import part_files
-from petmjx.results.reader import read_part
+from petmjx.results.listed import Parts
 from petmjx.results.schema import Param
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
@@ -141,21 +139,20 @@ class ShareColumns:
         return cls(axes, ranges, columns.has_eumos, columns.has_tilt, draws, plan.sweep.sample is not None)
 
 
-def summarise_shares(folder: Path, columns: ShareColumns) -> pd.DataFrame:
+def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
 
     Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there is also the share that
     passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
 
     Args:
-        folder: the run's folder, with all parts written.
+        parts: of the run, all of them written.
     """
     axes = list(columns.axes)
     extra = ["eumos_passed"] if columns.eumos else []
     extra += [FAIL_ANGLE.name] if columns.tilt else []
     wanted = ["plan_id", "variant", "verdict", *axes, *extra]
-    parts = [read_part(file, wanted) for file in part_files(folder, "worlds")]
-    worlds = pa.concat_tables(parts).to_pandas()
+    worlds = pa.concat_tables(parts.table("worlds", wanted)).to_pandas()
     for name, (low, high) in columns.ranges.items():
         worlds[name] = _binned(worlds[name], low, high)
     worlds["draw"] = _draws(worlds, columns)

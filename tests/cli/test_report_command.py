@@ -44,4 +44,4 @@ def test_what_is_unusable_takes_one_line(
 def test_a_damaged_part_takes_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     next((folder / "boxes").iterdir()).write_bytes(b"PAR1")
     assert run("report", folder) == 2
-    assert "not a whole Parquet file" in only_line(capsys.readouterr().err)
+    assert "part-00000.parquet: damaged part, it is not what the run wrote" in only_line(capsys.readouterr().err)

@@ -326,6 +326,14 @@ def test_export_writes_the_model_of_a_plan(plans: Path, tmp_path: Path, capsys: 
     assert run("export", "tower", plans, "--out", tmp_path / "tower.xml") == 0
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "tower.xml")).opt.timestep == 0.002
     capsys.readouterr()
+    assert run("score", plans, "--engine", "mujoco", "--carrier", "euro-pallet", "--out", tmp_path / "run") == 0
+    assert run("export", "tower", tmp_path / "run", "--out", tmp_path / "of-run.xml") == 0
+    assert run("export", "tower", plans, "--carrier", "euro-pallet", "--out", tmp_path / "again.xml") == 0
+    assert (tmp_path / "of-run.xml").read_text() == (tmp_path / "again.xml").read_text()
+    assert (tmp_path / "of-run.xml").read_text() != (tmp_path / "tower.xml").read_text()
+    capsys.readouterr()
+    assert run("export", "tower", tmp_path / "run", "--carrier", "euro-pallet") == 2
+    assert "the options of a run's world are those of the run" in only_line(capsys.readouterr().err)
     assert run("export", "castle", plans) == 2
     assert "plan castle is not among the 2 plans read" in only_line(capsys.readouterr().err)
 

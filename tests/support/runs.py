@@ -1,13 +1,27 @@
-"""Runs as they are left behind."""
+"""Runs as they are left behind, and as somebody changes them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+
+def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
+    """Change what a folder's ``run.json`` says, as people do who mean it: its digest goes."""
+    file = folder / "run.json"
+    info = json.loads(file.read_text(encoding="utf-8"))
+    info.pop("digest", None)
+    edit(info)
+    file.write_text(json.dumps(info), encoding="utf-8")
 
 
 def leave_unfinished(folder: Path) -> None:
     """Say of a run that it was interrupted."""
-    file = folder / "run.json"
-    info = json.loads(file.read_text(encoding="utf-8"))
-    file.write_text(json.dumps(info | {"status": "interrupted"}), encoding="utf-8")
+    edit_info(folder, lambda info: info.update(status="interrupted"))
+
+
+def without_digests(folder: Path) -> None:
+    """Make a run one of before its files had digests."""
+    edit_info(folder, lambda info: info.pop("parts"))

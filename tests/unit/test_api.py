@@ -145,21 +145,12 @@ def test_sources_of_plans() -> None:
 
 
 @pytest.mark.parametrize("wrapped", [list, PlanSet])
-def test_of_plans_with_one_id_the_first_is_kept(wrapped: type) -> None:
+def test_plans_with_one_id_are_named_apart(wrapped: type) -> None:
     plans = [make_plan("twice", 1), make_plan("once", 1), make_plan("twice", 2)]
-    found = gathered(wrapped(plans))
-    assert [(plan.plan_id, plan.n_boxes) for plan in found] == [("twice", 1), ("once", 1)]
-    assert [str(skipped) for skipped in found.skipped] == ["plans.json: plan twice: repeated plan id"]
-    assert gathered(wrapped(plans), limit=2).skipped == []
-    with pytest.raises(InputError, match="plan twice: repeated plan id"):
-        gathered(wrapped(plans), strict=True)
-
-
-def test_what_was_skipped_is_counted() -> None:
-    results = petmjx.score([STANDS, STANDS], **STATIC)
-    assert len(results.worlds) == 1
-    [skipped] = results.info["skipped"]
-    assert (skipped["plan_id"], skipped["error"]) == ("stands", "plans.json: plan stands: repeated plan id")
+    found = gathered(wrapped(plans), strict=True)
+    assert [(plan.plan_id, plan.n_boxes) for plan in found] == [("twice", 1), ("once", 1), ("twice#2", 2)]
+    assert found.notes == ["1 plan repeats an id and is called twice#2"]
+    assert len(gathered(wrapped(plans), limit=2)) == 2
 
 
 def test_a_plan_is_found_by_its_id_or_why_not_is_said() -> None:

@@ -24,7 +24,6 @@ from petmjx.errors import InputError
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
 from petmjx.plans.samples.handmade import HANDMADE
-from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
 from petmjx.show.layout import print_each
 from petmjx.show.tables import run_tables
@@ -32,7 +31,6 @@ from petmjx.sweeps.confidence import (
     READY_MADE,
     confidence_sweep,
     contradicted,
-    summarise_confidence,
     write_confidence,
 )
 from petmjx.sweeps.ready import ready_sweeps
@@ -198,7 +196,9 @@ def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
     assert_same(score(confidence=4, out=tmp_path / "run", resume=True), expected)
 
 
-def written(folder: Path, counts: Sequence[int], nominal: Verdict = Verdict.STABLE, ids: Sequence[str] = "a") -> Path:
+def written(
+    folder: Path, counts: Sequence[int], nominal: Verdict = Verdict.STABLE, ids: Sequence[str] = "a"
+) -> petmjx.RunResults:
     """A run of plans that are all alike; ``counts``: worlds that stand, fall and are invalid."""
     kinds = zip(Verdict, counts, strict=False)
     verdicts = [nominal, *(verdict for verdict, count in kinds for _ in range(count))]
@@ -207,7 +207,9 @@ def written(folder: Path, counts: Sequence[int], nominal: Verdict = Verdict.STAB
             reason = {Verdict.UNSTABLE: Reason.SHIFT, Verdict.INVALID: Reason.NONFINITE}.get(verdict, Reason.NONE)
             outcome = make_outcome(1, verdict, reason, flags=Flag.NONE)
             run.add(make_plan(plan_id, 1), variant, "fixed", outcome)
-    return folder
+        run.flush()
+        write_confidence(run)
+    return petmjx.load_run(folder)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +222,7 @@ def written(folder: Path, counts: Sequence[int], nominal: Verdict = Verdict.STAB
 def test_a_coin_toss_has_one_half_in_its_interval(
     counts: tuple[int, ...], share: float, toss: bool, tmp_path: Path
 ) -> None:
-    (row,) = summarise_confidence(written(tmp_path, counts)).to_dict("records")
+    (row,) = written(tmp_path, counts).summary.to_dict("records")
     assert row["share"] == pytest.approx(share, nan_ok=True)
     assert row["coin_toss"] is toss
     assert row["n_worlds"] == sum(counts)
@@ -237,22 +239,21 @@ def test_a_coin_toss_has_one_half_in_its_interval(
 def test_shares_against_the_nominal_verdict(
     nominal: Verdict, counts: tuple[int, int], expected: bool, tmp_path: Path
 ) -> None:
-    assert contradicted(summarise_confidence(written(tmp_path, counts, nominal))).tolist() == [expected]
+    assert contradicted(written(tmp_path, counts, nominal).summary).tolist() == [expected]
 
 
 @pytest.mark.parametrize("n_plans", [12, 50])
 def test_what_is_printed_names_the_plans_to_think_about(n_plans: int, tmp_path: Path) -> None:
     for counts, line in (((8, 8), "coin toss: "), ((0, 16), "most worlds contradict the nominal verdict: ")):
-        folder = written(tmp_path / str(counts[0]), counts, ids=[f"plan-{k:02}" for k in range(n_plans)])
-        write_confidence(folder)
+        results = written(tmp_path / str(counts[0]), counts, ids=[f"plan-{k:02}" for k in range(n_plans)])
         console = Console(width=80, file=StringIO())
-        print_each(run_tables(load_run(folder)), console)
+        print_each(run_tables(results), console)
         printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
         names = ", ".join(f"plan-{k:02}" for k in range(10))
         assert f"{line}{names} and {n_plans - 10} more, in summary\n" in printed
         assert ("worlds with errors" in printed) == (n_plans <= 40)
         assert ("of 16" in printed) == (n_plans <= 40)
-        assert max(map(len, printed.replace(names, "").replace(str(folder), "").splitlines())) <= 80
+        assert max(map(len, printed.replace(names, "").replace(str(results.path), "").splitlines())) <= 80
 
 
 def test_the_default_simulation_is_that_of_a_score() -> None:

@@ -242,10 +242,10 @@ def test_a_history_comes_back_as_it_was(tmp_path: Path) -> None:
     for plan in PLANS:
         scene = make_world(plan).job.scene
         expected = history_of(simulate(scene, Simulation(), Record(0.1, details=True)))
-        found = read_history(run.path, plan.plan_id, 0, plan.n_boxes)
+        found = read_history(run, plan.plan_id, 0, plan.n_boxes)
         assert found is not None
         assert_equal(found, expected)
-    assert read_history(run.path, "stands", 1, 3) is None
+    assert read_history(run, "stands", 1, 3) is None
 
 
 def test_drives_come_back_as_they_were() -> None:

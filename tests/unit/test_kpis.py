@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import datetime
+import errno
+import itertools
 import json
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.command_line import only_line, run, write
 from support.plan_files import order_for, placement, tower
-from support.runs import leave_unfinished
+from support.runs import leave_unfinished, without_digests
 
 import petmjx
 from petmjx.plans.read import load_plans
@@ -267,6 +270,7 @@ def test_ten_millimetres_along_z(runs: dict[str, Path]) -> None:
     """Their rule looks at z alone: 10 mm exactly is stable, whatever the verdict."""
     file = next((runs["static"] / "boxes").iterdir())
     table = pq.read_table(file)
+    without_digests(runs["static"])
     for shift, expected in ((0.01, 1), (-0.0101, 0), (0.0101, 0)):
         shifts = np.where(table["plan_id"].to_pandas() == "stands", shift, 1.0).astype(np.float32)
         number = table.column_names.index("shift_z_m")
@@ -296,6 +300,26 @@ def test_files(capsys: pytest.CaptureFixture[str]) -> None:
     (_, first, second) = sheet.iter_rows()
     assert (first[0].value, first[0].data_type) == ('=HYPERLINK("x")', "s")
     assert second[0].value == "B, \\u001b[31m"
+
+
+@pytest.mark.parametrize("at", [1, 3, 4])
+def test_on_a_full_disk_all_files_are_as_they_were(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = rate({"A": tower(1)}, assume_stable=True)
+    write_kpis(found, "before")
+    before = {file: file.read_bytes() for file in Path("before").iterdir()}
+    calls = itertools.count(1)
+
+    def full(descriptor: int) -> None:
+        if next(calls) == at:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    for folder in ("before", "new"):
+        with pytest.raises(petmjx.InputError, match=f"{folder}: cannot be written: No space left on device"):
+            write_kpis(rate({"A": tower(1), "B": tower(2)}, assume_stable=True), folder, xlsx=True)
+        calls = itertools.count(1)
+    assert {file: file.read_bytes() for file in Path("before").iterdir()} == before
+    assert not list(Path("new").iterdir())
 
 
 @pytest.mark.parametrize("columns", ["80", "120"])

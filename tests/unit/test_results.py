@@ -16,6 +16,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from support.outcomes import dropped_outcome, make_outcome, make_plan
+from support.runs import edit_info
 
 from petmjx.config import Schedule
 from petmjx.errors import InputError, PetmjxError
@@ -23,8 +24,8 @@ from petmjx.plans.plan import Skipped
 from petmjx.results import files
 from petmjx.results.plain import plain
 from petmjx.results.reader import load_run
-from petmjx.results.schema import SCHEMA_VERSION, Param, schemas
-from petmjx.results.writer import RunWriter, write_summary
+from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_table
+from petmjx.results.writer import RunWriter
 from petmjx.verdict import Attempt, Flag, Reason, Verdict
 
 SPEC_WORLDS = (
@@ -211,11 +212,11 @@ def test_a_parameter_cannot_take_a_columns_name() -> None:
 
 
 def test_summary(tmp_path: Path) -> None:
-    write_run(tmp_path)
     frame = pd.DataFrame({"plan_id": ["a"], "share_standing": [0.75], "n": [4]})
     with pytest.raises(ValueError, match="'n' needs a unit"):
-        write_summary(tmp_path, frame, {"share_standing": "1"})
-    write_summary(tmp_path, frame, {"share_standing": "1", "n": "1"}, {"n": "worlds"})
+        summary_table(frame, {"share_standing": "1"})
+    with RunWriter(tmp_path, {}) as run:
+        run.write_summary(summary_table(frame, {"share_standing": "1", "n": "1"}, {"n": "worlds"}))
     results = load_run(tmp_path)
     assert results.summary is not None
     assert results.summary.to_dict("records") == frame.to_dict("records")
@@ -361,13 +362,20 @@ def test_a_run_without_worlds_has_its_columns(tmp_path: Path) -> None:
         (lambda run: (run / "run.json").write_bytes(b"\xff\xfe"), "run.json: cannot be read"),
         (lambda run: (run / "run.json").write_text("[]"), "not written by petmjx"),
         (lambda run: (run / "run.json").write_text('{"schema_version": 99}'), "newer petmjx"),
+        (
+            lambda run: (run / "run.json").write_text(
+                (run / "run.json").read_text().replace('"stable": 2', '"stable": 1')
+            ),
+            "not what",
+        ),
         (lambda run: _edit(run, counts=[]), "run.json: damaged: counts must be a table"),
         (lambda run: _edit(run, counts={"worlds": "2"}), "run.json: damaged: counts.worlds must be a whole number"),
         (lambda run: _edit(run, params=[1]), r"run.json: damaged: params\[0\] must be a table"),
         (lambda run: _edit(run, versions={"numpy": 2}), "run.json: damaged: versions.numpy must be text"),
+        (lambda run: _edit(run, parts={"worlds": {"../a.parquet": "0" * 32}}), "run.json: damaged: parts.worlds"),
         (lambda run: (run / "run.json").write_text("[" * 1_000_000), "run.json: cannot be read"),
         (lambda run: _fifo(run / "run.json"), "run.json: cannot be read"),
-        (lambda run: _fifo(run / "worlds/part-00001.parquet"), "worlds/part-00001.parquet: damaged"),
+        (lambda run: _fifo(run / "worlds/part-00000.parquet"), "worlds/part-00000.parquet: damaged"),
         (lambda run: (run / "worlds/part-00000.parquet").write_bytes(b"PAR1"), "worlds/part-00000.parquet: damaged"),
         (lambda run: _truncate(run / "boxes/part-00000.parquet"), "boxes/part-00000.parquet: damaged"),
         (lambda run: (run / "boxes/part-00000.parquet").unlink(), "boxes/part-00000.parquet: missing"),
@@ -382,8 +390,7 @@ def test_damaged_runs_get_one_clear_line(tmp_path: Path, damage: Any, message: s
 
 
 def _edit(run: Path, **values: Any) -> None:
-    info = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps(info | values))
+    edit_info(run, lambda info: info.update(values))
 
 
 def _fifo(file: Path) -> None:

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import pytest
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 from support.plan_files import placement
 from support.plans import make_plan, stack
+from support.runs import edit_info, leave_unfinished, without_digests
 
 import petmjx
 from petmjx.config import Simulation
@@ -148,14 +149,16 @@ def test_tests_that_failed_do_not_say_that_the_placement_fell(tmp_path: Path, mo
     pd.testing.assert_frame_equal(after, before)
 
 
-def test_leftovers_of_a_part_are_taken_away_and_numbers_go_on(tmp_path: Path) -> None:
+def test_leftovers_of_a_part_are_taken_away(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         simulate("score", tmp_path, engine=Counting(3))
     for table in ("boxes", "attempts"):
         (tmp_path / table).mkdir(exist_ok=True)
         (tmp_path / table / "part-00007.parquet").write_bytes(b"of a crash")
     simulate("score", tmp_path, resume=True)
-    assert [file.name for file in sorted(tmp_path.glob("boxes/*"))] == ["part-00000.parquet", "part-00001.parquet"]
+    listed = load_run(tmp_path).info["parts"]["boxes"]
+    assert {file.name for file in tmp_path.glob("boxes/*")} == {*listed}
+    assert "part-00007.parquet" not in listed
     assert not list(tmp_path.glob("attempts/*"))
 
 
@@ -223,6 +226,7 @@ def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
     file = tmp_path / "worlds/part-00000.parquet"
     simulate("score", tmp_path)
     pq.write_table(pq.read_table(file).drop([column]), file)
+    without_digests(tmp_path)
     with pytest.raises(petmjx.InputError, match=f"part-00000.parquet: damaged part, it has no column {column}"):
         simulate("score", tmp_path, resume=True)
 
@@ -310,6 +314,8 @@ def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_p
         simulate("score", folder, shard=f"{number}/2", plans=file)
     merged = petmjx.merge_runs(folders, tmp_path / "merged").info
     assert whole["counts"]["odd_plans"] == 1
+    of_shards = [load_run(folder).info["counts"]["odd_plans"] for folder in folders]
+    assert sorted(of_shards) == [0, 1]  # each counts its own
     assert {name: merged[name] for name in ("counts", "skipped", "warnings")} == {
         name: whole[name] for name in ("counts", "skipped", "warnings")
     }
@@ -336,13 +342,6 @@ def test_a_shard_without_its_boxes_is_not_merged(tmp_path: Path) -> None:
     assert not (tmp_path / "merged").exists()
 
 
-def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
-    """Change what a folder's run.json says."""
-    info = json.loads((folder / "run.json").read_text())
-    edit(info)
-    (folder / "run.json").write_text(json.dumps(info))
-
-
 def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
     one, two = tmp_path / "1", tmp_path / "2"
     for number, folder in enumerate((one, two), 1):
@@ -365,12 +364,13 @@ def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
     simulate("score", tmp_path / "fixed", shard="2/2", schedule="fixed")
     assert "simulation.schedule is fixed, was adaptive" in refused(one, tmp_path / "fixed")
     info = json.loads((two / "run.json").read_text())
-    (two / "run.json").write_text(json.dumps(info | {"status": "interrupted"}))
+    leave_unfinished(two)
     assert "not finished (interrupted); go on with it by --resume first" in refused(one, two)
     n_worlds = info["counts"]["worlds"] + load_run(one).info["counts"]["worlds"]
-    counts = {**info["counts"], "worlds": n_worlds}
     for table in ("worlds", "boxes"):
         (two / table / "part-00001.parquet").write_bytes((one / table / "part-00000.parquet").read_bytes())
-    (two / "run.json").write_text(json.dumps(info | {"counts": counts}))
+    (two / "run.json").write_text(json.dumps(info))
+    without_digests(two)
+    edit_info(two, lambda info: info["counts"].update(worlds=n_worlds))
     assert "twice: in" in refused(one, two)
     assert not out.exists()

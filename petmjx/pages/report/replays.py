@@ -14,7 +14,6 @@ from petmjx.history import History
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.report.runs import ReportRun
 from petmjx.results.compare import KEY
-from petmjx.results.files import part_files
 from petmjx.results.histories import read_history
 from petmjx.verdict import Verdict
 
@@ -55,8 +54,8 @@ def replays(
     blocks: dict[str, str] = {}
     for row in np.sort(recorded[:fits]):
         world = table.iloc[row]
-        folder = runs[int(world["run"])].results.path
-        history = read_history(folder, world["plan_id"], int(world["variant"]), int(world["n_boxes"]))
+        run = runs[int(world["run"])].results
+        history = read_history(run, world["plan_id"], int(world["variant"]), int(world["n_boxes"]))
         if history is not None:
             number[row] = len(blocks)
             blocks[f"replay-{len(blocks)}"] = block(_frames(history))
@@ -67,7 +66,7 @@ def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
     """(rows of the table,) poses that were recorded of each world."""
     found = np.zeros(len(table), dtype=np.int64)
     for at, run in enumerate(runs):
-        if not part_files(run.results.path, "frames"):
+        if not run.results.parts.files("frames"):
             continue
         frames = run.results.frames.groupby(KEY)["n_placed"].sum().rename("poses")
         rows = np.flatnonzero(table["run"] == at)

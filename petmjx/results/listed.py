@@ -1,0 +1,155 @@
+"""The files of a run's tables: which of them count, and whether they are still what the run wrote."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from petmjx.bounded import open_regular
+from petmjx.errors import InputError
+from petmjx.results.files import OF_SOME_WORLDS, OF_WORLDS, TABLES, digest_of, part_files, part_number
+from petmjx.results.schema import check_version, schema_version_of
+
+LISTED: Final = "parts"
+"""Entry of ``run.json``: table → file name → digest. What is not listed there is left from a kill, and not read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The files of a run's tables. Each is checked once, when it is first read.
+
+    Attributes:
+        folder: the run's.
+        digests: table → file name → digest; None: the run was written before they were kept. Then all parts that are
+            there count, and what belongs to worlds does if its worlds are there.
+    """
+
+    folder: Path
+    digests: dict[str, dict[str, str]] | None
+    _checked: set[Path] = field(default_factory=set, repr=False)
+
+    @classmethod
+    def of(cls, folder: Path, info: Mapping[str, Any]) -> Self:
+        """The files of the run in a folder, with its ``run.json``."""
+        return cls(folder, info.get(LISTED))
+
+    def files(self, table: str) -> list[Path]:
+        """The files of a table, in order; they need not be there."""
+        if self.digests is not None:
+            return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
+        if table == "worlds" or table not in OF_WORLDS:
+            return part_files(self.folder, table)
+        found = [self.folder / table / file.name for file in part_files(self.folder, "worlds")]
+        return [file for file in found if table not in OF_SOME_WORLDS or file.exists()]
+
+    def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+        """One of these files, or some of its columns.
+
+        Raises:
+            InputError: missing, not what the run wrote, without one of the columns, or of a newer petmjx.
+        """
+        self.check(file)
+        return read_part(file, columns)
+
+    def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
+        """All parts of a table; as :meth:`read`."""
+        return [self.read(file, columns) for file in self.files(table)]
+
+    def check_tables(self, tables: Iterable[str]) -> None:
+        """Check all files of tables; as :meth:`check`."""
+        for file in (file for table in tables for file in self.files(table)):
+            self.check(file)
+
+    def add(self, digests: Mapping[Path, str]) -> None:
+        """More files, which were just written, with their digests."""
+        if self.digests is not None:
+            for file, digest in digests.items():
+                self.digests.setdefault(file.parent.name, {})[file.name] = digest
+            self._checked.update(digests)
+
+    def without(self, *tables: str) -> Parts:
+        """The files of all other tables, with digests of what is there now where the run has none."""
+        if self.digests is not None:
+            kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
+            return Parts(self.folder, kept, set(self._checked))
+        parts = Parts(self.folder, {})
+        for file in (file for table in TABLES if table not in tables for file in self.files(table)):
+            with open_regular(file) as stream:
+                parts.add({file: digest_of(stream)})
+        return parts
+
+    def with_worlds(self) -> Parts:
+        """The files without those whose part of ``worlds`` was taken away: who does that wants these worlds again."""
+        gone = {file.name for file in self.files("worlds") if not file.exists()}
+        if self.digests is None or not gone or self.files("frames"):  # which histories these worlds have is not known
+            return self
+        kept = {
+            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+            for table, files in self.digests.items()
+        }
+        return Parts(self.folder, kept)
+
+    def next_number(self, *tables: str) -> int:
+        """The number of the next part: no file of these tables has it."""
+        return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
+
+    def check(self, file: Path) -> None:
+        """Check that a file is what the run wrote, as far as the run says.
+
+        Raises:
+            InputError: it is not.
+        """
+        if self.digests is None or file in self._checked:
+            return
+        if not self.folder.is_dir():
+            raise InputError(f"{self.folder}: the run's folder is gone")
+        expected = self.digests[file.parent.name][file.name]
+        try:
+            with open_regular(file) as stream:
+                found = digest_of(stream)
+        except FileNotFoundError:
+            raise InputError(f"{file}: missing, though the run wrote it") from None
+        except OSError as error:
+            raise InputError(f"{file}: damaged part, it cannot be read: {error.strerror or error}") from error
+        if found != expected:
+            raise InputError(f"{file}: damaged part, it is not what the run wrote")
+        self._checked.add(file)
+
+
+def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """One Parquet file, or some of its columns.
+
+    Raises:
+        InputError: missing, damaged, without one of the columns, or of a newer petmjx.
+    """
+    with opened(file) as parquet:
+        table = parquet.read(None if columns is None else list(columns))
+    check_version(file, schema_version_of(table.schema.metadata))
+    for name in columns or ():
+        if name not in table.column_names:
+            raise InputError(f"{file}: damaged part, it has no column {name}")
+    return table
+
+
+@contextlib.contextmanager
+def opened(file: Path) -> Iterator[pq.ParquetFile]:
+    """A part, in whatever folder.
+
+    Raises:
+        InputError: missing, or not a whole Parquet file.
+    """
+    # Python opens the file: Arrow waits for FIFOs, reads "s3:" as a scheme, "a=1" in a folder's name as a column, and
+    # knows no names that are not UTF-8
+    try:
+        with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
+            yield parquet
+    except FileNotFoundError:
+        raise InputError(f"{file}: missing, though the worlds of this part are there") from None
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error

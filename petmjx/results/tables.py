@@ -1,0 +1,72 @@
+"""The files of a run that is being written: which of them ``run.json`` is to list, and which go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+
+from petmjx.errors import InputError
+from petmjx.results.files import OF_WORLDS, appear, copy_file, drop_parts, part_name, part_number, write_table
+from petmjx.results.listed import Parts
+from petmjx.results.sorting import SORTED, Sorted
+
+
+class Tables:
+    """A run's tables on disk. All methods raise ``OSError`` where a file cannot be written.
+
+    What replaces others has a number of its own, so that a kill leaves either these or those: ``run.json`` says which.
+
+    Attributes:
+        parts: the files that count.
+    """
+
+    def __init__(self, folder: Path, parts: Parts | None = None) -> None:
+        self._folder = folder
+        self.parts = parts or Parts(folder, {})
+
+    def write_plans(self, plans: pa.Table) -> bool:
+        """Write the table ``plans``, beside one that says something else; returns whether there was none like it."""
+        if [plans] == self.parts.table("plans"):
+            return False
+        number = self.parts.next_number("plans")
+        self.parts = self.parts.without("plans")
+        self._write(plans, "plans", number)
+        return True
+
+    def write_first(self, table: str, content: pa.Table) -> None:
+        """Write the only part of a table; one that is there is replaced."""
+        self._write(content, table, 0)
+
+    def _write(self, content: pa.Table, table: str, number: int) -> None:
+        place = self._folder / table / part_name(number)
+        self.parts.add({place: write_table(content, place)})
+
+    def adopt(self, others: Parts) -> None:
+        """Copy the worlds of another run.
+
+        Raises:
+            InputError: one of its files is damaged or missing.
+        """
+        first = self.parts.next_number(*OF_WORLDS)
+        others.check_tables(OF_WORLDS)
+        for file in (file for table in OF_WORLDS for file in others.files(table)):
+            place = self._folder / file.parent.name / part_name(first + part_number(file))
+            try:
+                self.parts.add({place: copy_file(file, place)})
+            except FileNotFoundError:
+                raise InputError(f"{file}: missing, though the worlds of this part are there") from None
+
+    def replace(self, done: Sorted) -> None:
+        """Let sorted parts take the place of the others, which stay until :meth:`drop_others`."""
+        try:
+            appear(done.hidden)
+        except OSError:
+            done.remove()
+            raise
+        self.parts = self.parts.without(*SORTED)
+        self.parts.add(done.digests)
+
+    def drop_others(self) -> None:
+        """Take away parts that do not count."""
+        drop_parts(self._folder, self.parts.files)

@@ -1,0 +1,61 @@
+"""Damaged run folders are noticed: no traceback, no number that differs; and what is not the run's is not read."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from support.damaged_runs import fuzz
+from support.fake_engine import LargestFirst
+from support.plans import make_plan
+from support.runs import without_digests
+
+import petmjx
+
+PLANS = [make_plan(name, n) for name, n in (("a", 1), ("b", 2), ("c", 3))]
+
+
+def test_damaged_folders_give_right_numbers_or_a_line() -> None:
+    found: list[str] = []
+    counts = fuzz(40, seed=0, readings=1, told=found.append)
+    assert found == []
+    assert counts["folders"] == 40
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return petmjx.score(PLANS, engine=LargestFirst(), out=tmp_path / "run").path
+
+
+def test_parts_that_the_run_did_not_list_are_not_read(run: Path) -> None:
+    """A kill leaves them, or somebody puts them there."""
+    whole = petmjx.load_run(run).worlds
+    shutil.copy(run / "worlds/part-00000.parquet", run / "worlds/part-00001.parquet")
+    assert petmjx.load_run(run).worlds.equals(whole)
+    petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True)
+    assert [file.name for file in (run / "worlds").iterdir()] == ["part-00000.parquet"]
+
+
+def test_worlds_that_were_taken_away_are_simulated_again(run: Path) -> None:
+    whole = petmjx.load_run(run).worlds
+    (run / "worlds/part-00000.parquet").unlink()
+    with pytest.raises(petmjx.InputError, match=r"worlds/part-00000.parquet: missing, though the run wrote it"):
+        _ = petmjx.load_run(run).worlds
+    assert petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True).worlds.equals(whole)
+
+
+def test_a_folder_that_is_gone_is_called_so(run: Path) -> None:
+    results = petmjx.load_run(run)
+    shutil.rmtree(run)
+    with pytest.raises(petmjx.InputError, match="the run's folder is gone"):
+        _ = results.boxes
+
+
+def test_runs_of_before_digests_are_read_and_get_them(run: Path) -> None:
+    whole = petmjx.load_run(run).worlds
+    without_digests(run)
+    assert petmjx.load_run(run).worlds.equals(whole)
+    resumed = petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True)
+    assert resumed.worlds.equals(whole)
+    assert {*resumed.info["parts"]} == {"worlds", "boxes", "plans"}
