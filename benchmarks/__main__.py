@@ -1,5 +1,5 @@
 """The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity |
-criteria | small-stacks``."""
+criteria | small-stacks | balance``."""
 
 from __future__ import annotations
 
@@ -141,6 +141,32 @@ def small_stacks(
         print(f"{name}: {told}", flush=True)
         case = {"case": f"small-stacks-{name.replace(' ', '-')}", "group": "small-stacks", "engine": engine}
         append_line(out, {**case, "seed": seed, **told, "cpu_s": clock.cpu_s, **environment()})
+
+
+@app.command()
+@opt.takes("limit")
+def balance(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    of: Annotated[Path, typer.Option("--run", metavar="DIR", help="Results of petmjx score of these plans.")],
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Whether the worlds that a run calls stable balance where they have come to rest."""
+    from benchmarks.balance import balances, summary
+    from benchmarks.record import append_line, environment, timed
+    from petmjx.config import Simulation
+    from petmjx.results.reader import load_run
+    from petmjx.run_options import RunOptions
+
+    run = load_run(of)
+    with timed() as clock:
+        sim = Simulation(**run.info["config"]["simulation"])
+        told = summary(balances(_usable(plans, RunOptions(**options)), run, sim))
+    print(told)
+    engine = str(run.info["config"]["engine"])
+    append_line(
+        out, {"case": "balance", "group": "balance", "engine": engine, **told, "cpu_s": clock.cpu_s, **environment()}
+    )
 
 
 @app.command()

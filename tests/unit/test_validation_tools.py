@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.plans import Box, make_plan, stack
+from support.plans import Box, make_plan, make_scene, stack
 
 from benchmarks.__main__ import main
+from benchmarks.balance import BALANCED, left_over
 from benchmarks.drift import VARIANTS, Window, cause, describe, drift_table
 from benchmarks.sensitivity import CHANGES, sensitivity
-from petmjx.config import Simulation
+from petmjx.config import PHYSICS, Simulation
 from petmjx.plans.samples import bundled_path
 
 SHORT = Window(0.2, 0.6)
@@ -103,3 +104,15 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert len(list(tmp_path.glob("*.parquet"))) == 4
     assert main(["drift", plans, "--variant", "none"]) == 2
     assert f"there are: {next(iter(VARIANTS))}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("overhang_mm", "stands"), [(150.0, True), (230.0, False)])
+def test_a_pose_balances_or_not(overhang_mm: float, stands: bool) -> None:
+    """A box whose centre is 30 mm beyond the edge: the moment of its weight there, over half its shorter side."""
+    scene = make_scene([((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (overhang_mm, 0, 200), 2.0)])
+    quat = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    found = left_over(scene, PHYSICS["pallet"], scene.target, quat)
+    if stands:
+        assert found <= 1e-6
+    else:
+        assert BALANCED < found < 0.2
