@@ -1,0 +1,43 @@
+"""A GPU on which nothing is compiled yet: no attempt at a world ends the run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.plans import make_plan, stack
+
+import petmjx
+
+LIGHT_UNDER_HEAVY = make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))
+"""Attempts 1 and 6; with conjugate gradients the first one, too, is C MuJoCo's."""
+
+RUN = """
+import sys
+import petmjx
+from petmjx.engines import retry
+
+engine, plans, out, first = sys.argv[1:]
+# each further attempt, as if all before had failed
+retry.ATTEMPTS = (retry.ATTEMPTS[0], *retry.ATTEMPTS[int(first) - 1 :])
+retry.score_worlds.__kwdefaults__["attempts"] = retry.ATTEMPTS
+retry.AttemptRecipe.is_for = lambda self, outcome, sim: self.number == int(first) and outcome.attempt != int(first)
+petmjx.score(plans, engine=engine, out=out)
+"""
+
+
+@pytest.mark.gpu
+@pytest.mark.slow
+@pytest.mark.parametrize("attempt", range(2, 8))
+def test_every_attempt_ends_with_nothing_kept(attempt: int, tmp_path: Path) -> None:
+    petmjx.save_plans([LIGHT_UNDER_HEAVY], tmp_path / "plans.json")
+    environment = {**os.environ, "PETMJX_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", RUN, "mjx-warp", str(tmp_path / "plans.json"), str(tmp_path / "out"), str(attempt)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    attempts = petmjx.load_run(tmp_path / "out").attempts
+    assert attempts["attempt"].tolist() == [1, attempt]
+    assert attempts["engine"].tolist() == ["mjx-warp", "mujoco"]
