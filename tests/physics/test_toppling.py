@@ -56,7 +56,7 @@ def test_what_topples_is_never_stable(boxes: Sequence[Box], options: dict[str, A
 @pytest.mark.parametrize("boxes", [pair(-0.5), pair(-3.0), cartons(-0.5), cartons(-3.0)])
 def test_what_statics_lets_stand_stands(boxes: Sequence[Box]) -> None:
     outcome = score(boxes).outcome
-    assert (outcome.verdict, outcome.flags) == (Verdict.STABLE, Flag.NONE)
+    assert (outcome.verdict, outcome.flags & ~Flag.KNIFE_EDGE) == (Verdict.STABLE, Flag.NONE)
     assert outcome.sim_time_s < 5.0  # nobody waits for what rests
 
 
