@@ -10,7 +10,7 @@ from petmjx import __version__
 from petmjx.pages.page import escaped, filled, page
 from petmjx.pages.still import still_svg
 from petmjx.pages.story_data import story_blocks, story_info
-from petmjx.pages.words import first_box_in_words, how_it_was_simulated, reason_in_words
+from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.story import Story
 from petmjx.text import counted, shortened
 
@@ -49,8 +49,8 @@ def story_page(story: Story) -> str:
 
 
 def _notes(story: Story) -> list[str]:
-    """What readers must know beforehand."""
-    notes = [story.note] if story.note else []
+    """What readers must know beforehand, a line each."""
+    notes = notes_in_words(story)
     if story.drive is not None and not np.any(story.history.drive):
         name = story.drive.excitation.name
         notes.append(f"It was shaken by {name}, but no push fell on a frame, so none is drawn: take shorter intervals.")
