@@ -71,11 +71,11 @@ _COLUMNS = (
     ("placed_s", "placed, s", ".2f"),
     ("end_shift_mm", "shift at the end, mm", ".1f"),
     ("max_tilt_deg", "largest tilt, °", ".1f"),
-    ("max_force_n", "largest force on top, N", ".1f"),
-    ("rest_force_n", "force on top at rest, N", ".1f"),
+    ("max_force_n", "largest force on top, N", "z.1f"),
+    ("rest_force_n", "force on top at rest, N", "z.1f"),
     ("drop_s", "dropped, s", ".2f"),
 )
-"""Columns of numbers: name in ``story_info``, heading with unit, format."""
+"""Columns of numbers: name in ``story_info``, heading with unit, format. Forces (z) have no "-0.0"."""
 
 
 def _table(story: Story, boxes: dict[str, Any]) -> str:

@@ -157,8 +157,8 @@ def _boxes_table(story: Story) -> FittedTable:
             f"{plan.mass_kg[box]:.2f}",
             number(np.abs(boxes.shift_m[box]).max(), ".1f", factor=1000.0),
             number(boxes.max_tilt_deg[box], ".1f"),
-            number(boxes.max_top_force_n[box], ".1f"),
-            number(boxes.rest_top_force_n[box], ".1f"),
+            number(boxes.max_top_force_n[box], "z.1f"),
+            number(boxes.rest_top_force_n[box], "z.1f"),
             number(boxes.drop_s[box], ".2f"),
         )
     return table
