@@ -59,10 +59,11 @@ def notes_in_words(story: Story) -> list[str]:
         )
     if outcome.flags & Flag.KNIFE_EDGE:
         plan_m, rest_m = abs(outcome.plan_edge_m), abs(outcome.rest_edge_m)  # NaN at rest where nothing stands
-        nearest = (
-            f"{MM_PER_M * rest_m:.2g} mm, at rest" if rest_m < plan_m else f"{MM_PER_M * plan_m:.2g} mm, by the plan"
+        edge_m, where = (rest_m, "at rest") if rest_m < plan_m else (plan_m, "by the plan")
+        notes.append(
+            f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {where}: "
+            "a tenth of a millimetre may decide."
         )
-        notes.append(f"A load acts at the edge of what bears it, within {nearest}: a tenth of a millimetre may decide.")
     if outcome.flags & Flag.TIMESTEP:
         notes.append("At half the timestep the verdict is another one.")
     return notes
