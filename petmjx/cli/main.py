@@ -68,7 +68,6 @@ app = typer.Typer(
     help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
     epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted "
     "(143 by SIGTERM, 129 by SIGHUP).",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
     context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
@@ -138,7 +137,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
         if "" in given:  # a path would be the current folder
             raise InputError(f"argument {given.index('') + 1} is empty: a variable of the shell that is not set?")
         with as_notes():
-            result = application(args=given, standalone_mode=False)
+            result = application(args=given or ["--help"], standalone_mode=False)
         sys.stdout.flush()  # an error shows here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:

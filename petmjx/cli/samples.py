@@ -26,25 +26,29 @@ def samples(
         typer.Option("--seed", metavar="SEED", help="Plan i depends on the seed, i, --packer and --loose-share alone."),
     ] = 0,
     loose_share: Annotated[
-        float,
+        float | None,
         typer.Option(
             "--loose-share",
             metavar="0…1",
-            help="Share of plans that the packer baseline packs with a support rule too loose to be safe.",
+            help="Share of plans that the packer baseline packs with a support rule too loose to be safe.  "
+            f"[default: {DEFAULT_LOOSE_SHARE}; with --packer 0]",
+            show_default=False,
         ),
-    ] = DEFAULT_LOOSE_SHARE,
+    ] = None,
     orders: Annotated[
         Path | None,
         typer.Option("--orders", metavar="FILE", help="Pack the orders of this BED-BPP file instead of drawn ones."),
     ] = None,
     packer: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--packer",
             metavar="NAME",
-            help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance.",
+            help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance.  "
+            "[default: baseline, some of it loose]",
+            show_default=False,
         ),
-    ] = BASELINE,
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -59,12 +63,15 @@ def samples(
 ) -> None:
     """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a simple packer.
 
+    Without --packer it is a mixed set: about half of it is packed too loosely on purpose, so that some plans stand and
+    some fall. Name the packer to compare it with others: then none is.
+
     With --orders it packs the orders of a file instead; -n and --loose-share then do not apply. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
     from petmjx.machine import cpu_threads
     from petmjx.plans.forms import is_csv, is_parquet_name
-    from petmjx.plans.samples import pack_orders, write_plans, write_samples
+    from petmjx.plans.samples import loose_share_of, pack_orders, write_plans, write_samples
     from petmjx.show.progress import progress
 
     if is_csv(out) or is_parquet_name(out):
@@ -100,6 +107,9 @@ def samples(
     if len(left_out) > len(shown):
         print(f"{counted(len(left_out) - len(shown), 'more order')} with boxes left out")
     print(f"{counted(written, 'plan')} in {printable(str(out))}{_totals(left_out)}")
+    share = loose_share_of(packer, loose_share)
+    if orders is None and share > 0 and packer in (None, BASELINE):
+        print(f"about {100 * share:.3g} % of them are packed loosely on purpose; to compare packers: --loose-share 0")
 
 
 def _totals(left_out: list[LeftOut]) -> str:

@@ -104,13 +104,14 @@ def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -
 
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a bar for films, and say what was written."""
+    from petmjx.pages.words import notes_in_words
     from petmjx.pictures.save import draw
     from petmjx.show.progress import Shown, progress
     from petmjx.show.story import headline
 
     print(printable(f"plan {story.name}: {headline(story)}"))
-    if story.note:
-        print(printable(f"note: {story.note}"))
+    for note in notes_in_words(story):
+        print(printable(f"note: {note}"))
     for file in files:
         with ExitStack() as shown:
             bars: list[Shown] = []

@@ -10,7 +10,7 @@ from petmjx import __version__
 from petmjx.pages.page import escaped, filled, page
 from petmjx.pages.still import still_svg
 from petmjx.pages.story_data import story_blocks, story_info
-from petmjx.pages.words import first_box_in_words, how_it_was_simulated, reason_in_words
+from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.story import Story
 from petmjx.text import counted, shortened
 
@@ -49,8 +49,8 @@ def story_page(story: Story) -> str:
 
 
 def _notes(story: Story) -> list[str]:
-    """What readers must know beforehand."""
-    notes = [story.note] if story.note else []
+    """What readers must know beforehand, a line each."""
+    notes = notes_in_words(story)
     if story.drive is not None and not np.any(story.history.drive):
         name = story.drive.excitation.name
         notes.append(f"It was shaken by {name}, but no push fell on a frame, so none is drawn: take shorter intervals.")
@@ -71,11 +71,11 @@ _COLUMNS = (
     ("placed_s", "placed, s", ".2f"),
     ("end_shift_mm", "shift at the end, mm", ".1f"),
     ("max_tilt_deg", "largest tilt, °", ".1f"),
-    ("max_force_n", "largest force on top, N", ".1f"),
-    ("rest_force_n", "force on top at rest, N", ".1f"),
+    ("max_force_n", "largest force on top, N", "z.1f"),
+    ("rest_force_n", "force on top at rest, N", "z.1f"),
     ("drop_s", "dropped, s", ".2f"),
 )
-"""Columns of numbers: name in ``story_info``, heading with unit, format."""
+"""Columns of numbers: name in ``story_info``, heading with unit, format. Forces (z) have no "-0.0"."""
 
 
 def _table(story: Story, boxes: dict[str, Any]) -> str:

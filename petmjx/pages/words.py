@@ -13,7 +13,7 @@ from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.story import Story
 from petmjx.text import shown
 from petmjx.units import MM_PER_M, FloatArray
-from petmjx.verdict import Reason, Verdict
+from petmjx.verdict import Flag, Reason, Verdict
 
 _INVALID: Final = {
     Reason.NONFINITE: "the simulation gave numbers that are not finite",
@@ -45,6 +45,28 @@ def reason_in_words(story: Story) -> str:
         Reason.TILT: f"a box tilted by more than {limits.tilt_deg:g}°",
         Reason.SHIFT: f"a box shifted by more than {_mm(limits.shift_m)}",
     }[outcome.reason]
+
+
+def notes_in_words(story: Story) -> list[str]:
+    """What readers must know beforehand, a line each: the story's note, and flags that make the verdict doubtful."""
+    outcome = story.outcome
+    notes = [story.note] if story.note else []
+    if outcome.verdict is Verdict.INVALID:
+        return notes
+    if outcome.flags & Flag.MOVING:
+        notes.append(
+            "Boxes still moved when they were given no more time: the verdict may depend on how long one looks."
+        )
+    if outcome.flags & Flag.KNIFE_EDGE:
+        plan_m, rest_m = abs(outcome.plan_edge_m), abs(outcome.rest_edge_m)  # NaN at rest where nothing stands
+        edge_m, where = (rest_m, "at rest") if rest_m < plan_m else (plan_m, "by the plan")
+        notes.append(
+            f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {where}: "
+            "a tenth of a millimetre may decide."
+        )
+    if outcome.flags & Flag.TIMESTEP:
+        notes.append("At half the timestep the verdict is another one.")
+    return notes
 
 
 def first_box_in_words(story: Story) -> str:

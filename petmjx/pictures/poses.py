@@ -19,6 +19,9 @@ from petmjx.world.job import FORCE
 
 LOST_M: Final = 1000.0
 
+_ROUNDED_S: Final = 0.01
+"""Times are printed with two digits: so much after its end a story still has a moment."""
+
 
 @dataclass(frozen=True, eq=False)
 class Poses:
@@ -106,6 +109,9 @@ def moments(story: Story, asked: str | None) -> list[Moment]:
 def _moment(story: Story, which: str | float) -> Moment:
     history, sign_s = story.history, story.outcome.first_sign_s
     if isinstance(which, float):
+        end_s = float(history.time_s[-1])
+        if not 0 <= which <= end_s + _ROUNDED_S:
+            raise InputError(f"there is no moment {which:g} s: plan {shown(story.plan.plan_id)} ends at {end_s:.2f} s")
         return Moment(nearest_frame(history, which), "")
     if which in (START, END):
         return Moment(0 if which == START else len(history.time_s) - 1, which)

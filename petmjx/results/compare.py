@@ -107,8 +107,11 @@ class Comparison:
         return dict(plain(shares | vars(self) | {"confusion": confusion}))
 
 
-def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comparison:
+def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, packers: bool = False) -> Comparison:
     """Compare run b with run a, world by world (same plan and variant).
+
+    Args:
+        packers: the plans may be those of two packers: that they differ is no reason to doubt, and no note.
 
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.
@@ -143,7 +146,7 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path) -> Comp
         same_reason=int((not_stable["reason_a"] == not_stable["reason_b"]).sum()),
         same_culprit=int(same_culprit.sum()),
         n_not_stable=len(not_stable),
-        notes=tuple(_notes(run_a, run_b, both, other)),
+        notes=tuple(_notes(run_a, run_b, both, [] if packers else other)),
     )
 
 

@@ -67,7 +67,7 @@ def _table(found: Loads) -> FittedTable:
             f"{row['n_unknown']:,}",
             percent(row["max_load_share"]),
             f"{row['box']} {row['article']}" if known else "-",
-            "-" if force is None else number(force["rest_top_force_n"], ".0f"),
+            "-" if force is None else number(force["rest_top_force_n"], "z.0f"),
             "-" if force is None else number(force["strength_n"], ".0f"),
         )
     return table

@@ -11,11 +11,11 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.pages.words import first_box_in_words, how_it_was_simulated, reason_in_words
+from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.show.layout import Column, FittedTable, line, number
 from petmjx.story import Story
 from petmjx.text import counted, shown
-from petmjx.verdict import Verdict
+from petmjx.verdict import Flag, Verdict
 from petmjx.world.job import FORCE
 
 MOST_DROPS: Final = 8
@@ -32,6 +32,7 @@ def headline(story: Story) -> str:
     outcome = story.outcome
     text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
     if outcome.verdict is Verdict.STABLE:
+        text += ", still moving" if outcome.flags & Flag.MOVING else ""
         return text + ("" if math.isnan(outcome.margin) else f", margin {outcome.margin:.2f}")
     if outcome.culprit < 0:
         return text
@@ -53,8 +54,8 @@ def story_tables(story: Story) -> Iterator[RenderableType]:
         f", {reason_in_words(story)}",
     )
     yield line(", ".join(f"{name} {value}" for name, value in how_it_was_simulated(story)), style="dim")
-    if story.note:
-        yield line(f"note: {story.note}", style="yellow")
+    for note in notes_in_words(story):
+        yield line(f"note: {note}", style="yellow")
     yield ""
     yield _events_table(story)
     yield ""
@@ -156,8 +157,8 @@ def _boxes_table(story: Story) -> FittedTable:
             f"{plan.mass_kg[box]:.2f}",
             number(np.abs(boxes.shift_m[box]).max(), ".1f", factor=1000.0),
             number(boxes.max_tilt_deg[box], ".1f"),
-            number(boxes.max_top_force_n[box], ".1f"),
-            number(boxes.rest_top_force_n[box], ".1f"),
+            number(boxes.max_top_force_n[box], "z.1f"),
+            number(boxes.rest_top_force_n[box], "z.1f"),
             number(boxes.drop_s[box], ".2f"),
         )
     return table

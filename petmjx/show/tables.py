@@ -228,6 +228,6 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
             number(row["first_sign_s"], ".2f"),
             number(row["max_shift_m"], ".1f", factor=1000.0),
             number(row["max_tilt_deg"], ".1f"),
-            number(row["rest_top_force_n"], ".1f"),
+            number(row["rest_top_force_n"], "z.1f"),
         )
     return table

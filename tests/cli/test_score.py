@@ -350,6 +350,12 @@ def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str]) -> Non
     assert ("drawn without a display" in printed) is report["pictures"]["works"]
 
 
+def test_without_a_command_the_help_is_printed() -> None:
+    alone, asked = run_process(), run_process("--help")
+    assert (alone.returncode, alone.stdout, alone.stderr) == (0, asked.stdout, "")
+    assert "score " in alone.stdout
+
+
 @pytest.mark.parametrize("columns", [80, 120])
 @pytest.mark.parametrize("command", ["score", "sweep", "compare", "samples", "show", "export", "doctor"])
 def test_every_command_explains_itself(

@@ -131,6 +131,9 @@ def test_what_is_wrong_is_one_line(
 def test_a_moment_that_the_story_has_not(capsys: pytest.CaptureFixture[str]) -> None:
     said = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "first-sign", code=2)
     assert "there is no moment first-sign: nothing failed in plan hand-one-box" in said
+    said = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "1e308", code=2)
+    assert "there is no moment 1e+308 s: plan hand-one-box ends at " in said
+    assert not Path("x.png").exists()
 
 
 def test_no_opengl_is_said_before_anything_is_simulated(

@@ -17,10 +17,12 @@ from support.stories import END_S
 AZIMUTH, ELEVATION, SLOPE, MARGIN = -0.65, 0.4, np.tan(np.radians(16)), 1.06
 
 
-def opened_story(open_page: OpenPage, story: Story, **options: Any) -> Opened:
-    """The page of a story, once it is drawn."""
+def opened_story(open_page: OpenPage, story: Story, *, at_end: bool = True, **options: Any) -> Opened:
+    """The page of a story, once it is drawn; led to the story's end, unless it is to be seen as it opens."""
     opened = open_page(story_page(story), **{"width": 900, "height": 560} | options)
     opened.page.wait_for_selector("#view:not([hidden])")
+    if at_end:
+        opened.page.keyboard.press("End")
     opened.settled()
     return opened
 

@@ -276,16 +276,26 @@ def test_both_packers_get_the_same_orders_and_the_baseline_is_what_it_was() -> N
     assert Counter(each["item"]["id"] for each in baseline) <= Counter(each["item"]["id"] for each in placements)
     drawn = draw_order(7, 0)
     assert placements == as_placements(pack_balanced(drawn.items, TARGET_EXTENT_MM[drawn.target]))
-    assert generate_one(0, 7, packer="baseline") == generate_one(0, 7)
+
+
+def test_a_packer_that_is_named_packs_no_plan_loosely(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    strict = dict(generate(12, 7, loose_share=0.0))
+    assert dict(generate(12, 7, packer="baseline")) == strict
+    assert generate_one(2, 7, packer="baseline")[1] == strict["s7-000002"]
+    packed = tmp_path / "plans.json"
+    command = ("samples", "-n", "12", "--seed", "7", "--workers", "1", "-o", packed, "--overwrite")
+    assert run(*command, "--packer", "baseline") == 0
+    assert json.loads(packed.read_text()) == strict
+    assert "loosely" not in capsys.readouterr().out
+    assert run(*command) == 0
+    assert json.loads(packed.read_text()) == dict(generate(12, 7)) != strict
+    assert "about 50 % of them are packed loosely on purpose" in capsys.readouterr().out
 
 
 def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel_module, "ALONE", 4)
     told: dict[int, list[LeftOut]] = {1: [], 2: []}
-    plans = {
-        workers: list(generate(24, 2, packer="baseline", workers=workers, on_left_out=told[workers].append))
-        for workers in told
-    }
+    plans = {workers: list(generate(24, 2, workers=workers, on_left_out=told[workers].append)) for workers in told}
     assert plans[1] == plans[2]
     assert told[1] == told[2] != []
 

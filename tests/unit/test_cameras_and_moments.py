@@ -88,11 +88,18 @@ def test_moments_are_the_frames_that_their_names_say() -> None:
         (7, "first-sign"),
         (20, "end"),
     ]
-    assert [each.frame for each in moments(STORY, "start,0.34,0.36,99,-1")] == [0, 3, 4, 20, 0]
+    assert [each.frame for each in moments(STORY, "start,0.34,0.36,2.004,0")] == [0, 3, 4, 20, 0]
     calm = standing_story(STORY)
     assert [each.name for each in moments(calm, None)] == ["end"]
     with pytest.raises(InputError, match="there is no moment first-sign: nothing failed in plan tower"):
         moments(calm, "first-sign")
+
+
+@pytest.mark.parametrize(("asked", "said"), [("1e308", "1e+308"), ("end,2.1", "2.1"), ("-1", "-1")])
+def test_a_time_outside_the_story_is_refused(asked: str, said: str) -> None:
+    line = f"there is no moment {said} s: plan tower ends at 2.00 s"
+    with pytest.raises(InputError, match=re.escape(line)):
+        moments(STORY, asked)
 
 
 def test_at_takes_the_nearest_frame_and_of_equal_times_the_last() -> None:

@@ -24,8 +24,10 @@ from petmjx.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb
 from petmjx.pages.still import drawing_order, still_svg
 from petmjx.pages.story_data import framed, placed_s, story_blocks, story_info
 from petmjx.pages.story_page import story_page
-from petmjx.pages.words import first_box_in_words, how_it_was_simulated, reason_in_words
-from petmjx.verdict import Reason, Verdict
+from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
+from petmjx.show.story import headline, story_tables
+from petmjx.story import Story
+from petmjx.verdict import Flag, Reason, Verdict
 
 NASTY = "</script><!--<script>alert(1)</script>\u2028&\"'<img src=x onerror=alert(2)>💥,\n"
 
@@ -195,6 +197,30 @@ def test_a_story_in_words() -> None:
     assert facts["physics"] == "pallet"
     assert facts["shaken by"] == "half-a-g × 1, 0°"
     assert facts["level_g"] == "0.5"
+
+
+def test_flags_that_make_a_verdict_doubtful_are_told() -> None:
+    story = standing_story()
+
+    def told(flags: Flag, **changes: Any) -> Story:
+        return replace(story, outcome=replace(story.outcome, flags=flags, **changes))
+
+    assert notes_in_words(told(Flag.EARLY_STOP)) == []
+    moving = told(Flag.MOVING)
+    (note,) = notes_in_words(moving)
+    assert note.startswith("Boxes still moved when they were given no more time")
+    assert headline(moving).startswith("stable, still moving")
+    edge = told(Flag.KNIFE_EDGE, plan_edge_m=0.041, rest_edge_m=-0.00031)
+    (note,) = notes_in_words(edge)
+    assert note.startswith("A load acts at the edge of what bears it, within 0.31 mm, at rest:")
+    all_of_them = replace(told(Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP, plan_edge_m=0.0), note="another engine")
+    notes = notes_in_words(all_of_them)
+    assert len(notes) == 4
+    page = story_page(all_of_them)
+    assert all(escaped(note) in page for note in notes)
+    printed = "\n".join(str(each) for each in story_tables(all_of_them))
+    assert all(f"note: {note}" in printed for note in notes)
+    assert notes_in_words(told(Flag.MOVING, verdict=Verdict.INVALID, reason=Reason.FAILED)) == []
 
 
 @pytest.mark.parametrize("reason", [reason for reason in Reason if reason is not Reason.NONE])

@@ -33,6 +33,7 @@ from petmjx.pages.report.runs import Kind, names_apart, open_runs
 from petmjx.pages.report.svg import Frame, Scale, path
 from petmjx.pages.report.swept import explained, largest_survived
 from petmjx.pages.report.verdicts import verdict_table
+from petmjx.plans.plan import Plan
 from petmjx.results.reader import load_run
 from petmjx.sweeps.shares import wilson_interval
 
@@ -237,6 +238,26 @@ def test_plans_won_and_lost_are_counted(tmp_path: Path) -> None:
     assert "Flipped verdicts (3)" in text
     assert "3 of 6 worlds agree (50.0 %)" in text
     assert "Stable rates" in compared(open_runs([one, two, of("three", "ffffff")]))
+
+
+def test_a_report_of_two_packers_does_not_doubt_itself(tmp_path: Path) -> None:
+    few, many = (write_plans(tmp_path / f"{n}.json", "ab", n) for n in (3, 6))
+
+    def page_against(name: str, plans: list[Plan]) -> str:
+        return compared(open_runs([one, write_run(tmp_path / name, plans, [fallen(plan) for plan in plans])]))
+
+    one = write_run(tmp_path / "one", few, [fallen(plan) for plan in few])
+    for name, other, words in (
+        ("packer", many, "No plan is the same in both runs: two packers are compared"),
+        ("half", [few[0], many[1]], "1 of 2 plans is not the same in both runs."),
+    ):
+        page = page_against(name, other)
+        assert words in words_of(page)
+        assert "warn" not in page
+        assert "the same first box" not in words_of(page), "boxes of one number are not the same"
+    again = words_of(page_against("again", few))
+    assert "2 the same first box." in again
+    assert "same in both runs" not in again
 
 
 def test_runs_are_told_apart(run: Path) -> None:

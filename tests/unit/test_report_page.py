@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,11 @@ def test_a_click_shows_the_plan_in_3d_and_its_boxes(open_page: OpenPage, html: s
     opened.page.get_by_label("Colour by").select_option("moved")
     opened.settled()
     assert (np.abs(opened.pixels(".card3d canvas").astype(int) - picture).max(axis=2) > 24).mean() > 0.02
+    opened.page.get_by_label("Colour by").select_option("force")
+    forces = [float(text) for text in opened.page.locator("table.boxes tbody tr td:nth-child(7)").all_inner_texts()]
+    scale = re.fullmatch(r"0 N\s*([\d,.]+) N", opened.page.locator(".card3d .legend").inner_text())
+    assert scale is not None
+    assert float(scale[1].replace(",", "")) == pytest.approx(max(forces), rel=0.005), "the largest force ends the scale"
     opened.page.reload()
     opened.until("document.querySelectorAll('.card3d canvas').length === 1")
     opened.page.get_by_role("button", name="Close").click()

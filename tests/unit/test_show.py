@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from support.outcomes import dropped_outcome, make_outcome, make_plan
+from support.stories import standing_story
 
 from petmjx.plans.plan import Skipped
 from petmjx.results.compare import compare_runs
@@ -20,6 +22,7 @@ from petmjx.results.writer import RunWriter
 from petmjx.show.compare_tables import comparison_tables
 from petmjx.show.layout import Column, FittedTable, number, percent, print_each
 from petmjx.show.progress import ProgressLines, progress
+from petmjx.show.story import story_tables
 from petmjx.show.sweep_tables import FEW_ROWS, MAX_VALUES, sweep_tables
 from petmjx.show.tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
 from petmjx.text import counted, printable, three_digits, time_left
@@ -47,6 +50,18 @@ def written(folder: Path, outcomes: dict[str, Outcome], command: str = "score") 
         for plan_id, outcome in outcomes.items():
             run.add(make_plan(plan_id, outcome.n_boxes), 0, "fixed", outcome)
     return folder
+
+
+def test_forces_that_round_to_zero_have_no_sign(tmp_path: Path) -> None:
+    rest_n = np.array([-0.04, -0.06, -0.0])
+    story = standing_story()
+    boxes = replace(story.outcome.boxes, max_top_force_n=rest_n, rest_top_force_n=rest_n)
+    told = words_of(list(story_tables(replace(story, outcome=replace(story.outcome, boxes=boxes)))))
+    rows = {line.split()[0]: line.split()[-3:-1] for line in told if "most pressed" in line}
+    assert rows == {"0": ["0.0", "0.0"], "1": ["-0.1", "-0.1"], "2": ["0.0", "0.0"]}
+    run = load_run(written(tmp_path / "run", {"w": make_outcome(3, rest_top_force_n=np.full(3, -0.04))}))
+    (row,) = (line for line in words_of(worlds_table(run.worlds, run.boxes)) if line.startswith("w "))
+    assert row.split()[-1] == "0.0"
 
 
 # Texts.

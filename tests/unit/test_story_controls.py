@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from support.browser import OpenPage
-from support.stories import END_S, FALLING, SIGN_S, falling_story
+from support.stories import END_S, FALLING, SIGN_S, falling_story, standing_story
 from support.story_view import changed, drag_time_to, now, number_of, on_canvas, opened_story, seen, text
+
+from petmjx.story import Story
 
 
 def test_play_moves_the_boxes_to_the_end(open_page: OpenPage) -> None:
@@ -75,6 +79,54 @@ def test_a_click_beside_all_boxes_chooses_none(open_page: OpenPage) -> None:
     opened.page.mouse.click(frame["x"] + 5, frame["y"] + 5)
     assert opened.page.locator("#box").input_value() == "-1"
     assert "click one" in text(opened, "#numbers")
+
+
+@pytest.mark.parametrize(("story", "time_s"), [(falling_story(), SIGN_S), (standing_story(), END_S)])
+def test_it_opens_at_the_first_sign_or_else_at_the_end(open_page: OpenPage, story: Story, time_s: float) -> None:
+    opened = opened_story(open_page, story, at_end=False)
+    assert now(opened) == time_s
+    assert opened.page.locator("#play").get_attribute("aria-label") == "Play"
+
+
+def test_a_click_on_a_row_chooses_its_box(open_page: OpenPage) -> None:
+    opened = opened_story(open_page, falling_story(), height=900)
+    before = seen(opened)
+    opened.page.click("#all summary")
+    opened.page.locator("#all tbody tr").nth(1).locator("td").nth(2).click()
+    assert opened.page.locator("#box").input_value() == "1"
+    assert number_of(opened, "item") == "item-1"
+    assert changed(before, seen(opened)) > 0.001, "it is outlined"
+    marked = opened.page.locator("#all tr[aria-current]")
+    assert [row.locator("th").inner_text() for row in marked.all()] == ["1"]
+    opened.page.locator("#all tbody button").first.focus()
+    opened.page.keyboard.press("Enter")
+    assert opened.page.locator("#box").input_value() == "0"
+    opened.page.keyboard.press("Escape")
+    assert opened.page.locator("#box").input_value() == "-1"
+    assert marked.count() == 0
+    opened.page.click("#all thead th")
+    assert opened.page.locator("#box").input_value() == "-1"
+    assert opened.errors == []
+
+
+def test_forces_are_coloured_from_zero_to_the_largest_and_minus_zero_is_zero(open_page: OpenPage) -> None:
+    story = falling_story()
+    force = story.history.top_force_n.copy()
+    force[-1, :2] = -0.04, 7312.0
+    boxes = replace(story.outcome.boxes, rest_top_force_n=np.array([-0.04, 0.0, -0.06]))
+    told = replace(
+        story, history=replace(story.history, top_force_n=force), outcome=replace(story.outcome, boxes=boxes)
+    )
+    opened = opened_story(open_page, told)
+    opened.page.select_option("#colour", "force")
+    assert text(opened, "#legend").split() == ["force", "on", "top,", "N", "0", "7,310"]
+    opened.page.select_option("#box", "0")
+    assert number_of(opened, "force on top now") == "0.0 N"
+    assert number_of(opened, "at rest") == "0.0 N"
+    opened.page.select_option("#box", str(FALLING))
+    assert number_of(opened, "at rest") == "-0.1 N"
+    cells = opened.page.locator("#all tbody tr").first.locator("td").all_text_contents()
+    assert cells[-2] == "0.0"
 
 
 def test_numbers_of_a_box_follow_the_time(open_page: OpenPage) -> None:

@@ -37,7 +37,8 @@ def compared(runs: Sequence[ReportRun]) -> Markup:
         drawn, differences = _won_and_lost(runs, common)
         parts += [element("div", _rates(runs, common), drawn, class_="charts"), differences]
     if len(runs) == 2:
-        parts.append(_two(runs, compare_runs(runs[0].results, runs[1].results)))
+        found = compare_runs(runs[0].results, runs[1].results, packers=True)
+        parts.append(_two(runs, found, common.index.get_level_values("plan_id").nunique()))
     return joined(*parts)
 
 
@@ -118,8 +119,8 @@ def paired(a: pd.Series, b: pd.Series) -> PairedCounts:
     return PairedCounts(*(int(each.sum()) for each in counts))
 
 
-def _two(runs: Sequence[ReportRun], found: Comparison) -> Markup:
-    """Confusion of verdicts, and flips side by side."""
+def _two(runs: Sequence[ReportRun], found: Comparison, n_plans: int) -> Markup:
+    """Confusion of verdicts, and flips side by side. ``n_plans`` are in both runs, if with other boxes."""
     a, b = (run.name for run in runs)
     rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in found.confusion.iterrows()]
     agree = percent(found.agreement) if found.agreement is not None else "–"
@@ -128,15 +129,26 @@ def _two(runs: Sequence[ReportRun], found: Comparison) -> Markup:
     said = ""
     if found.n_not_stable:
         said = f"Of {counted(found.n_not_stable, 'world')} that neither calls stable, {found.same_reason:,} have the "
-        said += f"same reason and {found.same_culprit:,} the same first box."
+        said += "same reason"
+        said += "." if found.other_plans else f" and {found.same_culprit:,} the same first box."
+    differ = _how_plans_differ(len(found.other_plans), n_plans)
     return joined(
         element("h3", f"{a} (a) against {b} (b)"),
+        element("p", differ, class_="hint") if differ else NOTHING,
         element("ul", *notes, class_="lines warn") if notes else NOTHING,
         table([f"{a} ↓ {b} →", *map(str, found.confusion.columns)], rows, caption=caption),
         element("p", said) if said else NOTHING,
         _only(found, a, b),
         _flips(runs, found),
     )
+
+
+def _how_plans_differ(n_other: int, n_plans: int) -> str:
+    if not n_other:
+        return ""
+    if n_other == n_plans:
+        return "No plan is the same in both runs: two packers are compared, order by order."
+    return f"{n_other:,} of {counted(n_plans, 'plan')} {'is' if n_other == 1 else 'are'} not the same in both runs."
 
 
 def _only(found: Comparison, a: str, b: str) -> Markup:
@@ -163,7 +175,7 @@ def _flips(runs: Sequence[ReportRun], found: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     said = f"Flipped verdicts ({len(flips):,})"
     said += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = found.flips_within
+    within = None if found.other_plans else found.flips_within  # says how alike two simulations of one plan are
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

@@ -5,10 +5,12 @@
 // `run` is an entry of info.runs, `first` the box that went first or −1, `world` what endedWorld of ended.js gives,
 // `replay` the number of what was recorded of it or −1.
 
-import { rgbOf, roundedUp, shareOf } from "./colours.js";
+import { rgbOf, shareOf } from "./colours.js";
+import { decimals } from "./decimals.js";
 import { make, makeSvg } from "./dom.js";
 import { bounds } from "./ended.js";
 import { Replay } from "./replay.js";
+import { clamped } from "./vectors.js";
 import { createViewer } from "./viewer.js";
 
 const COLOURS = { article: "article", moved: "movement", tilt: "largest tilt", force: "largest force on top" };
@@ -78,17 +80,18 @@ export class Card {
     const places = values ? null : ranked(this.world.article);
     const rgb = new Float32Array(3 * this.world.n);
     for (let box = 0; box < this.world.n; box++) {
-      const shade = values ? Math.round(Math.min(values[box] / most, 1) * (shades.length - 1)) : places[box] % shades.length;
+      const onScale = () => Math.round(clamped(values[box] / most, 0, 1) * (shades.length - 1));
+      const shade = values ? onScale() : places[box] % shades.length;
       rgb.set(shades[shade] ? rgbOf(shades[shade]) : UNPLACED, 3 * box);
     }
     this.viewer?.setColours(rgb);
-    this.legend.replaceChildren(...(values ? scale(shades, most, UNITS[by]) : []));
+    this.legend.replaceChildren(...(values ? scale(shades, most, by) : []));
   }
 
-  // The end of a scale: twice the limit, so that it means the same for every plan; forces have none.
+  // The end of a scale: twice the limit, so that it means the same for every plan; the largest force, as they have none.
   most(by, values) {
     const { shift_mm, tilt_deg } = this.run.limits;
-    if (by === "force") return roundedUp(shareOf(values, 0.99));
+    if (by === "force") return shareOf(values, 1) || 1;
     return 2 * (by === "moved" ? shift_mm : tilt_deg);
   }
 
@@ -112,11 +115,12 @@ export class Card {
     const first = box === this.first ? " – went first" : "";
     const ended = Number.isNaN(moved[box])
       ? "was not placed"
-      : `moved ${number(moved[box], 1)} mm, tilted up to ${number(tilt[box], 1)}°, up to ${number(force[box], 0)} N on top` +
-        (Number.isNaN(rest[box]) ? "" : `, ${number(rest[box], 0)} N at rest`) +
-        (Number.isNaN(drop[box]) ? "" : `, dropped at ${number(drop[box], 2)} s`);
-    const size = sides[box].map((side) => number(side, 0)).join(" × ");
-    return `Box ${box}${first}: ${article[box]} (item ${item[box]}), ${size} mm, ${number(mass[box], 2)} kg; ${ended}.`;
+      : `moved ${decimals(moved[box], 1)} mm, tilted up to ${decimals(tilt[box], 1)}°, ` +
+        `up to ${decimals(force[box], 0)} N on top` +
+        (Number.isNaN(rest[box]) ? "" : `, ${decimals(rest[box], 0)} N at rest`) +
+        (Number.isNaN(drop[box]) ? "" : `, dropped at ${decimals(drop[box], 2)} s`);
+    const size = sides[box].map((side) => decimals(side, 0)).join(" × ");
+    return `Box ${box}${first}: ${article[box]} (item ${item[box]}), ${size} mm, ${decimals(mass[box], 2)} kg; ${ended}.`;
   }
 
   table() {
@@ -134,12 +138,12 @@ export class Card {
 
   line(box) {
     const { article, sides, mass, moved, tilt, force, rest, drop } = this.world;
-    const size = sides[box].map((side) => number(side, 0)).join("×");
+    const size = sides[box].map((side) => decimals(side, 0)).join("×");
     const numbers = [[moved, 1], [tilt, 1], [force, 0], [rest, 0], [drop, 2]];
     const button = make("button", { type: "button", class: "flat" }, String(box));
     const line = make("tr", {}, make("th", { scope: "row" }, button), make("td", { class: "text" }, article[box]));
-    line.append(make("td", {}, size), make("td", {}, number(mass[box], 2)));
-    line.append(...numbers.map(([values, digits]) => make("td", {}, number(values[box], digits))));
+    line.append(make("td", {}, size), make("td", {}, decimals(mass[box], 2)));
+    line.append(...numbers.map(([values, digits]) => make("td", {}, decimals(values[box], digits))));
     if (box === this.first) line.className = "first";
     return line;
   }
@@ -147,10 +151,6 @@ export class Card {
 
 function hint(text) {
   return make("p", { class: "hint" }, text);
-}
-
-function number(value, digits) {
-  return Number.isFinite(value) ? value.toFixed(digits) : "–";
 }
 
 // For each box the place of its article among them, by how many boxes it has.
@@ -162,9 +162,10 @@ function ranked(articles) {
 }
 
 // A bar of all shades, between its ends.
-function scale(shades, most, unit) {
+function scale(shades, most, by) {
   const box = { viewBox: `0 0 ${shades.length} 1`, preserveAspectRatio: "none", "aria-hidden": "true" };
   const bar = makeSvg("svg", { class: "ramp", ...box });
   shades.forEach((fill, x) => bar.append(makeSvg("rect", { x, y: 0, width: 1.05, height: 1, fill })));
-  return [`0 ${unit}`, bar, `≥ ${Number(most.toPrecision(3)).toLocaleString("en")} ${unit}`];
+  const end = `${Number(most.toPrecision(3)).toLocaleString("en")} ${UNITS[by]}`;
+  return [`0 ${UNITS[by]}`, bar, by === "force" ? end : `≥ ${end}`];
 }

@@ -47,7 +47,7 @@ export function colourings(info, frames) {
   const frameValues = (name) => (time) => frames.values(name, time);
   const articles = boxes.colour.map(rgbOf);
   const order = boxes.article.map((_, box) => box);
-  const force = roundedUp(shareOf(frames.force_n, 0.99));
+  const force = shareOf(frames.force_n, 1) || 1;
   return {
     article: { title: "article", colours: () => painted((box) => articles[box]), legend: () => articleLegend(boxes) },
     order: number("packing order", () => order, 0, Math.max(n - 1, 1), "packing order, from 0"),
@@ -82,7 +82,8 @@ function scaleLegend(ramp, low, high, unit, limit) {
     bar.append(makeSvg("line", { x1: x, x2: x, y1: 0, y2: 8, stroke: "#fff", "stroke-width": 0.7 }));
   }
   const middle = limit === null ? "" : `limit ${limit.toPrecision(3).replace(/\.?0+$/, "")}`;
-  const most = unit.startsWith("packing") ? `${high}` : `≥ ${high.toLocaleString("en")}`;
+  const end = Number(high.toPrecision(3)).toLocaleString("en");
+  const most = limit === null ? end : `≥ ${end}`; // only scales with a limit end before the largest value
   const numbers = [`${low}`, middle, most].map((text) => make("span", {}, text));
   return make("div", {}, make("div", { class: "small faint" }, unit), bar, make("div", { class: "scale" }, ...numbers));
 }

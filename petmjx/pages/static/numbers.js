@@ -1,10 +1,9 @@
 // The numbers of one box: what it is, and how it is at a time.
 
+import { decimals } from "./decimals.js";
 import { make } from "./dom.js";
 
-const DASH = "–";
-const fixed = (value, digits, unit) =>
-  value === null || value === undefined || Number.isNaN(value) ? DASH : `${value.toFixed(digits)} ${unit}`;
+const fixed = (value, digits, unit) => decimals(value, digits) + (Number.isFinite(value) ? ` ${unit}` : "");
 
 // Fills a definition list.
 export function showNumbers(list, box, info, frames, time) {

@@ -31,7 +31,7 @@ class StoryPage {
     viewer.frame(info.frame.low, info.frame.high);
     this.choose(this.chosen);
     this.showColours();
-    this.player.go(frames.end);
+    this.player.go(this.firstSign() ?? frames.end);
   }
 
   fillLists() {
@@ -44,6 +44,10 @@ class StoryPage {
     byId("forces").disabled = !hasBlock("contacts");
     if (!hasBlock("contacts")) byId("force-scale").textContent = "(not recorded)";
     byId("to-sign").hidden = this.firstSign() === null;
+    this.rows = [...document.querySelectorAll("#all tbody tr")];
+    for (const { cells: [head] } of this.rows) {
+      head.replaceChildren(make("button", { type: "button", class: "flat" }, head.textContent));
+    }
   }
 
   listen() {
@@ -60,6 +64,10 @@ class StoryPage {
     on("ghosts", "change", () => this.showGhosts());
     on("forces", "change", () => this.showForces());
     on("box", "change", (event) => this.choose(Number(event.target.value)));
+    on("all", "click", (event) => {
+      const row = this.rows.indexOf(event.target.closest("tr"));
+      if (row >= 0) this.choose(row);
+    });
     this.night.addEventListener("change", () => this.choose(this.chosen));
     listenToKeys({
       player,
@@ -134,6 +142,8 @@ class StoryPage {
   }
 
   choose(box) {
+    this.rows[this.chosen]?.removeAttribute("aria-current");
+    this.rows[box]?.setAttribute("aria-current", "true");
     this.chosen = box;
     byId("box").value = box;
     const marks = [];

@@ -1,9 +1,10 @@
 """Sample plans in BED-BPP's format: generated ones, hand-made ones with a known answer, and packed orders.
 
-``generate`` and ``write_samples`` draw orders with BED-BPP's statistics and pack them. With the packer ``baseline`` a
-share of the plans (``loose_share``) is packed with a support rule that is not safe, so that a set has plans that stand
-and plans that collapse. Plan i depends only on seed, i, packer and loose_share: the plans of ``n = 10`` are the first
-of ``n = 1000``.
+``generate`` and ``write_samples`` draw orders with BED-BPP's statistics and pack them. Without the name of a packer
+they make a mixed set, for trials and benchmarks: about half of its plans (``loose_share``) are packed with a support
+rule that is not safe, so that some stand and some collapse. A packer that is named packs all plans by its rules, as is
+fair in comparisons. Plan i depends only on seed, i, packer and loose_share: the plans of ``n = 10`` are the first of
+``n = 1000``.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
 
 DEFAULT_LOOSE_SHARE = 0.5
-"""Share of plans packed loosely. Measured on the first 100 plans of seed 0 (one by one, adaptive, physics
-``pallet``): 38 % fail, 38 of 55 loose plans and none of 45 strict ones."""
+"""Share of a mixed set's plans that are packed loosely. Measured on the first 100 plans of seed 0 (one by one,
+adaptive, physics ``pallet``): 38 % fail, 38 of 55 loose plans and none of 45 strict ones."""
 
 MOST_SAMPLES = 200_000
 """Plans of a set: twenty times BED-BPP's, and nearly the 4 GiB of the largest file that petmjx reads."""
@@ -77,16 +78,18 @@ def generate(
     n: int,
     seed: int,
     *,
-    loose_share: float = DEFAULT_LOOSE_SHARE,
-    packer: str = BASELINE,
+    loose_share: float | None = None,
+    packer: str | None = None,
     workers: int = 1,
     on_left_out: Callable[[LeftOut], None] | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
     """The first ``n`` plans of ``seed``: (plan id, placements in packing order), each made when it is asked for.
 
     Args:
-        loose_share: of the packer ``baseline``; the others have no loose plans.
-        packer: a name of ``petmjx.plans.samples.packers.PACKERS``. The orders are the same for all.
+        loose_share: of the packer ``baseline``; the others have no loose plans. None: 0 where a packer is named, else
+            ``DEFAULT_LOOSE_SHARE``.
+        packer: a name of ``petmjx.plans.samples.packers.PACKERS``. The orders are the same for all. None: a mixed set,
+            packed by ``baseline``.
         workers: processes; they change nothing in the plans.
         on_left_out: called with what a plan leaves out of its order, just before the plan is yielded.
 
@@ -95,19 +98,28 @@ def generate(
     """
     whole_of(n, "n", 1, MOST_SAMPLES)
     whole_of(seed, "seed", 0)
-    number_of(loose_share, "loose_share", 0, 1)
-    packer_named(packer)
+    share = loose_share_of(packer, loose_share)
+    number_of(share, "loose_share", 0, 1)
+    name = BASELINE if packer is None else packer
+    packer_named(name)
     whole_of(workers, "workers", 1, MOST_WORKERS)
-    pack_one = partial(_pack_drawn, seed=seed, loose_share=loose_share, packer=packer)
+    pack_one = partial(_pack_drawn, seed=seed, loose_share=share, packer=name)
     return _plans(in_order(pack_one, range(n), workers), on_left_out)
 
 
 def generate_one(
-    index: int, seed: int, *, loose_share: float = DEFAULT_LOOSE_SHARE, packer: str = BASELINE
+    index: int, seed: int, *, loose_share: float | None = None, packer: str | None = None
 ) -> tuple[str, list[Placement]]:
     """Plan ``index`` of ``seed``: its id, such as "s0-000123", and its placements in packing order."""
-    plan_id, placements, _ = _pack_drawn(index, seed, loose_share, packer)
+    plan_id, placements, _ = _pack_drawn(index, seed, loose_share_of(packer, loose_share), packer or BASELINE)
     return plan_id, placements
+
+
+def loose_share_of(packer: str | None, asked: float | None = None) -> float:
+    """The share of plans that is packed loosely: what is asked for, else none of a packer that is named."""
+    if asked is not None:
+        return asked
+    return DEFAULT_LOOSE_SHARE if packer is None else 0.0
 
 
 def write_samples(
@@ -115,8 +127,8 @@ def write_samples(
     n: int,
     seed: int,
     *,
-    loose_share: float = DEFAULT_LOOSE_SHARE,
-    packer: str = BASELINE,
+    loose_share: float | None = None,
+    packer: str | None = None,
     workers: int = 1,
     on_left_out: Callable[[LeftOut], None] | None = None,
     progress: Callable[[int], None] | None = None,
@@ -168,7 +180,7 @@ def pack_orders(
     path: Path | str,
     *,
     seed: int = 0,
-    packer: str = BASELINE,
+    packer: str | None = None,
     rules: PackRules | None = None,
     workers: int = 1,
     on_bad_order: Callable[[InputError], None] | None = None,
@@ -176,19 +188,20 @@ def pack_orders(
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
-    Without ``rules``, which are those of the packer ``baseline``, the strict ones are used. Boxes that find no place
-    below 2 m are left out; ``on_left_out`` is called with them just before the plan is yielded. An order of which no
-    box finds a place makes no plan. The packer sorts, so ``sequence`` is numbered anew in packing order.
+    Without a name the packer is ``baseline``. Without ``rules``, which are its, the strict ones are used. Boxes that
+    find no place below 2 m are left out; ``on_left_out`` is called with them just before the plan is yielded. An order
+    of which no box finds a place makes no plan. The packer sorts, so ``sequence`` is numbered anew in packing order.
 
     Raises:
         InputError: the file is no orders file; no such packer; or an order is bad and ``on_bad_order`` is not given
             (else that is called with the error and the order skipped).
     """
-    packer_named(packer)
+    name = BASELINE if packer is None else packer
+    packer_named(name)
     whole_of(seed, "seed", 0)
     whole_of(workers, "workers", 1, MOST_WORKERS)
     orders = enumerate(read_orders(path_of(path, "path"), on_bad_order))
-    return _plans(in_order(partial(_pack_read, seed=seed, packer=packer, rules=rules), orders, workers), on_left_out)
+    return _plans(in_order(partial(_pack_read, seed=seed, packer=name, rules=rules), orders, workers), on_left_out)
 
 
 def _pack_drawn(index: int, seed: int, loose_share: float, packer: str) -> _Packed:
