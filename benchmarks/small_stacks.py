@@ -8,6 +8,7 @@ to 1,000; loads act half a millimetre or more from the nearest edge, mostly not 
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -317,7 +318,9 @@ def _bridge(rng: np.random.Generator) -> Stack:
 
 def judge(found: list[Case], check: str, **options: Any) -> pd.DataFrame:
     """A row for each case: its kind, statics' answer, the verdict, and whether the world moved at its end."""
-    results = petmjx.score([case.plan for case in found], carrier="footprint", **CHECKS[check], **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", petmjx.PlanWarning)  # such masses and sizes look like mistakes of units
+        results = petmjx.score([case.plan for case in found], carrier="footprint", **CHECKS[check], **options)
     worlds = results.worlds.set_index("plan_id").loc[[case.plan.plan_id for case in found]]
     at_once = CHECKS[check].get("check") == "static"
     return pd.DataFrame(

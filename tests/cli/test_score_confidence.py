@@ -28,7 +28,7 @@ def test_confidence_says_what_stands_and_what_is_a_coin_toss(
     assert re.search(r"worlds\s*│\s*26 ", printed.out)
     assert printed.err.startswith("26 worlds (2 plans × 13 variants)")
     assert run("score", plans, "--engine", "mujoco", "--confidence", "12", "--out", out, "--resume", "--json") == 0
-    (half_row, tower_row) = json.loads(capsys.readouterr().out)["summary"]
+    (tower_row, half_row) = json.loads(capsys.readouterr().out)["summary"]
     assert (half_row["coin_toss"], tower_row["n_standing"]) == (True, 12)
     assert tower_row["margin"] == pytest.approx(1.0, abs=1e-3)
 

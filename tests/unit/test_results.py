@@ -29,7 +29,8 @@ from petmjx.results.writer import RunWriter
 from petmjx.verdict import Attempt, Flag, Reason, Verdict
 
 SPEC_WORLDS = (
-    "plan_id variant engine solver attempt schedule n_boxes n_placed verdict reason culprit margin first_sign_s "
+    "plan_id variant engine solver attempt schedule n_boxes n_placed verdict reason culprit margin "
+    "plan_edge_m rest_edge_m first_sign_s "
     "max_shift_m max_tilt_deg n_dropped first_drop_s max_lin_acc max_ang_acc max_top_force_n rest_top_force_n "
     "sim_time_s n_steps flags"
 )
