@@ -1,0 +1,192 @@
+"""Plans in other simulators: does any of petmjx's verdicts stand alone?
+
+The first referee is the sieve and judges every plan; the others judge those in which it differs from petmjx. A referee
+that differs has *converged* if it says the same with half the timestep and twice the effort. A plan counts against
+petmjx if two converged referees contradict it: one alone may be wrong, and so may each with a coarse step.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+import petmjx
+from benchmarks.referees.base import Referee
+from benchmarks.referees.stand import stand
+from petmjx.config import Check, Simulation
+from petmjx.plans.plan import Plan
+from petmjx.units import MM_PER_M
+from petmjx.verdict import Flag, Verdict
+from petmjx.world.bearing import bearing_of
+from petmjx.world.scene import Scene, build_scene
+
+ENOUGH = 2
+"""So many converged referees overrule petmjx."""
+
+LONGEST_WAIT_S = 3.0
+"""Longest wait of a referee, s: the boxes of some never stop to tremble."""
+
+Ask = Callable[[str, bool], str]
+"""A referee's verdict by its name, coarse or fine."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What all say of one plan. ``said``: for each referee that was asked its verdict, and where it differs from
+    petmjx's the one with fine settings."""
+
+    ours: str
+    said: dict[str, list[str]]
+
+    @property
+    def converged_against(self) -> list[str]:
+        """The referees that contradict petmjx with both settings."""
+        other = {Verdict.STABLE.value: Verdict.UNSTABLE.value, Verdict.UNSTABLE.value: Verdict.STABLE.value}
+        wanted = other.get(self.ours)
+        return [name for name, verdicts in self.said.items() if verdicts == [wanted, wanted]]
+
+    @property
+    def verdicts(self) -> set[str]:
+        """All that was said."""
+        return {self.ours, *chain.from_iterable(self.said.values())}
+
+    @property
+    def is_contradicted(self) -> bool:
+        return len(self.converged_against) >= ENOUGH
+
+
+def sieve(ours: str, names: Sequence[str], ask: Ask) -> Trial:
+    """Ask the first referee, and the others where it differs, as long as enough of them may overrule petmjx; those that
+    differ are asked again with fine settings."""
+    trial = Trial(ours, {})
+    for number, name in enumerate(names, start=1):
+        verdict = ask(name, False)
+        trial.said[name] = [verdict] if verdict == ours else [verdict, ask(name, True)]
+        agrees_first = number == 1 and verdict == ours
+        if agrees_first or len(trial.converged_against) + len(names) - number < ENOUGH:
+            break
+    return trial
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A plan as a scene, how it is checked, what petmjx says of it, and its trial."""
+
+    plan_id: str
+    scene: Scene
+    check: Check
+    reason: str
+    margin: float
+    moving: bool
+    trial: Trial
+
+    @property
+    def edge_mm(self) -> float:
+        """How near to a knife's edge: of the distances of boxes' loads from the edges of what bears them, by statics
+        (petmjx.world.bearing), the one nearest to 0, negative beyond the edge. One by one: after any placement. NaN if
+        there is none."""
+        count, bearing = self.scene.n_boxes, bearing_of(self.scene)
+        states = [count] if self.check is Check.STATIC else range(1, count + 1)
+        edges = np.concatenate([bearing.edges_m(bearing.loads(placed)) for placed in states])
+        edges = edges[np.isfinite(edges)]
+        return float(edges[np.abs(edges).argmin()]) * MM_PER_M if len(edges) else math.nan
+
+    def record(self) -> dict[str, Any]:
+        """What results keep of a plan that a referee disputes."""
+        return {
+            "plan_id": self.plan_id,
+            "boxes": self.scene.n_boxes,
+            "petmjx": self.trial.ours,
+            "reason": self.reason,
+            "margin": _or_none(self.margin),
+            "moving": self.moving,
+            "edge_mm": _or_none(self.edge_mm),
+            **self.trial.said,
+            "contradicted": self.trial.is_contradicted,
+        }
+
+
+class Court:
+    """Petmjx's engine ``mujoco`` and the referees, with the CPU time that each of these took."""
+
+    def __init__(self, referees: Sequence[Referee], sim: Simulation) -> None:
+        self.referees = {each.name: each for each in referees}
+        self.cpu_s = dict.fromkeys(self.referees, 0.0)
+        self._sim = sim
+
+    def judge(self, plans: Sequence[Plan], **options: Any) -> Iterator[Judged]:
+        """Every plan with its trial, in their order."""
+        results = petmjx.score(list(plans), engine="mujoco", check=self._sim.check.value, **options)
+        worlds = results.worlds.set_index("plan_id")
+        for plan in plans:
+            row, scene = worlds.loc[plan.plan_id], build_scene(plan, self._sim)
+            yield Judged(
+                plan.plan_id,
+                scene,
+                self._sim.check,
+                str(row["reason"]),
+                float(row["margin"]),
+                bool(row["flags"] & int(Flag.MOVING)),
+                self._try(str(row["verdict"]), scene),
+            )
+
+    def _try(self, ours: str, scene: Scene) -> Trial:
+        def ask(name: str, fine: bool) -> str:
+            begin = time.process_time()
+            world = self.referees[name].world(scene, self._sim.physics, fine)
+            try:
+                return stand(world, scene, sim).verdict.value
+            finally:
+                world.close()
+                self.cpu_s[name] += time.process_time() - begin
+
+        sim = self._sim.changed(longest_wait_s=LONGEST_WAIT_S, duration_s=LONGEST_WAIT_S)
+        able = [name for name, each in self.referees.items() if scene.n_boxes <= each.most_boxes]
+        return sieve(ours, able, ask)
+
+
+def summaries(found: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]]:
+    """For each referee that was asked a result's fields: how many plans it judged and agrees on, and those on which it
+    does not."""
+    for name, referee in court.referees.items():
+        asked = [each for each in found if name in each.trial.said]
+        if not asked:
+            continue
+        differ = [each for each in asked if each.trial.said[name][0] != each.trial.ours]
+        yield {
+            "engine": name,
+            "settings": {**referee.settings, "version": version(referee.settings["package"])},
+            "plans": len(found),
+            "asked": len(asked),
+            "agree": len(asked) - len(differ),
+            "converged_against": sum(name in each.trial.converged_against for each in differ),
+            "contradicted": sum(each.trial.is_contradicted for each in differ),
+            "cpu_s": court.cpu_s[name],
+            "differ": [each.record() for each in differ],
+        }
+
+
+def by_softness(found: Sequence[Judged], plans: Sequence[Plan], check: Check, **options: Any) -> dict[str, Any]:
+    """Physics ``reference``: which plans it alone calls unstable, where petmjx and all referees asked say stable."""
+    results = petmjx.score(list(plans), engine="mujoco", check=check.value, physics="reference", **options)
+    fallen = set(results.worlds.loc[results.worlds["verdict"] == "unstable", "plan_id"])
+    stand_all = [each for each in found if each.trial.verdicts == {"stable"}]
+    alone = [each.plan_id for each in stand_all if each.plan_id in fallen]
+    return {
+        "engine": "mujoco",
+        "physics": "reference",
+        "plans": len(found),
+        "all_stand": len(stand_all),
+        "alone": alone,
+    }
+
+
+def _or_none(value: float) -> float | None:
+    return value if math.isfinite(value) else None

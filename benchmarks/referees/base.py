@@ -1,0 +1,105 @@
+"""What a referee is: another simulator, in which the world of a scene can be built, box by box."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from petmjx.config import Physics
+from petmjx.errors import InputError
+from petmjx.metrics.force_np import pressed_box
+from petmjx.units import FloatArray
+from petmjx.world.scene import Scene
+
+
+class RefereeWorld(Protocol):
+    """One world: the floor, the carrier free on it, and the boxes that are placed."""
+
+    timestep_s: float
+
+    def place(self, box: int) -> None:
+        """Put the next box of the scene where it is released, at rest. Boxes come in packing order."""
+
+    def step(self, count: int) -> None:
+        """Take so many steps."""
+
+    def pose(self) -> FloatArray:
+        """(k, 7) centres, m, and orientations (w, x, y, z) of the boxes placed so far."""
+
+    def top_forces(self) -> FloatArray:
+        """(k,) the force on top of each, N, from the last step's contacts (docs/metrics.md)."""
+
+    def close(self) -> None:
+        """Give the simulator's memory back."""
+
+
+class Referee(Protocol):
+    """A simulator with settings of its own.
+
+    Attributes:
+        name: as results name it.
+        settings: the numbers it runs with, for the results; and ``fine``, those with which a verdict must be the same.
+        most_boxes: larger worlds would take too long.
+    """
+
+    name: str
+    settings: dict[str, Any]
+    most_boxes: int
+
+    def world(self, scene: Scene, physics: Physics, fine: bool) -> RefereeWorld:
+        """The world of a scene before any box is placed."""
+
+
+REFEREES: Final = {"physx": "sapien", "bullet": "pybullet", "drake": "drake"}
+"""Modules of referees, in the order in which they are asked, and the packages that they need."""
+
+
+def referee(name: str) -> Referee:
+    """A referee by name.
+
+    Raises:
+        InputError: there is none of this name, or its simulator is not installed.
+    """
+    if name not in REFEREES:
+        raise InputError(f"no referee {name!r}; there are: {', '.join(REFEREES)}")
+    try:
+        module = importlib.import_module(f"benchmarks.referees.{name}")
+    except ImportError as error:
+        raise InputError(
+            f"referee {name} cannot run: {error}; pip install '.[referees]' installs {REFEREES[name]}"
+        ) from error
+    found: Referee = module.REFEREE
+    return found
+
+
+FLOOR, CARRIER, FIRST_BOX = range(3)
+"""Numbers of bodies in contacts: boxes follow in packing order."""
+
+
+def top_forces(
+    bodies: Sequence[tuple[int, int]], normal_z: Sequence[float], force_z: Sequence[float], pose: FloatArray
+) -> FloatArray:
+    """(k,) the force on top of each box, N, of contacts, by petmjx's own rule.
+
+    Args:
+        bodies: the two bodies of each contact; ``normal_z``: z of its unit normal; ``force_z``: of the force on the
+            second body, N.
+        pose: (k, 7) of the boxes.
+    """
+    total = np.zeros(len(pose))
+    if bodies:
+        geom, normal = np.array(bodies), np.array(normal_z)
+        centre_z = np.concatenate(([-np.inf, -1e-3], pose[:, 2]))  # floor and carrier are below all that rests
+        box, sign, counts = pressed_box(geom, centre_z[geom], normal)
+        np.add.at(total, box[counts], (sign * np.array(force_z))[counts])
+    return total
+
+
+def box_inertia(mass: float, half_size: FloatArray) -> FloatArray:
+    """(3,) moments of inertia of a box about its axes, kg·m²."""
+    square = np.square(half_size)
+    inertia: FloatArray = mass / 3 * (square.sum() - square)
+    return inertia

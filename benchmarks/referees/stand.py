@@ -1,0 +1,141 @@
+"""Lets the boxes of a scene stand in a referee's world, and judges them as petmjx judges its own worlds.
+
+Placing, waiting and thresholds are petmjx's (docs/rules.md, section 5), by its own rule for quiet and its own metrics,
+so that only the simulator differs. Times stand for the steps of petmjx's rules, whatever a referee's timestep is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.referees.base import RefereeWorld
+from petmjx.config import Check, Simulation
+from petmjx.engines.cpu.quiet import QuietRule
+from petmjx.engines.cpu.running import OracleMetrics
+from petmjx.units import FloatArray, seconds_to_steps
+from petmjx.verdict import BoxMetrics, Flag, Reason, Verdict, judge, margin_of
+from petmjx.world.scene import Scene
+
+SETTLE_S = 0.2
+"""The carrier comes to rest on the floor before the first box comes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stood:
+    """What a referee says of a world. ``moving``: it still moved when its time was up."""
+
+    verdict: Verdict
+    reason: Reason
+    margin: float
+    moving: bool
+    boxes: BoxMetrics
+
+
+def stand(world: RefereeWorld, scene: Scene, sim: Simulation) -> Stood:
+    """Place the boxes one by one, or all at once in a static check, and wait until they rest or have failed."""
+    return _Run(world, scene, sim).run()
+
+
+class _Run:
+    def __init__(self, world: RefereeWorld, scene: Scene, sim: Simulation) -> None:
+        self._world, self._scene, self._sim = world, scene, sim
+        self._metrics = OracleMetrics(scene, sim.thresholds)
+        self._quiet = QuietRule(sim, scene)
+        self._poll_s = sim.quiet.poll_steps * sim.physics.timestep_s
+        self._poll_steps = max(round(self._poll_s / world.timestep_s), 1)
+        self._polls_per_sample = max(round(sim.sample_interval_s / self._poll_s), 1)
+        self._polls = 0
+        self._last: FloatArray = np.zeros((0, 7))
+        self._finite = True
+
+    def run(self) -> Stood:
+        sim, count = self._sim, self._scene.n_boxes
+        self._world.step(seconds_to_steps(SETTLE_S, self._world.timestep_s))
+        static = sim.check is Check.STATIC
+        placed, moving = 0, False
+        while self._goes_on and placed < count:
+            upto = count if static else placed + 1
+            for box in range(placed, upto):
+                self._world.place(box)
+            self._last = self._world.pose()
+            placed = upto
+            longest_s = sim.duration_s if static else sim.longest_wait_s
+            moving = self._wait(longest_s, to_rest=placed == count)
+        return self._judged(placed, moving)
+
+    @property
+    def _goes_on(self) -> bool:
+        return self._finite and not (self._sim.early_stop and self._metrics.any_dropped)
+
+    def _wait(self, longest_s: float, to_rest: bool) -> bool:
+        """Step until the boxes are quiet, and before the end until they rest. Returns whether they still move."""
+        begin_s, failed_s = self._time_s, None
+        least_s = self._sim.quiet.min_steps * self._sim.physics.timestep_s
+        self._quiet.restart()
+        while self._goes_on and self._time_s - begin_s < longest_s:
+            quiet = self._look()
+            if self._metrics.culprit >= 0:  # nothing is gained by patience
+                failed_s = self._time_s if failed_s is None else failed_s
+                if self._time_s - failed_s >= self._sim.interval_s:
+                    return True
+            if not quiet or self._time_s - begin_s < least_s:
+                continue
+            if not to_rest or self._rests():
+                return False
+        return True
+
+    def _rests(self) -> bool:
+        """Step through a rest window; whether no point moved faster than petmjx's own limit in it."""
+        before = self._world.pose()
+        window_s = self._sim.rest_window_s
+        self._metrics.restart_rest()
+        for _ in range(max(round(window_s / self._poll_s), 1)):
+            self._look()
+            self._metrics.add_rest(self._world.top_forces())
+        if not self._goes_on:
+            return False
+        return self._quiet.is_still(before, self._world.pose(), window_s)
+
+    @property
+    def _time_s(self) -> float:
+        return self._polls * self._poll_s
+
+    def _look(self) -> bool:
+        """Step to the next look, with a sample if it is time; whether it finds the boxes quiet."""
+        world = self._world
+        world.step(self._poll_steps)
+        self._polls += 1
+        pose = world.pose()
+        self._finite = bool(np.isfinite(pose).all())
+        if not self._finite:
+            return False
+        velocity = _velocity(self._last, pose, self._poll_s)
+        self._last = pose
+        if self._polls % self._polls_per_sample == 0:
+            none = np.zeros(len(pose))
+            self._metrics.add_sample(self._time_s, pose[:, :3], pose[:, 3:], np.zeros((len(pose), 6)), none)
+        return self._quiet.look(velocity, sign_seen=self._metrics.culprit >= 0)
+
+    def _judged(self, placed: int, moving: bool) -> Stood:
+        scene, sim = self._scene, self._sim
+        pose: FloatArray = np.column_stack((scene.start_pos, scene.start_quat))
+        pose[:placed] = self._world.pose()
+        if self._finite and placed:
+            self._metrics.add_pose(self._time_s, pose[:placed, :3], pose[:placed, 3:])
+        boxes = self._metrics.finish(pose[:, :3], pose[:, 3:], placed, came_to_end=not moving)
+        flags = Flag.NONE if self._finite else Flag.NONFINITE
+        verdict, reason = judge(flags, boxes, placed, sim.thresholds)
+        return Stood(verdict, reason, margin_of(verdict, boxes, placed, sim.thresholds), moving, boxes)
+
+
+def _velocity(before: FloatArray, after: FloatArray, seconds: float) -> FloatArray:
+    """(k, 6) mean velocities between two (k, 7) poses, m/s and rad/s, for small turns.
+
+    Those that a simulator reports are never quiet: iterative solvers leave some of gravity's in each step.
+    """
+    change = (after - before) / seconds
+    turn = np.zeros((len(after), 3))
+    turn[:, 0] = 2 * np.linalg.norm(change[:, 3:], axis=1)  # only its length counts
+    return np.column_stack((change[:, :3], turn))

@@ -1,0 +1,140 @@
+"""Forces on the tops of boxes in small piles: petmjx's ``rest_top_force_n`` against other simulators and statics.
+
+Where each box has one support, statics alone says what presses on each, and all must agree. Where a box has several,
+balance leaves open how they share its load: simulators then differ by what is stiff in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+import petmjx
+from benchmarks.referees.base import Referee
+from benchmarks.referees.stand import stand
+from petmjx.config import Check, Simulation
+from petmjx.plans.plan import Plan
+from petmjx.units import FloatArray
+from petmjx.world.bearing import bearing_of
+from petmjx.world.scene import Scene, build_scene
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Pile:
+    """Boxes: size, mm; front-left-bottom corner, mm; mass, kg."""
+
+    name: str
+    boxes: tuple[tuple[Triple, Triple, float], ...]
+
+    @property
+    def plan(self) -> Plan:
+        size, corner, mass = zip(*self.boxes, strict=True)
+        return Plan.from_boxes(self.name, size_mm=size, corner_mm=corner, mass_kg=mass)
+
+
+_CARTON: Final = (400.0, 300.0, 200.0)
+_LEG: Final = (100.0, 100.0, 200.0)
+_PLANK: Final = (800.0, 200.0, 50.0)
+_PLATE: Final = (600.0, 600.0, 50.0)
+_BRICK: Final = (300.0, 150.0, 100.0)
+
+PILES: Final = (
+    Pile("tower", tuple((_CARTON, (0.0, 0.0, 200.0 * k), 5.0 + k) for k in range(5))),
+    Pile("leaning tower", tuple((_CARTON, (60.0 * k, 40.0 * k, 200.0 * k), 5.0 + k) for k in range(4))),
+    Pile(
+        "balance",
+        (
+            (_CARTON, (200.0, 0.0, 0.0), 4.0),
+            (_PLANK, (0.0, 50.0, 200.0), 3.0),
+            (_LEG, (0.0, 100.0, 250.0), 3.0),
+            (_LEG, (700.0, 100.0, 250.0), 4.0),
+        ),
+    ),
+    Pile(
+        "bridge, load off its middle",
+        (
+            ((200.0, 200.0, 200.0), (0.0, 0.0, 0.0), 4.0),
+            ((200.0, 200.0, 200.0), (600.0, 0.0, 0.0), 4.0),
+            (_PLANK, (0.0, 0.0, 200.0), 3.0),
+            (_LEG, (200.0, 50.0, 250.0), 10.0),
+        ),
+    ),
+    Pile(
+        "plank on three columns",
+        (
+            *((_LEG, (350.0 * k, 50.0, 0.0), 2.0) for k in range(3)),
+            (_PLANK, (0.0, 0.0, 200.0), 3.0),
+            (_LEG, (350.0, 50.0, 250.0), 10.0),
+        ),
+    ),
+    Pile(
+        "plate on four legs, load off its middle",
+        (
+            *((_LEG, (500.0 * x, 500.0 * y, 0.0), 2.0) for x in range(2) for y in range(2)),
+            (_PLATE, (0.0, 0.0, 200.0), 5.0),
+            (_LEG, (350.0, 300.0, 250.0), 10.0),
+        ),
+    ),
+    Pile(
+        "wall of bricks",
+        (
+            *((_BRICK, (301.0 * k, 0.0, 0.0), 4.0) for k in range(3)),
+            *((_BRICK, (150.0 + 301.0 * k, 0.0, 100.0), 4.0) for k in range(2)),
+            (_BRICK, (301.0, 0.0, 200.0), 4.0),
+        ),
+    ),
+)
+
+
+def by_statics(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
+    """(n,) forces on tops, N, if each box has one support; else None: balance leaves them open."""
+    bearing = bearing_of(scene)
+    if (np.bincount(bearing.upper, minlength=scene.n_boxes) != 1).any():
+        return None
+    force: FloatArray = gravity_m_s2 * (bearing.loads(scene.n_boxes)[:, 0] - scene.mass)
+    return force
+
+
+def forces(pile: Pile, referees: Mapping[str, Referee], sim: Simulation) -> dict[str, FloatArray]:
+    """Who → (n,) forces on tops at rest, N: ``petmjx``, each referee that comes to rest, and ``statics`` if it knows.
+
+    Raises:
+        RuntimeError: the pile does not stand in petmjx.
+    """
+    scene = build_scene(pile.plan, sim)
+    results = petmjx.score([pile.plan], engine="mujoco", check=sim.check.value)
+    if results.worlds["verdict"].iloc[0] != "stable":
+        raise RuntimeError(f"{pile.name}: {results.worlds['verdict'].iloc[0]}")
+    found = {"petmjx": results.boxes["rest_top_force_n"].to_numpy(dtype=float)}
+    if (exact := by_statics(scene, sim.physics.gravity_m_s2)) is not None:
+        found["statics"] = exact
+    for name, referee in referees.items():
+        world = referee.world(scene, sim.physics, fine=True)
+        stood = stand(world, scene, sim)
+        world.close()
+        if not stood.moving:
+            found[name] = stood.boxes.rest_top_force_n
+    return found
+
+
+def differences(referees: Mapping[str, Referee]) -> Iterator[dict[str, Any]]:
+    """For each pile and check a result's fields: all forces, N, and by how much those of others differ from petmjx's at
+    most, as a share of the pile's largest."""
+    for pile in PILES:
+        for check in Check:
+            found = forces(pile, referees, Simulation(check=check))
+            ours = found["petmjx"]
+            yield {
+                "pile": pile.name,
+                "check": check.value,
+                "determinate": "statics" in found,
+                "force_n": {who: values.tolist() for who, values in found.items()},
+                "differs": {
+                    who: float(np.abs(v - ours).max() / ours.max()) for who, v in found.items() if v is not ours
+                },
+            }
