@@ -10,7 +10,7 @@ import typer
 from petmjx.cli import options as opt
 from petmjx.errors import InputError
 from petmjx.text import counted, printable
-from petmjx.whole import check_free
+from petmjx.whole import check_free, whole_file
 
 if TYPE_CHECKING:
     from petmjx.config import Physics
@@ -42,10 +42,8 @@ def export(
     if out is None:
         print(mjcf)
         return
-    try:
-        out.write_text(mjcf, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    with whole_file(out) as file:
+        file.write_text(mjcf, encoding="utf-8")
     print(printable(f"plan {plan_id}: {counted(scene.n_boxes, 'box', 'boxes')}, MJCF in {out}"))
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from petmjx.arguments import list_of, text_of
 from petmjx.config import CARRIER_EXTENT_M, Carrier
 from petmjx.errors import InputError
 from petmjx.results.reader import RunResults, load_run
@@ -40,10 +41,11 @@ def opened(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
     if isinstance(runs, str | Path | RunResults):
         runs = [runs]  # a text is also a sequence, of its letters
     named = runs if isinstance(runs, Mapping) else None
-    found = [run if isinstance(run, RunResults) else load_run(run) for run in (named.values() if named else runs)]
+    given: list[Any] = list(named.values()) if named else list_of(runs, "runs", object, "runs or folders")
+    found = [run if isinstance(run, RunResults) else load_run(run) for run in given]
     if len(found) < 2:
         raise InputError("give at least two runs to compare")
-    names = list(named) if named else _names([run.path for run in found])
+    names = [text_of(name, "runs") for name in named] if named else _names([run.path for run in found])
     for run in found:
         if run.info.get("config", {}).get("command") == "sweep":
             raise InputError(f"{run.path}: is a sweep; packers are compared by scores")

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from petmjx.arguments import path_of
 from petmjx.errors import InputError
 from petmjx.pictures.camera import view_of
 from petmjx.pictures.colours import colouring
@@ -53,7 +54,7 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
             something missing on this machine.
     """
     look = PictureOptions(**options)
-    paths = [Path(file) for file in files]
+    paths = [path_of(file, "files") for file in files]
     check_files(paths)
     for path in paths:
         with whole_file(path) as temporary:

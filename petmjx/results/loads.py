@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import pandas as pd
 
+from petmjx.arguments import path_of
 from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.gather import PathArgument, PlanSource
@@ -91,7 +92,7 @@ class Loads:
         Raises:
             InputError: the folder cannot be written.
         """
-        folder = Path(folder)
+        folder = path_of(folder, "folder")
         try:
             tables = (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS))
             write_described(folder, tables)
@@ -111,7 +112,7 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
         InputError: no run, an unusable table of articles, or plans that are not those of the run.
     """
     results = run if isinstance(run, RunResults) else load_run(run)
-    strengths = articles if isinstance(articles, Articles) else read_articles(Path(articles))
+    strengths = articles if isinstance(articles, Articles) else read_articles(path_of(articles, "articles"))
     of_run = _plans_of(results, plans)
     known, missing = _strengths(of_run.values(), strengths)
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}

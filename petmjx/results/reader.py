@@ -12,6 +12,7 @@ from typing import Any, Final
 import pandas as pd
 import pyarrow as pa
 
+from petmjx.arguments import path_of
 from petmjx.bounded import read_regular
 from petmjx.errors import InputError
 from petmjx.plans.ordered import Ordered
@@ -161,7 +162,7 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
         InputError: there is no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. The tables raise
             it too when they are read, for a damaged or missing part.
     """
-    folder = Path(path)
+    folder = path_of(path, "path")
     info = read_info(folder)
     run = RunResults(folder, info, held or {})
     expected = info.get("counts", {}).get("worlds")

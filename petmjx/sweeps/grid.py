@@ -12,9 +12,9 @@ from petmjx.plans.plan import Plan, Skipped
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
 from petmjx.text import counted, duration, rounded, shown
-from petmjx.units import deg_to_rad, seconds_to_steps
+from petmjx.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.world.job import Drive
-from petmjx.world.profiles.base import Profile
+from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, Variant, apply
@@ -171,6 +171,10 @@ class SweepPlan(Design):
         sim = self.sweep.simulation
         timestep_s = sim.physics.timestep_s
         excitation = profile.excitation(timestep_s, start_s, world)
+        if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
+            # gravity turns, whatever it is; accelerations in m/s² do not depend on it
+            turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
+            excitation = replace(excitation, samples=turned)
         left = self._drive_steps_left(plan)
         if left is None:
             return Drive(excitation, rest_s=sim.rest_s)

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 
+from petmjx.arguments import list_of, path_of
 from petmjx.errors import InputError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Skipped
@@ -38,8 +39,8 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         InputError: a shard is missing, not finished, of another run or compared with other orders, or a world is
             there twice.
     """
-    folders = [Path(shard) for shard in shards]
-    out = Path(out)
+    folders = [path_of(shard, "shards") for shard in list_of(shards, "shards", object, "folders")]
+    out = path_of(out, "out")
     if any(folder.resolve() == out.resolve() for folder in folders):
         raise InputError(f"{out}: is one of the shards; name another folder with --out")
     runs = _in_order([load_run(folder) for folder in folders])

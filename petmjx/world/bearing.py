@@ -35,7 +35,7 @@ class Bearing:
     Attributes:
         scene: whose planned places count, not where boxes are released.
         upper: (c,) the box above.
-        lower: (c,) the box below, placed earlier, or ``CARRIER``.
+        lower: (c,) the box below, whenever it is placed, or ``CARRIER``.
         low, high: (c, 2) corners of the rectangles along x and y, m.
     """
 
@@ -105,8 +105,9 @@ class Bearing:
         """The contacts between boxes, in groups: once all before are done, nothing is added to the upper boxes."""
         level = [0] * self.scene.n_boxes
         at: list[int] = []
-        between = np.flatnonzero(self.lower != CARRIER)[::-1]
-        # supports are placed earlier: from the last box down
+        between = np.flatnonzero(self.lower != CARRIER)
+        bottom = self.scene.target[:, 2] - self.scene.half_size[:, 2]
+        between = between[np.argsort(-bottom[self.upper[between]], kind="stable")]  # from the highest box down
         for upper, lower in zip(self.upper[between].tolist(), self.lower[between].tolist(), strict=True):
             level[lower] = max(level[lower], level[upper] + 1)
             at.append(level[upper])
@@ -147,13 +148,14 @@ def bearing_of(scene: Scene) -> Bearing:
 def find_bearing(scene: Scene) -> Bearing:
     """Who bears whom, by the planned places.
 
-    A box lies on the carrier if its bottom is not above its top, and on a box placed earlier if that one's top is at
-    the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
+    A box lies on the carrier if its bottom is not above its top, and on another box that begins lower if that one's top
+    is at the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     carrier_low = (scene.carrier_pos - scene.carrier_half_size)[:2]
     carrier_high = (scene.carrier_pos + scene.carrier_half_size)[:2]
-    touching = np.triu(np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= TOUCH_M, k=1)
+    touching = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= TOUCH_M
+    touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     on_carrier = np.flatnonzero(low[:, 2] <= TOUCH_M)
     upper = np.concatenate([on_carrier, above])

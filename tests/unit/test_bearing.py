@@ -102,3 +102,17 @@ def test_a_box_does_not_follow_a_support_that_has_gone() -> None:
     live._poses[live._row[0], 2] -= 0.05
     live.place_next()
     assert live.pose[1, 2] == pytest.approx(release_of(scene, EXACT).pos[1, 2] - MOST_FOLLOWED_M, abs=1e-9)
+
+
+def test_the_order_of_boxes_does_not_matter() -> None:
+    """In a static check nothing is placed before anything else."""
+    boxes: list[Box] = [
+        ((200, 300, 200), (0, 0, 0), 5.0),
+        ((200, 300, 200), (400, 0, 0), 5.0),
+        ((600, 300, 200), (0, 0, 200), 8.0),
+        ((300, 300, 100), (350, 0, 400), 3.0),
+    ]
+    expected = edges_mm(scene_of(*boxes))
+    for order in ([3, 2, 1, 0], [2, 0, 3, 1]):
+        found = edges_mm(scene_of(*(boxes[k] for k in order)))
+        assert [found[order.index(k)] for k in range(4)] == pytest.approx(expected)

@@ -9,8 +9,11 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 import pytest
+from support.plans import make_plan
 
 from petmjx.errors import InputError
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.grid import SweepPlan
 from petmjx.units import STANDARD_GRAVITY
 from petmjx.world.profiles.acceleration import Tilt
 from petmjx.world.profiles.base import Profile, Strength
@@ -286,3 +289,19 @@ def test_psd_tables_from_csv(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(InputError, match=message):
             read_psd(path)
+
+
+def test_tilt_turns_whatever_gravity_there_is(tmp_path: Path) -> None:
+    """A load slides at atan μ on the moon, too; an acceleration in m/s² is the same everywhere."""
+    found: dict[tuple[str, float], np.ndarray] = {}
+    for profile, gravity in ((name, g) for name in ("tilt", "eumos-40509") for g in (9.81, 1.62)):
+        file = tmp_path / "sweep.toml"
+        level = "level = 0.5\n" if profile != "tilt" else ""
+        file.write_text(f"[simulation.physics]\ngravity_m_s2 = {gravity}\n[axes]\nprofile = '{profile}'\n{level}")
+        plan = SweepPlan(load_sweep(file, plans_given=True), [make_plan()])
+        (group,) = plan.groups()
+        drive = plan.drive(group.plan, group.variants[-1])
+        assert drive is not None
+        found[profile, gravity] = drive.excitation.samples
+    np.testing.assert_allclose(found["tilt", 1.62], found["tilt", 9.81] * 1.62 / 9.81)
+    np.testing.assert_array_equal(found["eumos-40509", 1.62], found["eumos-40509", 9.81])

@@ -155,3 +155,22 @@ def test_strange_arguments_are_one_line(seed: int) -> None:
 def test_the_line_names_the_argument(call: str, name: str, value: Any, line: str) -> None:
     function, usual, _ = CALLS[call]
     assert _call(function, usual | {name: value}) == line
+
+
+READERS: dict[str, Callable[[Any], Any]] = {
+    "load_run": petmjx.load_run,
+    "loads": lambda value: petmjx.loads(value, "articles.csv"),
+    "compare_runs": lambda value: petmjx.compare_runs(value, value),
+    "compare_packers": lambda value: petmjx.compare_packers(value),
+    "merge_runs": lambda value: petmjx.merge_runs(value, "out"),
+    "merge_runs into": lambda value: petmjx.merge_runs(["a", "b"], value),
+    "report": lambda value: petmjx.report(value, "report.html"),
+}
+
+
+@pytest.mark.parametrize("value", [None, 5, float("nan"), "", b"run", {1: 2}, [5]])
+@pytest.mark.parametrize("name", READERS)
+def test_what_reads_runs_refuses_what_is_no_run(name: str, value: Any) -> None:
+    with pytest.raises(PetmjxError) as caught:
+        READERS[name](value)
+    assert "\n" not in str(caught.value)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from petmjx.arguments import list_of, path_of
 from petmjx.errors import InputError, PetmjxError
 from petmjx.pages.columns import block, whole
 from petmjx.pages.page import page
@@ -58,16 +59,18 @@ def report(
             folder is not, or is not writable.
         PetmjxError: the page cannot be written.
     """
-    path = Path(out)
+    path = path_of(out, "out")
     if path.is_dir():
         raise InputError(f"{printable(str(path))}: is a folder; name a file for the report")
     if path.exists() and not overwrite:
         raise InputError(f"{printable(str(path))}: exists already; name another file, or pass --overwrite")
     if why := why_unwritable(path):  # now, and not after the work of a large report
         raise InputError(f"{printable(str(path))}: cannot be written: {printable(why)}")
-    given = [runs] if isinstance(runs, str | Path | RunResults) else list(runs)
-    files = [plans] if isinstance(plans, str | Path) else list(plans)
-    text = report_page(open_runs(given, [Path(file) for file in files]))
+    given: list[Any] = (
+        [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
+    )
+    files = [plans] if isinstance(plans, str | Path) else list_of(plans, "plans", object, "paths")
+    text = report_page(open_runs(given, [path_of(file, "plans") for file in files]))
     try:
         write_text(text, path)
     except OSError as error:
