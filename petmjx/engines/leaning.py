@@ -25,7 +25,7 @@ from petmjx.history import CARRIER
 from petmjx.units import FloatArray
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.bearing import Bearing, bearing_of
-from petmjx.world.contact import depth_m
+from petmjx.world.contact import MOST_IMPEDANCE, depth_m
 from petmjx.world.scene import Scene
 
 CONTACTS_PER_SIDE: Final = 2
@@ -33,10 +33,12 @@ CONTACTS_PER_SIDE: Final = 2
 SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
 """Shares r for which e(r) is worked out."""
 
-SAFETY: Final = 6.0
-"""A load that acts within this times the loss may tip over: boxes rock when the next one is let down on them. Of 122
-stacks of boxes that statics lets stand and soft contacts let fall 118 were within it, and 11 of 670 generated plans
-that fall."""
+SAFETY: Final = 10.0
+"""A load that acts within this times the loss may tip over: boxes rock when the next one is let down on them. Of stacks
+of boxes that statics lets stand and soft contacts let fall the farthest was at 8 times it."""
+
+STIFF_SAFETY: Final = 40.0
+"""The same in stiffer contacts, in which the loss is a fortieth: the farthest was at 28 times it."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """Nearer to an edge nothing can be said: half a millimetre of the plan, less what boxes are smaller by."""
@@ -103,11 +105,12 @@ def leans(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
     edge = bearing.edges_m(load)
     found = leaning_of(bearing, load, edge, sim.physics)
     limits = sim.thresholds
+    safety = STIFF_SAFETY if sim.physics.solimp[0] >= MOST_IMPEDANCE else SAFETY
     far = found.shift_m[:placed].max(initial=0.0) > BOUND_SHARE * limits.shift_m
     if far or np.degrees(found.angle_rad[:placed].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
         return True
     pile = _pile_of(bearing, outcome.culprit) if outcome.culprit >= 0 else list(range(placed))
-    return bool(((edge[pile] > KNIFE_EDGE_M) & (edge[pile] <= SAFETY * found.loss_m[pile])).any())
+    return bool(((edge[pile] > KNIFE_EDGE_M) & (edge[pile] <= safety * found.loss_m[pile])).any())
 
 
 def _pile_of(bearing: Bearing, box: int) -> list[int]:
