@@ -231,17 +231,18 @@ class _Making(Generic[AnyWorld]):
 
     def run(self, batch: Sequence[_Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """Yield world, outcome, and its records with this attempt's record."""
-        own, stand_in = self.engines.own, self.engines.stand_in
+        own = maker = self.engines.own
         chosen = [self._engine_for(world) for world, _, _ in batch]
         left = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is own]
         others = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is not own]
         if left:
             left = yield from self._run_on(own, left)
-        if stand_in is not None and (left or others):
-            left = yield from self._run_on(stand_in, left + others)
+        if (left or others) and self.engines.stand_in is not None:
+            maker = self.engines.stand_in
+            left = yield from self._run_on(maker, left + others)
         for pending in left:
             failed = failed_outcome(0, pending[0].job, self.sim, self._message)
-            yield self._made(pending, failed, stand_in or own)
+            yield self._made(pending, failed, maker)
 
     def _engine_for(self, world: AnyWorld) -> Engine:
         return self.engines.for_job(world.job, self.sim, again=self.attempt.number > 1)
