@@ -215,6 +215,7 @@ class _Run:
             resume=options.resume,
         ) as writer:
             self._note_input(writer)
+            self.progress.notes = writer.warnings  # one place for both
             swept = SweepRun(
                 self.plan,
                 self.engine,
@@ -232,7 +233,6 @@ class _Run:
                 if watcher is not None:
                     watcher.world_done(world)
             writer.timings.update(vars(swept.tally) if columns else {}, compile_s=self.progress.compile_s)
-            self._take_notes(writer)
             if options.force_intervals:
                 writer.timings["intervals_s"] = round(self.intervals_s, 3)
             writer.put_in_order()
@@ -274,12 +274,6 @@ class _Run:
         if world.outcome.message:
             variant = f", variant {index}" if self.columns else ""
             writer.warn(f"plan {shown(world.plan.plan_id)}{variant}: failed: {world.outcome.message}")
-        self._take_notes(writer)
-
-    def _take_notes(self, writer: RunWriter) -> None:
-        """Write into ``run.json`` what the engine did otherwise than asked for."""
-        for note in self.progress.notes:
-            writer.warn(note)
 
     def _intervals_n(self, world: SweptWorld) -> FloatArray | None:
         """(n, 2) least and most force on top of each box, N; None where a world has no force at rest, and after a
