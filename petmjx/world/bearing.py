@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.history import CARRIER
-from petmjx.units import FloatArray
+from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
+from petmjx.units import MM_PER_M, FloatArray
 from petmjx.world.scene import Scene
 
 IntArray = NDArray[np.intp]
 
-TOUCH_M: Final = 0.0005
-"""Faces that are no further apart touch: half of the last digit of whole millimetres."""
+TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
+"""Faces that are no further apart touch, as in the warnings about a plan."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 _ON_EDGE_M: Final = 1e-9
@@ -168,11 +169,12 @@ def find_bearing(scene: Scene) -> Bearing:
     return Bearing(scene, upper[order], lower[order], area_low[order], area_high[order])
 
 
+@lru_cache(maxsize=256)
 def plan_edge_m(scene: Scene, placed: int) -> float:
     """How far inside the nearest edge of what bears it a load acts, the least of all boxes, m: by the plan.
 
     Looked at are each box's own weight, which is all when it is placed, and its load once ``placed`` boxes are.
-    Negative: beyond the edge, so that the box falls. NaN: no box lies on anything.
+    Negative: beyond the edge, so that the box falls. NaN: no box lies on anything. Kept, as ``bearing_of`` is.
     """
     return _least_m(bearing_of(scene), placed)
 
