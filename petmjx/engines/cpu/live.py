@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 
 import mujoco
@@ -15,7 +16,7 @@ from petmjx.metrics.force_np import FIRST_BOX_GEOM, top_forces
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.model import HeldCarrier, add_boxes, build_spec
-from petmjx.world.release import release_of
+from petmjx.world.release import Release, release_of
 from petmjx.world.scene import Scene
 
 GROWTH_BLOCK = 8
@@ -68,13 +69,11 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
-        release: where boxes are released.
         pyramidal: whether friction cones are.
     """
 
     def __init__(self, scene: Scene, sim: Simulation, n_boxes: int = 0, shaken: bool = False) -> None:
         self.scene = scene
-        self.release = release_of(scene, sim)
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._sim = sim
         self._shaken = shaken
@@ -126,6 +125,11 @@ class LiveWorld:
         self._poses: FloatArray = self.data.qpos[self._first_q :].reshape(capacity, 7)
         self._velocities: FloatArray = self.data.qvel[self._first_v :].reshape(capacity, 6)
         self._warmstarts: FloatArray = self.data.qacc_warmstart[self._first_v :].reshape(capacity, 6)
+
+    @cached_property
+    def release(self) -> Release:
+        """Where boxes are released; worlds that start from a settled state release none."""
+        return release_of(self.scene, self._sim)
 
     @property
     def pose(self) -> FloatArray:
