@@ -20,7 +20,7 @@ from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.world import SettledState
 from petmjx.errors import InputError
-from petmjx.metrics.force_np import FIRST_BOX_GEOM, VERTICAL_COSINE, contact_normal_and_tangents
+from petmjx.metrics.force_np import VERTICAL_COSINE, contact_normal_and_tangents
 from petmjx.metrics.motion_np import tilt_deg
 from petmjx.plans.plan import Plan
 from petmjx.text import counted
@@ -168,8 +168,8 @@ def cause(seen: Mapping[str, Any]) -> str:
 
 def _contacts(live: LiveWorld) -> FloatArray:
     """(n,) number of contacts of each box."""
-    bodies = np.asarray(live.data.contact.geom).reshape(-1) - FIRST_BOX_GEOM
-    return np.bincount(live.order[bodies[bodies >= 0]], minlength=live.capacity).astype(float)
+    bodies = live.geom_bodies[np.reshape(live.data.contact.geom, -1)]
+    return np.bincount(bodies[bodies >= 0], minlength=live.capacity).astype(float)
 
 
 def _loads(live: LiveWorld, sim: Simulation) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +177,7 @@ def _loads(live: LiveWorld, sim: Simulation) -> tuple[FloatArray, FloatArray]:
     bear a hundredth of its weight or more."""
     data = live.data
     index, force = contact_normal_and_tangents(data, sim.physics.cone is Cone.PYRAMIDAL)
-    geom = np.asarray(data.contact.geom)[index] - FIRST_BOX_GEOM
+    bodies = live.geom_bodies[np.asarray(data.contact.geom)[index]]
     vertical = np.abs(np.asarray(data.contact.frame)[index, 2]) >= VERTICAL_COSINE
     friction = np.asarray(data.contact.friction)[index, 0]
     tangent = np.linalg.norm(force[:, 1:], axis=1)
@@ -185,8 +185,8 @@ def _loads(live: LiveWorld, sim: Simulation) -> tuple[FloatArray, FloatArray]:
     side, used = np.zeros(live.scene.n_boxes), np.zeros(live.scene.n_boxes)
     weight = live.scene.mass * sim.physics.gravity_m_s2
     for part in range(2):
-        here = geom[:, part] >= 0
-        boxes = live.order[geom[here, part]]
+        here = bodies[:, part] >= 0
+        boxes = bodies[here, part]
         np.add.at(side, boxes, np.where(vertical[here], 0.0, force[here, 0]))
         bears = vertical[here] & (force[here, 0] > 0.01 * weight[boxes])
         np.maximum.at(used, boxes, np.where(bears, share[here], 0.0))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from petmjx.config import SOFT_START_STEPS, Cone, Physics
 from petmjx.metrics.force_np import top_forces
 from petmjx.metrics.motion_np import tilt_deg
-from petmjx.world.model import build_spec
+from petmjx.world.model import build_spec, geom_bodies
 from petmjx.world.scene import Scene
 
 SAMPLE_STEPS = 100
@@ -29,6 +29,7 @@ def plain_loop(scene: Scene, physics: Physics, *, on_floor: bool) -> NDArray[np.
     by a force equal to their weight (faster).
     """
     model = build_spec(scene, physics).compile()
+    bodies = geom_bodies(model, range(scene.n_boxes))
     data = mujoco.MjData(model)
     n = scene.n_boxes
     pose, velocity = data.qpos[7:].reshape(n, 7), data.qvel[6:].reshape(n, 6)
@@ -55,7 +56,7 @@ def plain_loop(scene: Scene, physics: Physics, *, on_floor: bool) -> NDArray[np.
                 tilt_deg(data.xquat[2 : 2 + placed]),
                 np.linalg.norm(acceleration[:placed, :3], axis=1),
                 np.linalg.norm(acceleration[:placed, 3:], axis=1),
-                top_forces(data, n, physics.cone is Cone.PYRAMIDAL)[:placed],
+                top_forces(data, bodies, n, physics.cone is Cone.PYRAMIDAL)[:placed],
             )
             np.maximum(largest[:, :placed], now, out=largest[:, :placed])
         if data.time - last_s >= INTERVAL_S and placed < n:

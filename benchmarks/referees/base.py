@@ -93,9 +93,21 @@ def top_forces(
     if bodies:
         geom, normal = np.array(bodies), np.array(normal_z)
         centre_z = np.concatenate(([-np.inf, -1e-3], pose[:, 2]))  # floor and carrier are below all that rests
-        box, sign, counts = pressed_box(geom, centre_z[geom], normal)
+        box, sign, counts = pressed_box(geom - FIRST_BOX, centre_z[geom], normal)
         np.add.at(total, box[counts], (sign * np.array(force_z))[counts])
     return total
+
+
+def slab(scene: Scene) -> tuple[FloatArray, float, float]:
+    """Half extents (m), mass (kg) and friction of a carrier.
+
+    Raises:
+        InputError: it has several boards.
+    """
+    carrier = scene.carrier
+    if len(carrier.half_size) > 1:
+        raise InputError("the referees know carriers of one slab")
+    return carrier.half_size[0], carrier.mass, float(carrier.friction[0, 0])
 
 
 def box_inertia(mass: float, half_size: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
 
-from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, top_forces
+from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, slab, top_forces
 from petmjx.config import Physics
 from petmjx.units import FloatArray
 from petmjx.world.scene import Scene
@@ -55,10 +55,8 @@ class BulletWorld:
         floor = client.createMultiBody(0, plane, basePosition=[0, 0, scene.floor_z])
         client.changeDynamics(floor, -1, lateralFriction=_own(scene.floor_friction[0]))
         carrier = self._add_box(
-            scene.carrier_half_size,
-            scene.carrier_mass,
-            scene.carrier_friction[0],
-            scene.carrier_pos,
+            *slab(scene),
+            scene.carrier.pos,
             np.array([1.0, 0.0, 0.0, 0.0]),
         )
         self._numbers = {floor: FLOOR, carrier: CARRIER}
@@ -68,7 +66,7 @@ class BulletWorld:
         body = self._add_box(
             scene.half_size[box],
             float(scene.mass[box]),
-            scene.box_friction[0],
+            float(scene.friction[box, 0]),
             scene.start_pos[box],
             scene.start_quat[box],
         )

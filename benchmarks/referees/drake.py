@@ -20,7 +20,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, top_forces
+from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, slab, top_forces
 from petmjx.config import Physics
 from petmjx.units import FloatArray
 from petmjx.world.scene import Scene
@@ -60,7 +60,7 @@ class DrakeWorld:
             discrete_contact_approximation="lagged",
             stiction_tolerance=stiction_m_s,
         )
-        self._pose = np.array([[*scene.carrier_pos, 1.0, 0.0, 0.0, 0.0]])
+        self._pose = np.array([[*scene.carrier.pos, 1.0, 0.0, 0.0, 0.0]])
         self._velocity = np.zeros((1, 6))
         self._simulator: Any = None
 
@@ -110,9 +110,8 @@ class DrakeWorld:
         for number in range(len(self._pose)):
             box = number - 1
             is_carrier = number == 0
-            half = scene.carrier_half_size if is_carrier else scene.half_size[box]
-            mass = scene.carrier_mass if is_carrier else float(scene.mass[box])
-            friction = scene.carrier_friction[0] if is_carrier else scene.box_friction[0]
+            of_box = scene.half_size[box], float(scene.mass[box]), float(scene.friction[box, 0])
+            half, mass, friction = slab(scene) if is_carrier else of_box
             body = plant.AddRigidBody(f"body_{number}", SpatialInertia.SolidBoxWithMass(mass, *(2 * half)))
             geometry = plant.RegisterCollisionGeometry(
                 body, RigidTransform(), Box(*(2 * half)), f"geometry_{number}", _soft(friction)

@@ -9,7 +9,7 @@ import numpy as np
 import sapien
 from sapien import physx
 
-from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, top_forces
+from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, slab, top_forces
 from petmjx.config import Physics
 from petmjx.units import FloatArray
 from petmjx.world.scene import Scene
@@ -58,10 +58,8 @@ class PhysxWorld:
         self._add(floor, FLOOR, np.array([0.0, 0.0, scene.floor_z]), np.array(_PLANE_UP))
         self._add_box(
             CARRIER,
-            scene.carrier_half_size,
-            scene.carrier_mass,
-            scene.carrier_friction[0],
-            scene.carrier_pos,
+            *slab(scene),
+            scene.carrier.pos,
             np.array([1.0, 0.0, 0.0, 0.0]),
         )
 
@@ -71,7 +69,7 @@ class PhysxWorld:
             FIRST_BOX + box,
             scene.half_size[box],
             float(scene.mass[box]),
-            scene.box_friction[0],
+            float(scene.friction[box, 0]),
             scene.start_pos[box],
             scene.start_quat[box],
         )

@@ -71,7 +71,7 @@ def leaning_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: 
     bottom = scene.target[:, 2] - scene.half_size[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         height = load[:, 3] / load[:, 0] - bottom
-    inverse = np.append(1 / scene.mass, 1 / scene.carrier_mass)  # CARRIER is the last
+    inverse = np.append(1 / scene.mass, 1 / scene.carrier.mass)  # CARRIER is the last
     inverse_below = np.zeros(scene.n_boxes)
     np.maximum.at(inverse_below, bearing.upper, inverse[bearing.lower])
     pull = (1 / scene.mass + inverse_below) * load[:, 0] * physics.gravity_m_s2 / CONTACTS_PER_SIDE

@@ -55,13 +55,15 @@ def sinking_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m:
             of all that the plan has above a box is an impact, over before a box has sunk, and does not count.
         enough_m: where no box can sink by more than this, zeros are returned and nothing is looked at closely.
     """
-    gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier_mass
-    box, plate, floor = scene.box_friction[0], scene.carrier_friction[0], scene.floor_friction[0]
-    of_boxes, of_carrier = cone_factor(physics, box), cone_factor(physics, box, plate)
+    gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
+    box, plate = scene.friction[:, 0].max(), scene.carrier.friction[:, 0].max()
+    of_boxes, of_carrier = cone_factor(physics, box, box), cone_factor(physics, box, plate)
     low = scene.target - scene.half_size
     stands_on_carrier = low[:, 2] < ON_CARRIER_M
     own_per_kg = np.where(stands_on_carrier, of_carrier * (1 / mass + 1 / carrier), of_boxes / mass) / CONTACTS_PER_FACE
-    on_floor = cone_factor(physics, plate, floor) * scene.total_mass * gravity / carrier / CONTACTS_PER_FACE
+    on_floor = (
+        cone_factor(physics, plate, scene.floor_friction[0]) * scene.total_mass * gravity / carrier / CONTACTS_PER_FACE
+    )
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -34,19 +34,18 @@ def contact_force_z(
 
 
 def pressed_box(
-    geom: Int[Array, "*batch 2"],
+    body: Int[Array, "*batch 2"],
     geom_z: Float[Array, "*batch 2"],
     normal_z: Float[Array, "*batch"],
-    first_box_geom: int,
 ) -> tuple[Int[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """Which box a contact presses on: the partner whose centre is lower.
+    """Which box a contact presses on: the partner whose centre is lower. ``body``: boxes, or negative numbers.
 
     Returns:
         Box index (negative for carrier and floor), the sign by which the force on the second geom becomes a force that
         presses down on the lower one, and whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[..., 0] < geom_z[..., 1]
-    box = jnp.where(first_is_lower, geom[..., 0], geom[..., 1]) - first_box_geom
+    box = jnp.where(first_is_lower, body[..., 0], body[..., 1])
     sign = jnp.where(first_is_lower, 1.0, -1.0)
     counts = (jnp.abs(normal_z) >= VERTICAL_COSINE) & (box >= 0)
     return box, sign, counts

@@ -13,9 +13,6 @@ from petmjx.units import FloatArray
 VERTICAL_COSINE = math.cos(math.radians(45.0))
 """A contact is vertical if its normal is within 45° of z."""
 
-FIRST_BOX_GEOM = 2
-"""Geoms 0 and 1 are floor and carrier in every model of :mod:`petmjx.world.model`."""
-
 
 def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[NDArray[np.intp], FloatArray]:
     """Forces of the contacts that have constraint rows.
@@ -52,28 +49,33 @@ def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
 
 
 def pressed_box(
-    geom: NDArray[np.integer], geom_z: FloatArray, normal_z: FloatArray
+    body: NDArray[np.integer], geom_z: FloatArray, normal_z: FloatArray
 ) -> tuple[NDArray[np.integer], FloatArray, NDArray[np.bool_]]:
     """Which box a contact presses on: the partner whose centre is lower.
 
     Args:
-        geom: (k, 2) partners; geom_z: (k, 2) z of their centres, m; normal_z: (k,) z component of the unit normal.
+        body: (k, 2) partners: boxes, or negative numbers.
+        geom_z: (k, 2) z of the centres of the shapes that touch, m.
+        normal_z: (k,) z component of the unit normal.
 
     Returns:
         (k,) box index (negative for carrier and floor), (k,) sign by which the force on the second geom becomes a force
         that presses down on the lower one, (k,) whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[:, 0] < geom_z[:, 1]
-    box = np.where(first_is_lower, geom[:, 0], geom[:, 1]) - FIRST_BOX_GEOM
+    box = np.where(first_is_lower, body[:, 0], body[:, 1])
     sign = np.where(first_is_lower, 1.0, -1.0)
     return box, sign, (np.abs(normal_z) >= VERTICAL_COSINE) & (box >= 0)
 
 
-def top_forces(data: mujoco.MjData, n_boxes: int, pyramidal: bool) -> FloatArray:
+def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, pyramidal: bool) -> FloatArray:
     """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
 
     Sums the world-z part of contact forces whose normal is within 45° of z, for the partner whose centre is lower. The
     floor is lower than everything; floor and carrier are no boxes.
+
+    Args:
+        bodies: (ngeom,) of the geoms, as ``petmjx.world.model.geom_bodies`` gives them.
     """
     total = np.zeros(n_boxes)
     if data.ncon == 0:
@@ -83,7 +85,7 @@ def top_forces(data: mujoco.MjData, n_boxes: int, pyramidal: bool) -> FloatArray
     frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
     centre_z = data.geom_xpos[:, 2].copy()
     centre_z[0] = -np.inf
-    box, sign, counts = pressed_box(geom, centre_z[geom], frame[:, 0, 2])
+    box, sign, counts = pressed_box(bodies[geom], centre_z[geom], frame[:, 0, 2])
     counts &= box < n_boxes
     np.add.at(total, box[counts], (sign * contact_force_z(force, frame[:, :, 2]))[counts])
     return total

@@ -14,6 +14,13 @@ def shift(pos: Float[Array, "lane box 3"], target: Float[Array, "lane box 3"], f
     return jnp.where(jnp.abs(delta) < floor_m, 0.0, delta)
 
 
+def middles(pose: Float[Array, "lane box 7"], middle: Float[Array, "lane box 3"]) -> Float[Array, "lane box 3"]:
+    """Middles of boxes, m, from the poses of their frames, in which they are at ``middle``."""
+    w, axis = pose[..., 3:4], pose[..., 4:]
+    twice = 2 * jnp.cross(axis, middle) / (pose[..., 3:] ** 2).sum(-1, keepdims=True)
+    return pose[..., :3] + (middle + w * twice + jnp.cross(axis, twice))
+
+
 def tilt_deg(quat: Float[Array, "lane box 4"]) -> Float[Array, "lane box"]:
     """Angle between a box's z axis and the world's, degrees.
 

@@ -42,13 +42,14 @@ def still_svg(story: Story) -> str:
     shown = np.flatnonzero(np.isfinite(history.pos[-1]).all(axis=1))
     carrier_pos, carrier_quat = history.carrier_pos[-1], history.carrier_quat[-1]
     if not np.isfinite(carrier_pos).all():
-        carrier_pos, carrier_quat = scene.carrier_pos, np.array(IDENTITY_QUAT)
-    pos = np.vstack([history.pos[-1][shown], carrier_pos])
-    axes = _axes(np.vstack([history.quat[-1][shown], carrier_quat]))
-    half = np.vstack([scene.half_size[shown], scene.carrier_half_size])
+        carrier_pos, carrier_quat = scene.carrier.pos, np.array(IDENTITY_QUAT)
+    boards = scene.carrier.shapes_at(carrier_pos, carrier_quat)
+    pos = np.vstack([history.pos[-1][shown], boards[0]])
+    axes = _axes(np.vstack([history.quat[-1][shown], boards[1]]))
+    half = np.vstack([scene.half_size[shown], boards[2]])
     colours = article_colours(story.plan.articles)
-    names = [*(f"{box} {story.plan.articles[box]}" for box in shown), "carrier"]
-    fills = [*(colours[box] for box in shown), _WOOD]
+    names = [*(f"{box} {story.plan.articles[box]}" for box in shown), *["carrier"] * len(boards[0])]
+    fills = [*(colours[box] for box in shown), *[_WOOD] * len(boards[0])]
     corners = pos[:, None, :] + np.einsum("kij,kcj->kci", axes, _SIGNS * half[:, None, :])
     low, scale, height = _fitted(story, corners)
     flat = (_projected(corners) - low) * scale + _MARGIN

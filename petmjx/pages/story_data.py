@@ -40,7 +40,7 @@ def story_info(story: Story) -> dict[str, Any]:
         "first": first,
         "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
         "ramp": ramp(),
-        "carrier": {"size": 2 * story.scene.carrier_half_size, "pos": story.scene.carrier_pos},
+        "carrier": {"pos": story.scene.carrier.pos, "boards": story.scene.carrier.boards.ravel()},
         "floorZ": story.scene.floor_z,
         "frame": {"low": low, "high": high},
         "drive": _drive(story),
@@ -87,9 +87,8 @@ def _drive(story: Story) -> dict[str, Any] | None:
 def framed(story: Story) -> tuple[FloatArray, FloatArray]:
     """(3,) lowest and (3,) highest corner of what a picture shows: carrier, plan, boxes that lie near at the end."""
     scene = story.scene
-    reach = np.vstack([scene.half_size, scene.carrier_half_size])
-    planned = np.vstack([scene.target, scene.carrier_pos])
-    low, high = (planned - reach).min(axis=0), (planned + reach).max(axis=0)
+    low = np.vstack([scene.target - scene.half_size, scene.carrier.low]).min(axis=0)
+    high = np.vstack([scene.target + scene.half_size, scene.carrier.high]).max(axis=0)
     last = story.history.pos[-1]
     last = last[np.isfinite(last).all(axis=1)]
     far = _FAR_M + _FAR_SHARE * (high[2] - low[2])

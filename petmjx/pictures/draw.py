@@ -91,14 +91,16 @@ class Painter:
         """(height, width, 3) pixels."""
         scene = self.story.scene
         half_size, turned = scene.half_size[: poses.n_placed], rotations(poses.quat)
-        carrier = scene.carrier_half_size, poses.carrier_pos, rotations(poses.carrier_quat[None])[0]
+        centers, quats, half_sizes = scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
+        boards = list(zip(half_sizes, centers, rotations(quats), strict=True))
         self.canvas.begin(camera)
         self._floor()
         visible = _far_to_near(poses, camera)
-        for solid in (carrier, *((half_size[box], poses.pos[box], turned[box]) for box in visible)):
+        for solid in (*boards, *((half_size[box], poses.pos[box], turned[box]) for box in visible)):
             self._shadow(*solid)
-        self.canvas.box(*carrier, CARRIER)
-        self._edges(*carrier, EDGE, camera)
+        for board in boards:
+            self.canvas.box(*board, CARRIER)
+            self._edges(*board, EDGE, camera)
         self._shaking(poses)
         if self.newtons_per_m is not None:
             self._forces(poses, self.newtons_per_m)
@@ -180,7 +182,7 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     scene = story.scene
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (scene.n_boxes, 1))
     planned = corners(scene.target, upright, scene.half_size).reshape(-1, 3)
-    carrier = corners(scene.carrier_pos[None], upright[:1], scene.carrier_half_size[None]).reshape(-1, 3)
+    carrier = corners(*scene.carrier.shapes_at(scene.carrier.pos, upright[0])).reshape(-1, 3)
     load = np.concatenate((planned, carrier))
     low, high = load.min(axis=0), load.max(axis=0)
     if story.drive is not None:
@@ -192,7 +194,7 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
         poses = poses_of_frame(story.history, frame)
         each = corners(poses.pos, poses.quat, scene.half_size[: poses.n_placed])
         near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
-        moved = corners(poses.carrier_pos[None], poses.carrier_quat[None], scene.carrier_half_size[None])
+        moved = corners(*scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat))
         seen += [each[near].reshape(-1, 3), moved.reshape(-1, 3)]
     return np.concatenate(seen)
 
@@ -201,7 +203,7 @@ def _above(story: Story) -> tuple[FloatArray, float]:
     """Where the arrow of what shakes a world has its middle, (3,) m, and its length, m, at the strongest."""
     scene, longest = story.scene, 0.5 * largest_extent_m(story)
     top = float((scene.target + scene.half_size)[:, 2].max()) + 0.15 * longest
-    return np.array([*scene.carrier_pos[:2], top]), longest
+    return np.array([*scene.carrier.pos[:2], top]), longest
 
 
 def largest_extent_m(story: Story) -> float:

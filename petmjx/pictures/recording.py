@@ -58,10 +58,11 @@ def _boxes(rr: Any, story: Story, colours: Colouring, poses: Poses) -> Any:
 
 
 def _carrier(rr: Any, story: Story, poses: Poses) -> Any:
+    centers, quats, half_sizes = story.scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
     return rr.Boxes3D(
-        centers=poses.carrier_pos[None],
-        half_sizes=story.scene.carrier_half_size[None],
-        quaternions=_as_xyzw(poses.carrier_quat[None]),
+        centers=centers,
+        half_sizes=half_sizes,
+        quaternions=_as_xyzw(quats),
         colors=[CARRIER],
         fill_mode="solid",
     )

@@ -17,7 +17,7 @@ from petmjx.pictures.poses import Poses, poses_at
 from petmjx.story import Story
 from petmjx.text import one_line
 from petmjx.units import FloatArray
-from petmjx.world.model import build_spec
+from petmjx.world.model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0
 """How far away boxes wait that are not placed yet. They touch nothing there."""
@@ -112,8 +112,10 @@ def viewer_model(story: Story) -> tuple[Any, Any]:
     physics = Simulation(**story.options).physics
     spec = build_spec(story.scene, physics)
     spec.worldbody.add_light(pos=[0.0, 0.0, 6.0], dir=[0.0, 0.0, -1.0])
-    spec.stat.center = [*story.scene.carrier_pos[:2], float(story.scene.target[:, 2].mean())]
-    spec.stat.extent = 2.0 * float(story.scene.target[:, 2].max() + story.scene.carrier_half_size.max())
+    spec.stat.center = [*story.scene.carrier.pos[:2], float(story.scene.target[:, 2].mean())]
+    spec.stat.extent = 2.0 * float(
+        story.scene.target[:, 2].max() + (story.scene.carrier.high - story.scene.carrier.low).max() / 2
+    )
     model = spec.compile()
     return model, mujoco.MjData(model)
 
@@ -132,8 +134,8 @@ def show(story: Story, time_s: float, model: Any, data: Any) -> None:
             mujoco.mj_differentiatePos(model, data.qvel, step_s, *ends)
     data.time = time_s
     mujoco.mj_forward(model, data)
-    for box in range(story.plan.n_boxes):
-        model.geom_rgba[model.body_geomadr[2 + box], 3] = 1.0 if box < poses.n_placed else 0.0
+    waits = geom_bodies(model, range(story.plan.n_boxes)) >= poses.n_placed
+    model.geom_rgba[:, 3] = np.where(waits, 0.0, 1.0)
 
 
 def _qpos(story: Story, poses: Poses) -> FloatArray:
@@ -141,7 +143,8 @@ def _qpos(story: Story, poses: Poses) -> FloatArray:
     waiting = np.arange(story.plan.n_boxes - poses.n_placed)
     parked = np.stack((_PARKED_M + 5.0 * waiting, 0 * waiting, _PARKED_M + 0.0 * waiting), axis=1)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(waiting), 1))
-    pos = np.concatenate((poses.carrier_pos[None], poses.pos, parked))
+    placed = story.scene.frames(poses.pos, poses.quat)
+    pos = np.concatenate((poses.carrier_pos[None], placed, parked))
     quat = np.concatenate((poses.carrier_quat[None], poses.quat, upright))
     lost = np.isnan(pos).any(axis=1)
     pos[lost], quat[lost] = (0.0, -_PARKED_M, _PARKED_M), (1.0, 0.0, 0.0, 0.0)

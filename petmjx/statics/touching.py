@@ -58,15 +58,15 @@ def find_touching(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatAr
     """
     import mujoco
 
-    from petmjx.metrics.force_np import FIRST_BOX_GEOM, VERTICAL_COSINE, pressed_box
-    from petmjx.world.model import build_spec
+    from petmjx.metrics.force_np import VERTICAL_COSINE, pressed_box
+    from petmjx.world.model import build_spec, geom_bodies
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
     model.geom_margin[:] += LYING_GAP_M / 2  # those of two geoms add up
     data = mujoco.MjData(model)
     poses = data.qpos.reshape(-1, 7)[1:]  # the first is the carrier's
-    poses[:, :3], poses[:, 3:] = pos, quat
+    poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)
     contact = data.contact
@@ -74,10 +74,11 @@ def find_touching(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatAr
     frame = np.asarray(contact.frame).reshape(-1, 3, 3)
     centre_z = data.geom_xpos[:, 2].copy()
     centre_z[0] = -np.inf  # the floor is lower than everything
-    lower, sign, on_top = pressed_box(geom, centre_z[geom], frame[:, 0, 2])
+    body = geom_bodies(model, range(scene.n_boxes))[geom]
+    lower, sign, on_top = pressed_box(body, centre_z[geom], frame[:, 0, 2])
     gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M
     lying = np.abs(frame[:, 0, 2]) >= VERTICAL_COSINE
-    body = np.maximum(geom - FIRST_BOX_GEOM, CARRIER)
+    body = np.maximum(body, CARRIER)
     found = Touching(
         first=body[:, 0],
         second=body[:, 1],

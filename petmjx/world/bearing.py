@@ -153,8 +153,7 @@ def find_bearing(scene: Scene) -> Bearing:
     is at the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    carrier_low = (scene.carrier_pos - scene.carrier_half_size)[:2]
-    carrier_high = (scene.carrier_pos + scene.carrier_half_size)[:2]
+    carrier_low, carrier_high = scene.carrier.low[:2], scene.carrier.high[:2]
     touching = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= TOUCH_M
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)

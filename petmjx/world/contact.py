@@ -48,12 +48,12 @@ def _pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) 
     return np.maximum.accumulate(pulls)
 
 
-def cone_factor(physics: Physics, *frictions: float) -> float:
-    """How much softer a contact of these frictions is for its cone.
+def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | float) -> FloatArray:
+    """How much softer contacts of these sliding frictions are for their cones.
 
     A pyramid's four edges have the regularisation 2μ²(1 + μ²) of the elliptic cone's normal each, and act together.
     """
     if physics.cone is Cone.ELLIPTIC:
-        return 1.0
-    mu2 = max(frictions) ** 2
-    return 2 * mu2 * (1 + mu2) / 4
+        return np.ones(np.broadcast_shapes(np.shape(one), np.shape(two)))
+    mu2 = np.maximum(one, two) ** 2
+    return np.asarray(2 * mu2 * (1 + mu2) / 4)

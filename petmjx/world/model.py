@@ -1,15 +1,18 @@
-"""The exact MuJoCo model of one scene. The engine ``mujoco`` steps it, and ``petmjx export`` writes it."""
+"""The MuJoCo model of a scene: stepped by the engine ``mujoco``, written by ``petmjx export``, padded for MJX."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.config import Cone, Physics, Triple
+from petmjx.history import CARRIER, FLOOR
 from petmjx.units import FloatArray
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
@@ -24,17 +27,24 @@ _SOLIMP_TAIL = (0.5, 2.0)
 _BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
 """Cardboard in three shades, so that a viewer shows where one box ends and the next begins."""
 
+_CARRIER_COLOUR = (0.45, 0.32, 0.20, 1.0)
+_FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class HeldCarrier:
-    """The pose at which a carrier is clamped, as a static body. pos (3,) m, quat (4,) (w, x, y, z)."""
+    """The pose at which a carrier is clamped. pos (3,) m, quat (4,) (w, x, y, z).
+
+    As a static body; as a mocap body, whose pose is in a world's data, for worlds that share a model.
+    """
 
     pos: FloatArray
     quat: FloatArray
+    mocap: bool = False
 
 
 def box_name(box: int) -> str:
-    """Body name of a box, by packing order from 0."""
+    """Name of a box's body and its shape, by packing order from 0."""
     return f"box_{box}"
 
 
@@ -44,7 +54,8 @@ def build_spec(
     """The exact, unpadded model of a scene (docs/rules.md, section 1).
 
     Bodies in order: world (with the floor), carrier, box_0, box_1, …. A free carrier has the first free joint (qpos
-    0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses.
+    0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses. Geoms are the
+    floor and the scene's shapes, body after body: ``geom_bodies`` says which is whose.
 
     Args:
         held_carrier: clamp the carrier at this pose instead of giving it a free joint.
@@ -58,18 +69,16 @@ def build_spec(
         raise ValueError(f"n_boxes must be 0…{scene.n_boxes}, got {count}")
     spec = mujoco.MjSpec()
     _set_options(spec, physics)
-    _add_box_body(
-        spec,
-        CARRIER_NAME,
-        pos=scene.carrier_pos if held_carrier is None else held_carrier.pos,
-        quat=np.array(IDENTITY_QUAT) if held_carrier is None else held_carrier.quat,
-        half_size=scene.carrier_half_size,
-        mass=scene.carrier_mass,
-        friction=scene.carrier_friction,
-        physics=physics,
-        rgba=(0.45, 0.32, 0.20, 1.0),
-        free=held_carrier is None,
-    )
+    pairs = _Pairs(spec, physics)
+    carrier = scene.carrier
+    pose = (carrier.pos, IDENTITY_QUAT) if held_carrier is None else (held_carrier.pos, held_carrier.quat)
+    body = spec.worldbody.add_body(name=CARRIER_NAME, pos=pose[0], quat=pose[1])
+    if held_carrier is None:
+        body.add_freejoint(name=CARRIER_NAME)
+    else:
+        body.mocap = held_carrier.mocap
+    _add_shapes(body, scene, physics, CARRIER, _CARRIER_COLOUR)
+    _set_inertia(body, scene, physics, CARRIER)
     _add_geom(
         spec.worldbody,
         FLOOR_NAME,
@@ -77,11 +86,11 @@ def build_spec(
         size=(0.0, 0.0, 0.1),
         friction=scene.floor_friction,
         physics=physics,
-        rgba=(0.55, 0.57, 0.60, 1.0),
+        rgba=_FLOOR_COLOUR,
         pos=(0.0, 0.0, scene.floor_z),
     )
     if held_carrier is None:
-        add_pair(spec, physics, (FLOOR_NAME, CARRIER_NAME), (scene.floor_friction, scene.carrier_friction))
+        pairs.declare([_floor(scene)], _partners(scene, physics)[CARRIER])
     add_boxes(spec, scene, physics, range(count))
     return spec
 
@@ -90,60 +99,90 @@ def add_boxes(
     spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequence[int], before: Sequence[int] = ()
 ) -> None:
     """Add boxes, whose bodies then have this order, to a spec that already holds those before them."""
-    others: dict[str, dict[str, Any]] = {}
-    if physics.has_own_friction:
-        for other, friction in ((FLOOR_NAME, scene.floor_friction), (CARRIER_NAME, scene.carrier_friction)):
-            others[other] = _pair_values(physics, (other, box_name(0)), (friction, scene.box_friction))
-        among = _pair_values(physics, (box_name(0), box_name(1)), (scene.box_friction, scene.box_friction))
-        others |= {box_name(box): among for box in before}
+    pairs = _Pairs(spec, physics)
+    frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics)
+    others = [_floor(scene)] + [shape for body in (CARRIER, *before) for shape in of_body[body]]
     for box in boxes:
-        _add_box_body(
-            spec,
-            box_name(box),
-            pos=scene.start_pos[box],
-            quat=scene.start_quat[box],
-            half_size=scene.half_size[box],
-            mass=float(scene.mass[box]),
-            friction=scene.box_friction,
-            physics=physics,
-            rgba=_BOX_COLOURS[box % len(_BOX_COLOURS)],
-        )
-        for other, values in others.items():
-            spec.add_pair(geomname1=other, geomname2=box_name(box), **values)
-        if physics.has_own_friction:
-            others[box_name(box)] = among
+        body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
+        body.add_freejoint(name=box_name(box))
+        _add_shapes(body, scene, physics, box, _BOX_COLOURS[box % len(_BOX_COLOURS)])
+        _set_inertia(body, scene, physics, box)
+        pairs.declare(others, of_body[box])
+        others += of_body[box]
 
 
-def add_pair(spec: mujoco.MjSpec, physics: Physics, names: tuple[str, str], frictions: tuple[Triple, Triple]) -> None:
-    """Declare that two geoms touch, if their friction has a time constant of its own: MuJoCo gives it to declared pairs
-    only. All else is what it would be without: MuJoCo takes the larger friction of two geoms.
+def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer]) -> NDArray[np.intp]:
+    """(ngeom,) the box that each geom belongs to, ``CARRIER`` or ``FLOOR``.
 
     Args:
-        names: of the geoms.
-        frictions: of the geoms: sliding, torsional and rolling coefficients.
+        boxes: in the order of their bodies, which are the model's last ones.
     """
-    if not physics.has_own_friction:
-        return
-    spec.add_pair(geomname1=names[0], geomname2=names[1], **_pair_values(physics, names, frictions))
+    of_body = np.full(model.nbody, CARRIER, np.intp)
+    of_body[0] = FLOOR
+    of_body[model.nbody - len(boxes) :] = boxes
+    found: NDArray[np.intp] = of_body[np.asarray(model.geom_bodyid)]
+    return found
 
 
-def _pair_values(physics: Physics, names: tuple[str, str], frictions: tuple[Triple, Triple]) -> dict[str, Any]:
-    sliding, torsional, rolling = map(max, *frictions)
-    return {
-        "margin": -sum(skin_of(physics, name) for name in names),
-        "friction": [sliding, sliding, torsional, rolling, rolling],
-        "solref": physics.solref,
-        "solreffriction": physics.solreffriction,
-        "solimp": physics.solimp + _SOLIMP_TAIL,
-    }
+@dataclass(frozen=True)
+class _Partner:
+    """What declared pairs need to know of a geom."""
+
+    name: str
+    friction: Triple
+    skin_m: float
 
 
-def skin_of(physics: Physics, name: str) -> float:
-    """By how much the geom of this name is larger than what it stands for, on each side, m: the floor not at all, the
-    carrier twice as much as boxes (docs/rules.md)."""
-    if name == FLOOR_NAME:
-        return 0.0
-    return physics.carrier_skin_m if name == CARRIER_NAME else physics.skin_m
+class _Pairs:
+    """Declares which geoms touch, if their friction has a time constant of its own: MuJoCo gives it to declared pairs
+    only. All else is what it would be without: MuJoCo takes the larger friction of two geoms."""
+
+    def __init__(self, spec: mujoco.MjSpec, physics: Physics) -> None:
+        self._spec, self._declares = spec, physics.has_own_friction
+        self._values = lru_cache(maxsize=None)(_pair_values(physics))
+
+    def declare(self, these: Iterable[_Partner], those: Sequence[_Partner]) -> None:
+        """Each of these touches each of those."""
+        if not self._declares:
+            return
+        for one in these:
+            for two in those:
+                skin_m = one.skin_m + two.skin_m
+                values = self._values(one.friction, two.friction, skin_m)
+                self._spec.add_pair(geomname1=one.name, geomname2=two.name, **values)
+
+
+def _pair_values(physics: Physics) -> Callable[[Triple, Triple, float], dict[str, Any]]:
+    def values(one: Triple, two: Triple, skin_m: float) -> dict[str, Any]:
+        sliding, torsional, rolling = map(max, one, two)
+        return {
+            "margin": -skin_m,
+            "friction": [sliding, sliding, torsional, rolling, rolling],
+            "solref": physics.solref,
+            "solreffriction": physics.solreffriction,
+            "solimp": physics.solimp + _SOLIMP_TAIL,
+        }
+
+    return values
+
+
+def _floor(scene: Scene) -> _Partner:
+    return _Partner(FLOOR_NAME, scene.floor_friction, 0.0)
+
+
+@lru_cache(maxsize=256)
+def _partners(scene: Scene, physics: Physics) -> dict[int, list[_Partner]]:
+    """The shapes of each body, by name."""
+    found: dict[int, list[_Partner]] = {}
+    shapes = scene.shapes
+    for body, friction in zip(shapes.body.tolist(), shapes.friction.tolist(), strict=True):
+        skin_m = physics.carrier_skin_m if body == CARRIER else physics.skin_m
+        name = CARRIER_NAME if body == CARRIER else box_name(body)
+        found.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m))
+    for body, several in found.items():
+        if len(several) > 1:
+            found[body] = [replace(each, name=f"{each.name}_{number}") for number, each in enumerate(several)]
+    return found
 
 
 def to_mjcf(scene: Scene, physics: Physics) -> str:
@@ -165,56 +204,50 @@ def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:
     option.gravity = np.array([0.0, 0.0, -physics.gravity_m_s2])
 
 
-def _add_box_body(
-    spec: mujoco.MjSpec,
-    name: str,
-    *,
-    pos: FloatArray,
-    quat: FloatArray,
-    half_size: FloatArray,
-    mass: float,
-    friction: Triple,
-    physics: Physics,
-    rgba: tuple[float, float, float, float],
-    free: bool = True,
+def _add_shapes(
+    body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int, rgba: tuple[float, float, float, float]
 ) -> None:
-    body = spec.worldbody.add_body(name=name, pos=pos, quat=quat)
-    if free:
-        body.add_freejoint(name=name)
-    length, width, height = (float(half) for half in half_size)
-    if min(length, width, height) <= 0:
-        raise ValueError(f"half sizes must be positive, got {half_size.tolist()} m for {name}")
-    geom = _add_geom(
-        body,
-        name,
-        mujoco.mjtGeom.mjGEOM_BOX,
-        size=(length, width, height),
-        friction=friction,
-        physics=physics,
-        rgba=rgba,
-    )
-    geom.mass = mass
-    if physics.skin_m:
-        _add_skin(body, geom, skin_of(physics, name))
+    """Give a body its shapes, each larger on all sides by its skin.
 
-
-def _add_skin(body: mujoco.MjsBody, geom: mujoco.MjsGeom, skin_m: float) -> None:
-    """Make a body's box larger on all sides, and its contacts begin as deep as the skins of both partners are thick:
-    those of faces where the boxes themselves touch, those of edges and corners up to √2 − 1 and √3 − 1 skins before.
-    Its mass and inertia stay.
+    A contact then begins as deep as the skins of both partners are thick: those of faces where the boxes themselves
+    touch, those of edges and corners up to √2 − 1 and √3 − 1 skins before.
 
     MuJoCo's collider takes the contact of two edges, one point, instead of a face's if it is less deep by 5 % (3.17:
     ``engine_collision_box.c``). At the depth of a contact, a tenth of a millimetre, it takes now the one and now the
     other, and pallets tremble. With a skin faces and edges are both deeper by as much (docs/validation.md).
     """
-    size = np.array(geom.size)
-    squares = size**2
+    shapes = scene.shapes
+    for row, partner in zip(shapes.of(number), _partners(scene, physics)[number], strict=True):
+        half_size = shapes.half_size[row]
+        if not (half_size > 0).all():
+            raise ValueError(f"half sizes must be positive, got {half_size.tolist()} m for {partner.name}")
+        geom = _add_geom(
+            body,
+            partner.name,
+            mujoco.mjtGeom.mjGEOM_BOX,
+            size=half_size + partner.skin_m,
+            friction=partner.friction,
+            physics=physics,
+            rgba=rgba,
+            pos=shapes.pos[row],
+        )
+        if partner.skin_m:
+            geom.margin = -partner.skin_m
+
+
+def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
+    """Mass and moments of inertia. MuJoCo works out those of a solid box without a skin, to other last digits, which
+    the physics of the reference implementation has."""
+    mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
+    solid = scene.inertia_box is None and len(scene.carrier.half_size) == 1
+    if solid and scene.mass_center is None and not physics.skin_m:
+        body.first_geom().mass = mass
+        return
+    squares = scene.inertia_boxes[number + 1] ** 2
     body.explicitinertial = True
-    body.mass = geom.mass
+    body.mass = mass
     body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
-    body.inertia = geom.mass / 3 * (squares.sum() - squares)
-    geom.size = size + skin_m
-    geom.margin = -skin_m
+    body.inertia = mass / 3 * (squares.sum() - squares)
 
 
 def _add_geom(
@@ -222,16 +255,16 @@ def _add_geom(
     name: str,
     kind: mujoco.mjtGeom,
     *,
-    size: Triple,
+    size: Triple | FloatArray,
     friction: Triple,
     physics: Physics,
     rgba: tuple[float, float, float, float],
-    pos: Triple = (0.0, 0.0, 0.0),
+    pos: Triple | FloatArray,
 ) -> mujoco.MjsGeom:
     geom = body.add_geom(name=name, type=kind, size=size, pos=pos, rgba=rgba)
     geom.friction = np.array(friction)
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
     if physics.has_own_friction:
-        geom.contype = geom.conaffinity = 0  # touches what it is declared to touch (add_pair), and that only once
+        geom.contype = geom.conaffinity = 0  # touches what it is declared to touch (_Pairs), and that only once
     return geom

@@ -39,7 +39,7 @@ class Release(NamedTuple):
     pos: FloatArray
 
     def place_of(self, box: int, scene: Scene, boxes_z: FloatArray, carrier_z: float) -> FloatArray:
-        """(3,) centre of a box that is released now, m.
+        """(3,) middle of a box that is released now, m.
 
         Args:
             boxes_z, carrier_z: heights of the centres of the boxes before it, and of the carrier's, m.
@@ -48,7 +48,7 @@ class Release(NamedTuple):
         support = self.support[box]
         if support != NOTHING:
             on_carrier = support == CARRIER
-            moved = carrier_z - scene.carrier_pos[2] if on_carrier else boxes_z[support] - scene.target[support, 2]
+            moved = carrier_z - scene.carrier.pos[2] if on_carrier else boxes_z[support] - scene.target[support, 2]
             place[2] += np.clip(moved, -MOST_FOLLOWED_M, MOST_FOLLOWED_M)
         return place
 
@@ -59,9 +59,10 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
     support = _supports(scene)
     touches = (support != NOTHING) & (scene.start_pos[:, 2] <= scene.target[:, 2])
-    physics, friction = sim.physics, (scene.box_friction[0], scene.carrier_friction[0])
-    share = 1.0 + scene.mass / np.where(support == CARRIER, scene.carrier_mass, scene.mass[np.maximum(support, 0)])
-    soft = np.where(support == CARRIER, cone_factor(physics, *friction), cone_factor(physics, friction[0]))
+    physics, own = sim.physics, scene.friction[:, 0]
+    on_carrier, below = support == CARRIER, np.maximum(support, 0)
+    share = 1.0 + scene.mass / np.where(on_carrier, scene.carrier.mass, scene.mass[below])
+    soft = cone_factor(physics, own, np.where(on_carrier, scene.carrier.friction[:, 0].max(), own[below]))
     pos = scene.start_pos.copy()
     pos[:, 2] -= np.where(touches, depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE), 0.0)
     return Release(support, pos)

@@ -1,37 +1,44 @@
-"""One world's physical description in SI units: places, sizes, masses, frictions.
+"""One world's physical description in SI units: bodies with their shapes, and where they are placed.
 
-A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans.
+A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans. Nothing else counts
+shapes or bodies: who needs an index asks the scene.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import CARRIER_EXTENT_M, Simulation, Triple
+from petmjx.history import CARRIER
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
+from petmjx.world.body import Body, Shapes, turned
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The world of one plan and one variant. Arrays are float64; box rows are in packing order.
+    """The world of one plan and one variant. Arrays are float64; rows are boxes in packing order.
+
+    Places of boxes are those of their middles, wherever their centres of mass are.
 
     Attributes:
-        half_size: (n, 3) box half extents, m.
+        half_size: (n, 3) half extents, m.
         mass: (n,) kg.
-        target: (n, 3) planned centres, m: what shifts are measured from.
-        start_pos: (n, 3) centres at which boxes are released, m; the same as ``target`` in the nominal variant.
+        target: (n, 3) planned places, m: what shifts are measured from.
+        start_pos: (n, 3) places at which boxes are released, m; the same as ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
-        box_friction, carrier_friction, floor_friction: sliding / torsional / rolling coefficients.
-        carrier_half_size: (3,) m.
-        carrier_pos: (3,) centre of the carrier before the soft start, m; its top is at z = 0.
-        carrier_mass: kg.
+        friction: (n, 3) sliding, torsional and rolling coefficients.
+        carrier: as it is before the soft start; its top is at z = 0.
+        floor_friction: as ``friction``.
         floor_z: m.
+        mass_center: (n, 3) centres of mass, seen from the middles along the boxes' axes, m; None: in the middles.
+        inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
     """
 
     half_size: NDArray[np.float64]
@@ -39,13 +46,12 @@ class Scene:
     target: NDArray[np.float64]
     start_pos: NDArray[np.float64]
     start_quat: NDArray[np.float64]
-    box_friction: Triple
-    carrier_friction: Triple
+    friction: NDArray[np.float64]
+    carrier: Body
     floor_friction: Triple
-    carrier_half_size: NDArray[np.float64]
-    carrier_pos: NDArray[np.float64]
-    carrier_mass: float
     floor_z: float
+    mass_center: NDArray[np.float64] | None = None
+    inertia_box: NDArray[np.float64] | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -54,7 +60,41 @@ class Scene:
     @property
     def total_mass(self) -> float:
         """Mass of boxes and carrier, kg; force profiles are scaled by it."""
-        return float(self.mass.sum() + self.carrier_mass)
+        return float(self.mass.sum() + self.carrier.mass)
+
+    @cached_property
+    def middle(self) -> NDArray[np.float64]:
+        """(n, 3) the boxes' middles in their frames, whose origins are the centres of mass, m."""
+        return np.zeros_like(self.half_size) if self.mass_center is None else -self.mass_center
+
+    def middles(self, frame: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(…, k, 3) middles of the first k boxes whose frames are at these places, m."""
+        if self.mass_center is None:
+            return frame
+        return frame + turned(quat, self.middle[: frame.shape[-2]])
+
+    def frames(self, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(…, k, 3) origins of the frames of the first k boxes whose middles are at these places, m."""
+        if self.mass_center is None:
+            return middle
+        return middle - turned(quat, self.middle[: middle.shape[-2]])
+
+    @cached_property
+    def shapes(self) -> Shapes:
+        """The shapes of all bodies: a box has one."""
+        carrier = self.carrier
+        return Shapes(
+            body=np.concatenate([np.full(len(carrier.half_size), CARRIER), np.arange(self.n_boxes)]),
+            half_size=np.concatenate([carrier.half_size, self.half_size]),
+            pos=np.concatenate([carrier.shape_pos, self.middle]),
+            friction=np.concatenate([carrier.friction, self.friction]),
+        )
+
+    @cached_property
+    def inertia_boxes(self) -> NDArray[np.float64]:
+        """(n + 1, 3) equivalent inertia boxes of the carrier and the boxes (``Body``), m."""
+        boxes = self.half_size if self.inertia_box is None else self.inertia_box
+        return np.concatenate([self.carrier.inertia_box[None], boxes])
 
 
 def build_scene(plan: Plan, sim: Simulation) -> Scene:
@@ -68,26 +108,22 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     size = plan.size_mm - sim.size_reduction_mm * np.array([1.0, 1.0, float(physics.falls_into_place)])
     half_size = round_to_micrometre(mm_to_m(size / 2))
     target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
-    carrier_half_size, carrier_pos = _carrier(plan, sim)
     return Scene(
         half_size=half_size,
         mass=plan.mass_kg.copy(),
         target=target,
         start_pos=target.copy(),
         start_quat=np.tile(np.array(IDENTITY_QUAT), (len(target), 1)),
-        box_friction=physics.box_friction,
-        carrier_friction=physics.carrier_friction,
+        friction=np.tile(physics.box_friction, (len(target), 1)),
+        carrier=_slab(plan, sim),
         floor_friction=physics.floor_friction,
-        carrier_half_size=carrier_half_size,
-        carrier_pos=carrier_pos,
-        carrier_mass=physics.carrier_mass_kg,
         floor_z=physics.floor_z_m,
     )
 
 
-def _carrier(plan: Plan, sim: Simulation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(3,) half extents and (3,) centre of the carrier, m: the plan's bounding box, or one of a fixed size whose
-    front-left corner is the origin."""
+def _slab(plan: Plan, sim: Simulation) -> Body:
+    """A carrier of one box: as large as the plan's bounding box, or of a fixed size, its front-left corner the
+    origin."""
     extent = CARRIER_EXTENT_M[sim.carrier]
     if extent is None:
         low_mm = plan.corner_mm[:, :2].min(axis=0)
@@ -95,5 +131,7 @@ def _carrier(plan: Plan, sim: Simulation) -> tuple[NDArray[np.float64], NDArray[
         corner, size = low_mm / MM_PER_M, extent_mm / MM_PER_M
     else:
         corner, size = np.zeros(2), np.array(extent)
-    half_height = sim.physics.carrier_half_height_m
-    return np.array([*(size / 2), half_height]), np.array([*(corner + size / 2), -half_height])
+    physics = sim.physics
+    half_size = np.array([*(size / 2), physics.carrier_half_height_m])
+    place = np.array([*(corner + size / 2), -physics.carrier_half_height_m])
+    return Body.solid(place, half_size, physics.carrier_mass_kg, physics.carrier_friction)

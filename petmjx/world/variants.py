@@ -15,7 +15,6 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Triple
 from petmjx.units import FloatArray, mm_to_m
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene
@@ -207,13 +206,9 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
         target=target,
         start_pos=start_pos,
         start_quat=_turned(scene.start_quat, yaw),
-        box_friction=_scaled(scene.box_friction, change.box_friction_factor * friction),
-        carrier_friction=_scaled(scene.carrier_friction, change.carrier_friction_factor * friction),
+        friction=scene.friction * (change.box_friction_factor * friction),
+        carrier=replace(scene.carrier, friction=scene.carrier.friction * (change.carrier_friction_factor * friction)),
     )
-
-
-def _scaled(friction: Triple, factor: float) -> Triple:
-    return (friction[0] * factor, friction[1] * factor, friction[2] * factor)
 
 
 def _changed_half_size(scene: Scene, change: PlacementChange, key: WorldKey) -> FloatArray:

@@ -48,7 +48,7 @@ class OverflowingEngine(FakeEngine):
         self.enough = enough
         self.growths: list[int] = []
 
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         self.growths.append(growth)
         kind = OverflowingStepper if growth < self.enough else FakeStepper
         return kind(capacity, lanes, held=held)
@@ -63,7 +63,7 @@ class PoisonedStepper(FakeStepper):
 
 
 class PoisonedEngine(FakeEngine):
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         return PoisonedStepper(capacity, lanes, held=held)
 
 
@@ -134,11 +134,11 @@ class SmallDevice(FakeEngine):
         self.holds = holds
         self.tried: list[int] = []
 
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         self.tried.append(lanes)
         if lanes > self.holds:
             raise out_of_memory()
-        return super().make_stepper(capacity, lanes, sim, held=held, growth=growth)
+        return super().make_stepper(capacity, boards, lanes, sim, held=held, growth=growth)
 
 
 def test_too_many_lanes_are_halved_until_they_fit(healthy: list[Outcome]) -> None:

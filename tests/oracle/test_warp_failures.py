@@ -335,7 +335,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     gc.collect()  # that engine's memory, which would else become free in the middle of the next run
     crowded = MjxWarpEngine()
     lanes, room = Shape.here(120).lanes, 120 + mjx_warp.MORE_BOXES
-    whole = lanes * lane_bytes(120, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
+    whole = lanes * lane_bytes(120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
     # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
     # a piece that is up to 128 MB larger.
     left = TABLES_BYTES + whole // 2

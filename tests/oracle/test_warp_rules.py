@@ -61,6 +61,8 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     """Worlds of one to four boxes, states after some step, and those at its beginning (poses)."""
     jobs = [Job(fake_scene(*[1.0] * (1 + k % BOXES)), keep_state=bool(k % 3 == 0)) for k in range(WORLDS)]
     worlds = upload_worlds(jobs, WORLDS, BOXES, {}, sim)
+    aside = rng.normal(0, 0.02, (WORLDS, BOXES, 3)) * (np.arange(WORLDS) % 2)[:, None, None]
+    worlds = worlds._replace(middle=jnp.asarray(aside, jnp.float32))
     table = fresh_state(worlds, all_placed=False, ends=jnp.full(WORLDS, NEVER, jnp.int32), rest_steps=1)
 
     def some(share: float, shape: Any = WORLDS) -> Any:
@@ -134,7 +136,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     after = after._replace(carrier_vel=after.carrier_vel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
     expected = as_batched(sim, worlds, after, before, top_force)
 
-    sizes = records.axes(WORLDS, BOXES, pairs=1, room=1)
+    sizes = records.axes(WORLDS, BOXES, boards=1, pairs=1, room=1)
     with wp.ScopedDevice("cpu"):
         model = filled(Model, {**constants(sim, timetable), "queue": 0, "pairs": 1, "room": 1})
         flat = after._asdict()

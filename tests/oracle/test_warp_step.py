@@ -13,14 +13,14 @@ import pytest
 
 from petmjx.config import PHYSICS, Cone, Physics, Simulation
 from petmjx.metrics.force_np import top_forces
-from petmjx.world.model import build_spec
+from petmjx.world.model import build_spec, geom_bodies
 from petmjx.world.scene import Scene, build_scene
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 from support.marching import OneStep
-from support.plans import Box, heap
+from support.plans import Box, heap, on_boards
 from support.worlds import make_plan
 
 from petmjx.engines.batch.capacities import GRANULE
@@ -85,11 +85,16 @@ def exact(scene: Scene, physics: Physics) -> tuple[mujoco.MjModel, mujoco.MjData
     model = spec.compile()
     data = mujoco.MjData(model)
     poses = data.qpos[7:].reshape(-1, 7)
-    poses[:, :3], poses[:, 3:] = scene.start_pos, scene.start_quat
+    poses[:, :3], poses[:, 3:] = scene.frames(scene.start_pos, scene.start_quat), scene.start_quat
     return model, data
 
 
-PLANS = {"bricks": (BRICKS, STEPS), "one box": (BRICKS[:1], STEPS[:3]), "heap": (heap(), HEAP_STEPS)}
+PLANS = {
+    "bricks": (BRICKS, STEPS),
+    "one box": (BRICKS[:1], STEPS[:3]),
+    "heap": (heap(), HEAP_STEPS),
+    "on boards": (BRICKS, STEPS),
+}
 
 
 @pytest.mark.slow
@@ -100,6 +105,8 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
     boxes, steps = PLANS[name]
     # boxes that fall into their places have something to land on
     scene = build_scene(make_plan(name, boxes), Simulation(physics={"name": preset, "falls_into_place": True}))
+    if name == "on boards":
+        scene = on_boards(scene)
     model, data = exact(scene, physics)
     step = OneStep(scene, preset)
     compared, many = 0, np.zeros(2)
@@ -118,7 +125,8 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
         gained = physics.timestep_s * allowed + SAME_VELOCITY_M_S
         assert (np.abs(found.velocity - data.qvel.reshape(-1, 6)) <= gained).all(), where
         np.testing.assert_allclose(found.pose, data.qpos.reshape(-1, 7), atol=SAME_POSITION, err_msg=where)
-        forces = top_forces(data, scene.n_boxes, physics.cone is Cone.PYRAMIDAL)
+        bodies = geom_bodies(model, range(scene.n_boxes))
+        forces = top_forces(data, bodies, scene.n_boxes, physics.cone is Cone.PYRAMIDAL)
         np.testing.assert_allclose(found.force, forces, rtol=SAME_FORCE, atol=SAME_FORCE_N, err_msg=where)
         iterations = int(data.solver_niter[0])
         if physics.cone is Cone.ELLIPTIC and iterations > MANY:
@@ -151,7 +159,7 @@ def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[floa
         bodies = data.qpos.reshape(-1, 7)
         bodies[:, 3:] = (1.0, 0.0, 0.0, 0.0)
         bodies[0, :3] = (0.0, 0.0, 3.0)
-        top = 3.0 + scene.carrier_half_size[2]
+        top = 3.0 + scene.carrier.half_size[0][2]
         reach = np.abs(axes.reshape(3, 3)[2]) @ scene.half_size.T
         bodies[1, :3], bodies[1, 3:] = (0.0, 4.0, scene.floor_z + reach[0] + gap_m), turn
         bodies[2, :3], bodies[2, 3:] = (0.0, 0.0, top + reach[1] + gap_m), turn

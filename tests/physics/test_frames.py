@@ -51,10 +51,11 @@ def travelled_m(acceleration: FloatArray) -> FloatArray:
 @pytest.mark.parametrize(("plan_id", "level_g", "holds"), [("s0-000092", 0.45, True), ("hand-one-box", 0.58, False)])
 def test_gravity_in_the_carrier_s_frame_is_the_carrier_accelerated(plan_id: str, level_g: float, holds: bool) -> None:
     plan = next(plan for plan in load_plans([bundled_path()]) if plan.plan_id == plan_id)
-    scene = replace(build_scene(plan, SIM), carrier_friction=SLIPPERY)
+    scene = build_scene(plan, SIM)
+    scene = replace(scene, carrier=replace(scene.carrier, friction=np.array([SLIPPERY])))
     acceleration = BUILT_IN["eumos-40509"].excitation(SIM.physics.timestep_s).samples * level_g
     held = run(scene, "acceleration", acceleration)
-    heavy = replace(scene, carrier_mass=HEAVY_KG, floor_friction=SLIPPERY)
+    heavy = replace(scene, carrier=replace(scene.carrier, mass=HEAVY_KG), floor_friction=SLIPPERY)
     moved = run(heavy, "force", acceleration / STANDARD_GRAVITY)
     travel = travelled_m(acceleration)
     assert travel[0] > 1.0

@@ -82,12 +82,12 @@ def test_the_footprint_carrier_moves_with_the_plan(move: Callable[[Plan], Plan])
     scene = build_scene(move(plan), SIM)
     corners = move(plan).corner_mm, move(plan).corner_mm + move(plan).size_mm
     low, high = corners[0].min(axis=0) / 1000, corners[1].max(axis=0) / 1000
-    np.testing.assert_allclose((scene.carrier_pos - scene.carrier_half_size)[:2], low[:2], atol=1e-12)
-    np.testing.assert_allclose((scene.carrier_pos + scene.carrier_half_size)[:2], high[:2], atol=1e-12)
-    assert scene.carrier_pos[2] + scene.carrier_half_size[2] == 0.0
+    np.testing.assert_allclose((scene.carrier.pos - scene.carrier.half_size[0])[:2], low[:2], atol=1e-12)
+    np.testing.assert_allclose((scene.carrier.pos + scene.carrier.half_size[0])[:2], high[:2], atol=1e-12)
+    assert scene.carrier.pos[2] + scene.carrier.half_size[0][2] == 0.0
 
 
 def test_a_fixed_carrier_stays_at_the_origin() -> None:
     sim = Simulation(carrier=Carrier.EURO_PALLET)
     scene = build_scene(translated(make_plan()), sim)
-    np.testing.assert_array_equal(scene.carrier_pos, [0.6, 0.4, -0.072])
+    np.testing.assert_array_equal(scene.carrier.pos, [0.6, 0.4, -0.072])

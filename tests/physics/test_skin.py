@@ -98,10 +98,10 @@ def test_a_box_flush_with_the_carriers_edge_stands_on_its_four_corners() -> None
         carrier, box = data.qpos.reshape(-1, 7)
         found = set()
         for shift, turn in places:
-            carrier[:] = [*scene.carrier_pos, 1.0, 0.0, 0.0, 0.0]
-            box[:3] = scene.carrier_pos
+            carrier[:] = [*scene.carrier.pos, 1.0, 0.0, 0.0, 0.0]
+            box[:3] = scene.carrier.pos
             box[:2] += shift
-            box[2] += scene.carrier_half_size[2] + scene.half_size[0, 2] - 5e-5
+            box[2] += scene.carrier.half_size[0][2] + scene.half_size[0, 2] - 5e-5
             mujoco.mju_euler2Quat(box[3:], turn, "xyz")
             mujoco.mj_forward(model, data)
             found.add(len(depths(data, (1, 2))))

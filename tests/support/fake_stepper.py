@@ -119,7 +119,7 @@ class FakeEngine(StageEngine):
 
     name = "fake"
 
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
+    def make_stepper(self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
         return FakeStepper(capacity, lanes, held=held)
 
 

@@ -46,8 +46,9 @@ class OneStep:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), {"": [scene.n_boxes]}, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
-        room, shape = scene.n_boxes + MORE_BOXES, Shape.here(scene.n_boxes)
-        fleet = Fleet(shape, 1, scene.n_boxes, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
+        boards = len(scene.carrier.half_size)
+        room, shape = scene.n_boxes + boards - 1 + MORE_BOXES, Shape.here(scene.n_boxes)
+        fleet = Fleet(shape, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
         self.rollout = Rollout(run, [fleet], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.group.table)
 

@@ -71,7 +71,7 @@ def falling_story(plan_id: str = "tower", contacts: bool = True) -> Story:
         pos,
         quat,
         force,
-        carrier_pos=np.tile(scene.carrier_pos, (21, 1)),
+        carrier_pos=np.tile(scene.carrier.pos, (21, 1)),
         carrier_quat=np.tile(np.array(UPRIGHT), (21, 1)),
         drive=np.zeros((21, 3)),
         contacts=touching if contacts else None,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from petmjx.config import Simulation
 from petmjx.engines.retry import World
 from petmjx.plans.plan import Plan
+from petmjx.world.body import Body
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
 
@@ -67,6 +69,27 @@ def heap(n: int = 40) -> tuple[Box, ...]:
 def make_scene(boxes: int | Sequence[Box], sim: Simulation | None = None) -> Scene:
     """The unchanged scene of these boxes."""
     return build_scene(make_plan(boxes=boxes), sim or Simulation())
+
+
+def on_boards(scene: Scene) -> Scene:
+    """The same boxes on two boards with a gap; every other box slippery and heavy on one side."""
+    carrier, n = scene.carrier, scene.n_boxes
+    half, low = carrier.half_size[0] * [0.45, 1.0, 1.0], carrier.low
+    high = carrier.high - 2 * half
+    boards = Body.of_boards(
+        np.array([low + half, high + half]),
+        np.array([half, half]),
+        np.full(2, carrier.mass / 2),
+        np.array([(0.3, 0.005, 0.0001), (0.6, 0.005, 0.0001)]),
+    )
+    odd = (np.arange(n) % 2 == 1)[:, None]
+    return replace(
+        scene,
+        carrier=boards,
+        friction=scene.friction * np.where(odd, [0.4, 1.0, 1.0], 1.0),
+        mass_center=np.where(odd, 0.3 * scene.half_size * [1.0, -1.0, 0.5], 0.0),
+        inertia_box=scene.half_size * np.where(odd, 0.8, 1.0),
+    )
 
 
 def make_world(plan: Plan, sim: Simulation | None = None) -> World:

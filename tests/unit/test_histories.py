@@ -121,7 +121,7 @@ def test_a_box_begins_where_it_is_released_and_nothing_acts_on_it_yet() -> None:
         below = (
             history.pos[frame, box - 1] - scene.target[box - 1]
             if box
-            else history.carrier_pos[frame] - scene.carrier_pos
+            else history.carrier_pos[frame] - scene.carrier.pos
         )
         np.testing.assert_allclose(history.pos[frame, box], release.pos[box] + [0.0, 0.0, below[2]], rtol=0, atol=1e-12)
         assert history.top_force_n[frame, box] == 0.0

@@ -38,7 +38,7 @@ def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkey
         return load(module, *args, **options)
 
     marching = March.__new__(March)
-    marching.fleets = tuple(Fleet(shape, 1, 8, 80, 64) for shape in shapes)
+    marching.fleets = tuple(Fleet(shape, 1, 8, 1, 80, 64) for shape in shapes)
     with monkeypatch.context() as patched:
         patched.setattr(wp.Module, "load", watched)
         patched.setattr(march, "kernel", lambda shape: kernels[shape.threads])

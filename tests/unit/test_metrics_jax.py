@@ -18,6 +18,7 @@ from petmjx.metrics import force_jax as force
 from petmjx.metrics import force_np, motion_np
 from petmjx.metrics import motion_jax as motion
 from petmjx.world.job import Job
+from petmjx.world.model import geom_bodies
 from petmjx.world.scene import build_scene
 
 RNG = np.random.default_rng(3)
@@ -195,12 +196,14 @@ def test_top_forces_are_mujocos(cone: str, seed: int) -> None:
     assert data.ncon > 8
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
 
-    geom = np.asarray(contact.geom)
+    geom, bodies = np.asarray(contact.geom), geom_bodies(model, range(model.nbody - 2))
     box, sign, counts = force.pressed_box(
-        jnp.asarray(geom), jnp.asarray(data.geom_xpos[geom, 2], jnp.float32), jnp.asarray(frame_z[:, 0]), 2
+        jnp.asarray(bodies[geom]), jnp.asarray(data.geom_xpos[geom, 2], jnp.float32), jnp.asarray(frame_z[:, 0])
     )
     np.add.at(total, np.asarray(box)[np.asarray(counts)], np.asarray(sign * found)[np.asarray(counts)])
-    np.testing.assert_allclose(total, force_np.top_forces(data, model.nbody - 2, pyramidal), rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(
+        total, force_np.top_forces(data, bodies, model.nbody - 2, pyramidal), rtol=1e-4, atol=1e-3
+    )
 
 
 def test_metrics_are_strict_about_ranks() -> None:

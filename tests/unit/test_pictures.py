@@ -229,7 +229,7 @@ def test_512_boxes_with_arrows_fit_into_a_picture(tmp_path: Path) -> None:
     assert contacts is not None
     history = History(
         np.zeros(1), np.array([512], dtype=np.int32), scene.target[None], upright[None], np.zeros((1, 512)),
-        scene.carrier_pos[None], upright[None, 0], np.zeros((1, 3)), contacts=contacts,
+        scene.carrier.pos[None], upright[None, 0], np.zeros((1, 3)), contacts=contacts,
     )  # fmt: skip
     many: Story = replace(standing_story(STORY), plan=plan, scene=scene, history=history)
     petmjx.draw(many, tmp_path / "x.png", arrows=True, size=(200, 200))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mujoco import mjx
 from support.fake_stepper import fake_scene
+from support.plans import on_boards
 
 from petmjx.config import PHYSICS, Physics, Simulation, Solver
 from petmjx.engines.batch.state import upload_worlds
@@ -23,7 +24,7 @@ ROUNDING = 2e-6
 """float32 arithmetic of a few operations."""
 
 PER_BODY = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
-PER_GEOM = ("geom_size", "geom_rbound", "geom_aabb", "geom_friction")
+PER_GEOM = ("geom_pos", "geom_size", "geom_rbound", "geom_aabb", "geom_friction")
 
 
 def scene_of_boxes(n: int) -> Scene:
@@ -32,45 +33,51 @@ def scene_of_boxes(n: int) -> Scene:
     return scene
 
 
-def template(physics: Physics, *, held: bool) -> mujoco.MjModel:
+def template(physics: Physics, *, held: bool, boards: int = 1) -> mujoco.MjModel:
     return padded_template(
-        CAPACITY, physics, held=held, solver=Solver.NEWTON, tolerance=1e-6, iterations=100, line_search_iterations=30
+        CAPACITY,
+        boards,
+        physics,
+        held=held,
+        solver=Solver.NEWTON,
+        tolerance=1e-6,
+        iterations=100,
+        line_search_iterations=30,
     )
 
 
 def overrides(scenes: list[Scene], base: Any, *, held: bool, physics: Physics) -> dict[str, jax.Array]:
     worlds = upload_worlds([Job(scene) for scene in scenes], len(scenes), CAPACITY, {}, Simulation())
-    return override_fields(
-        worlds.half,
-        worlds.mass,
-        worlds.carrier_half,
-        worlds.carrier_mass,
-        worlds.friction,
-        base,
-        held=held,
-        physics=physics,
-    )
+    return override_fields(worlds, base, held=held, physics=physics)
 
 
 @pytest.mark.parametrize("physics", list(PHYSICS))
 @pytest.mark.parametrize("held", [False, True])
-def test_overrides_are_what_mujoco_compiles(physics: str, held: bool) -> None:
+@pytest.mark.parametrize("boards", [1, 2])
+def test_overrides_are_what_mujoco_compiles(physics: str, held: bool, boards: int) -> None:
     scenes = [scene_of_boxes(n) for n in (1, 3, CAPACITY)]
-    base = mjx.put_model(template(PHYSICS[physics], held=held), impl="jax")
+    if boards > 1:
+        scenes = [on_boards(scene) for scene in scenes]
+    base = mjx.put_model(template(PHYSICS[physics], held=held, boards=boards), impl="jax")
     fields = overrides(scenes, base, held=held, physics=PHYSICS[physics])
     for lane, scene in enumerate(scenes):
-        carrier = HeldCarrier(scene.carrier_pos, np.array([1.0, 0, 0, 0])) if held else None
+        carrier = HeldCarrier(scene.carrier.pos, np.array([1.0, 0, 0, 0])) if held else None
         exact = build_spec(scene, PHYSICS[physics], carrier).compile()
-        used = scene.n_boxes + 2
+        used = dict.fromkeys(PER_BODY, scene.n_boxes + 2) | dict.fromkeys(PER_GEOM, exact.ngeom)
         for name in (*PER_BODY, *PER_GEOM):
             if name not in fields:
                 continue
-            found, expected = np.asarray(fields[name][lane])[:used], getattr(exact, name)
+            found, expected = np.asarray(fields[name][lane])[: used[name]], getattr(exact, name)
             if name == "body_subtreemass":  # that of the world counts boxes of the padding as well
                 found, expected = found[1:], expected[1:]
             if name == "body_inertia":  # MuJoCo sorts the axes
                 found, expected = np.sort(found), np.sort(expected)
-            if name in ("geom_size", "geom_aabb", "geom_rbound"):  # the plane's is infinite or has no meaning
+            if name in (
+                "geom_pos",
+                "geom_size",
+                "geom_aabb",
+                "geom_rbound",
+            ):  # the plane's is infinite or has no meaning
                 found, expected = found[1:], expected[1:]
             np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=ROUNDING, atol=1e-7, err_msg=name)
         pairs = same_pairs(base, exact)
@@ -112,7 +119,7 @@ def test_the_template_has_the_options_and_contact_numbers_of_the_exact_model() -
 def test_every_two_geoms_that_can_touch_are_declared_once(held: bool) -> None:
     """Declared pairs touch whatever their contype. A carrier that is held cannot meet the floor."""
     scene = scene_of_boxes(4)
-    carrier = HeldCarrier(scene.carrier_pos, np.array([1.0, 0, 0, 0])) if held else None
+    carrier = HeldCarrier(scene.carrier.pos, np.array([1.0, 0, 0, 0])) if held else None
     model = build_spec(scene, PHYSICS["pallet"], carrier).compile()
     pairs = {frozenset((int(one), int(two))) for one, two in zip(model.pair_geom1, model.pair_geom2, strict=True)}
     geoms = range(model.ngeom)

@@ -46,21 +46,21 @@ def test_a_world_has_one_friction_for_boxes_and_carrier() -> None:
     shares = set()
     for replicate in range(5):
         varied = vary(replicate, friction_rel=SD_10)
-        share = varied.box_friction[0] / SCENE.box_friction[0]
+        share = varied.friction[0, 0] / SCENE.friction[0, 0]
         shares.add(share)
-        assert varied.box_friction == pytest.approx([share * value for value in SCENE.box_friction])
-        assert varied.carrier_friction == pytest.approx([share * value for value in SCENE.carrier_friction])
+        assert varied.friction == pytest.approx(share * SCENE.friction)
+        assert varied.carrier.friction == pytest.approx(share * SCENE.carrier.friction)
         assert varied.floor_friction == SCENE.floor_friction
     assert len(shares) == 5
     both = vary(4, friction_rel=SD_10, box_friction_factor=0.5)
-    assert both.box_friction[0] == pytest.approx(0.5 * share * SCENE.box_friction[0])
+    assert both.friction == pytest.approx(0.5 * share * SCENE.friction)
 
 
 def test_mass_and_friction_stay_positive() -> None:
     light = vary(mass_rel=Distribution(Shape.FIXED, -1.0))
     np.testing.assert_allclose(light.mass, MIN_MASS_FRACTION * SCENE.mass)
     slippery = vary(friction_rel=Distribution(Shape.FIXED, -1.0))
-    assert slippery.box_friction[0] == pytest.approx(MIN_FRICTION_FRACTION * SCENE.box_friction[0])
+    assert slippery.friction == pytest.approx(MIN_FRICTION_FRACTION * SCENE.friction)
 
 
 def test_they_disturb_no_other_error() -> None:
@@ -68,7 +68,7 @@ def test_they_disturb_no_other_error() -> None:
     alone, together = vary(x_mm=shifted), vary(x_mm=shifted, mass_rel=SD_10, friction_rel=SD_10)
     np.testing.assert_array_equal(alone.start_pos, together.start_pos)
     np.testing.assert_array_equal(alone.mass, SCENE.mass)
-    assert alone.box_friction == SCENE.box_friction
+    np.testing.assert_array_equal(alone.friction, SCENE.friction)
 
 
 def test_sweeps_have_them_as_axes(tmp_path: Path) -> None:

@@ -67,11 +67,11 @@ def test_the_nominal_variant_changes_nothing() -> None:
 def test_factors_scale_friction_and_masses_but_not_the_carrier_s_mass_or_the_floor() -> None:
     scene = stack()
     varied = vary(scene, box_friction_factor=0.5, carrier_friction_factor=0.8, mass_factor=1.25)
-    assert varied.box_friction == pytest.approx((0.25, 0.0025, 0.00005))
-    assert varied.carrier_friction == pytest.approx((0.4, 0.004, 0.00008))
+    assert varied.friction[0] == pytest.approx((0.25, 0.0025, 0.00005))
+    assert varied.carrier.friction[0] == pytest.approx((0.4, 0.004, 0.00008))
     assert varied.floor_friction == scene.floor_friction
     np.testing.assert_array_equal(varied.mass, scene.mass * 1.25)
-    assert varied.carrier_mass == scene.carrier_mass
+    assert varied.carrier.mass == scene.carrier.mass
     np.testing.assert_array_equal(varied.start_pos, scene.start_pos)
     np.testing.assert_array_equal(varied.half_size, scene.half_size)
 

@@ -35,6 +35,7 @@ class StageKey:
 
     sim: Simulation
     capacity: int
+    boards: int
     lanes: int
     drive: str
     growth: int
@@ -70,7 +71,9 @@ class StageEngine(GroupEngine):
         self._growth: dict[tuple[Cone, int], int] = {}
 
     @abstractmethod
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Stepper:
+    def make_stepper(
+        self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int
+    ) -> Stepper:
         """The stepper for a shape; ``growth`` multiplies the sizes of its contact and constraint buffers."""
 
     def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
@@ -166,11 +169,14 @@ class StageEngine(GroupEngine):
 
     def _stage(self, group: Group, capacity: int, lanes: int, drive: str, growth: int) -> Stage:
         sim, timetable = group.run.sim, group.run.timetable
-        key = StageKey(sim, capacity, lanes, drive, growth, len(timetable.clock))
+        boards = group.boards
+        if any(len(job.scene.carrier.half_size) != boards for job in group.jobs):
+            raise ValueError("worlds of one run of mjx-jax need carriers with the same number of shapes")
+        key = StageKey(sim, capacity, boards, lanes, drive, growth, len(timetable.clock))
         if key not in self.stages:
             held = drive == "acceleration"
             begin = time.perf_counter()
-            stepper = self.make_stepper(capacity, lanes, sim, held=held, growth=growth)
+            stepper = self.make_stepper(capacity, boards, lanes, sim, held=held, growth=growth)
             rules = Rules(sim, timetable, capacity, driven=bool(drive))
             self.stages[key] = Stage(rules, stepper, sim.physics, lanes, self.chunk_steps, held=held)
             group.run.progress.compile_s += time.perf_counter() - begin

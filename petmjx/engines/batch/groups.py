@@ -79,6 +79,11 @@ class Group:
         """Jobs with a drive."""
         return np.array([job.drive is not None for job in self.jobs], bool)
 
+    @property
+    def boards(self) -> int:
+        """Most shapes of a carrier for which tables have room."""
+        return int(self.worlds.shape_half.shape[1] - self.worlds.half.shape[1])
+
     def add(self, jobs: Sequence[Job], worlds: Worlds, table: State) -> None:
         """Put more jobs into the rows behind those that are taken. Tables have a row for each of them at least."""
         first, rows = len(self.jobs), np.full(len(table.status), len(self.table.status), np.int32)

@@ -14,10 +14,11 @@ from petmjx.config import Cone, Physics, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.engine import StageEngine
 from petmjx.engines.batch.mjx import mjx
-from petmjx.engines.batch.template import FIRST_BOX_GEOM, FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
+from petmjx.world.model import geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
 """Under ``vmap`` all iterations of a line search are computed, even those not needed. With 10, in 2.2 % of the steps of
@@ -28,8 +29,9 @@ in 0.2 %."""
 class JaxStepper:
     """Steps lanes with ``mjx.step`` under ``vmap``. Contacts have fixed slots, so nothing can overflow."""
 
-    def __init__(self, template: mujoco.MjModel, lanes: int, physics: Physics) -> None:
-        self.template, self.lanes, self.physics = template, lanes, physics
+    def __init__(self, template: mujoco.MjModel, capacity: int, lanes: int, physics: Physics) -> None:
+        self.template, self.capacity, self.lanes, self.physics = template, capacity, lanes, physics
+        self.geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
         self.model: Any = mjx.put_model(template, impl="jax")
 
     def scratch(self) -> Any:
@@ -62,10 +64,9 @@ class JaxStepper:
         rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))
         force = contact_force_z(rows, contact.frame[..., 2], contact.friction[..., :2], pyramidal=pyramidal)
         geom_z = scratch.geom_xpos[..., 2][:, geom]
-        geom = jnp.broadcast_to(geom, geom_z.shape)
-        box, sign, counts = pressed_box(geom, geom_z, contact.frame[..., 0, 2], FIRST_BOX_GEOM)
-        capacity = self.template.ngeom - FIRST_BOX_GEOM
-        lane = jnp.arange(self.lanes)[:, None]
+        body = jnp.broadcast_to(self.geom_bodies[geom], geom_z.shape)
+        box, sign, counts = pressed_box(body, geom_z, contact.frame[..., 0, 2])
+        lane, capacity = jnp.arange(self.lanes)[:, None], self.capacity
         return (
             jnp.zeros((self.lanes, capacity))
             .at[lane, jnp.where(counts, box, capacity)]
@@ -97,9 +98,12 @@ class MjxJaxEngine(StageEngine):
         physics = sim.physics.changed(skin_m=0.0)
         return super().run(jobs, sim.changed(physics=physics), progress)
 
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> JaxStepper:
+    def make_stepper(
+        self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int
+    ) -> JaxStepper:
         template = padded_template(
             capacity,
+            boards,
             sim.physics,
             held=held,
             solver=sim.solver,
@@ -109,4 +113,4 @@ class MjxJaxEngine(StageEngine):
         )
         # Nothing is damped. With damping enabled, each step would compute its accelerations twice.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
-        return JaxStepper(template, lanes, sim.physics)
+        return JaxStepper(template, capacity, lanes, sim.physics)

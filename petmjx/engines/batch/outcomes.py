@@ -34,8 +34,9 @@ class Reduced(NamedTuple):
 def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Reduced:
     """Metrics that need the whole run, for every world of a table, on the device."""
     m = state.metrics
-    placed = jnp.arange(worlds.mass.shape[1])[None] < state.placed[:, None]
-    shift = motion.shift(state.pose[..., :3], worlds.target, sim.thresholds.shift_floor_m)
+    placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
+    middles = motion.middles(state.pose, worlds.middle)
+    shift = motion.shift(middles, worlds.target, sim.thresholds.shift_floor_m)
     rested = (m.rest_samples > 0) & (state.step >= state.end)
     mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
     tilt = jnp.where(placed, motion.tilt_deg(state.pose[..., 3:]), 0.0)
@@ -102,7 +103,7 @@ def _outcomes(
         job = jobs[row]
         n = job.scene.n_boxes
         driven = job.drive is not None and host.driven_from[i] <= host.step[i]
-        drops = m.drop_step[i, :n]
+        drops, pose = m.drop_step[i, :n], doubles(host.pose[i, :n])
         boxes = BoxMetrics(
             shift_m=doubles(found.shift[i, :n]),
             max_tilt_deg=doubles(found.max_tilt[i, :n]),
@@ -113,8 +114,8 @@ def _outcomes(
             dropped=np.asarray(drops >= 0),
             drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
             max_sway_m=doubles(m.max_sway[i, :n]) if driven else np.full(n, np.nan),
-            pos=doubles(host.pose[i, :n, :3]),
-            quat=doubles(host.pose[i, :n, 3:]),
+            pos=job.scene.middles(pose[:, :3], pose[:, 3:]),
+            quat=pose[:, 3:],
         )
         flags = Flag(int(host.flags[i])) | (Flag.FORKED if job.start is not None else Flag.NONE)
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)

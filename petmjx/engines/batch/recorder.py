@@ -105,10 +105,10 @@ class Recorder:
         box, scene = int(steps.placed[-1]), self._jobs[row].scene
         wider = [(0, 0), (0, 1)]
         pose, force = np.pad(frames.pose, [*wider, (0, 0)]), np.pad(frames.top_force, wider)
-        place = release_of(scene, self._sim).place_of(
-            box, scene, pose[-1, :, 2].astype(float), steps.carrier_pose[-1, 2]
-        )
-        pose[-1, box] = np.concatenate((place, scene.start_quat[box]))
+        middles = scene.middles(pose[-1, :, :3].astype(float), pose[-1, :, 3:].astype(float))
+        place = scene.start_pos.copy()
+        place[box] = release_of(scene, self._sim).place_of(box, scene, middles[:, 2], steps.carrier_pose[-1, 2])
+        pose[-1, box] = np.concatenate((scene.frames(place, scene.start_quat)[box], scene.start_quat[box]))
         force[-1, box] = 0.0
         frames.placed[-1] += 1
         return frames._replace(pose=pose, top_force=force)
@@ -142,11 +142,14 @@ class Recorder:
             name: np.concatenate([getattr(part, name) for part in found]) for name in Frames._fields
         }
         driven_from = None if world.driven_from == NEVER else int(world.driven_from)
+        pose = parts["pose"].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # boxes that are not placed
+            pose[..., :3] = job.scene.middles(pose[..., :3], pose[..., 3:])
         return history_of(
             job,
             parts["step"],
             parts["placed"],
-            parts["pose"],
+            pose,
             parts["top_force"],
             parts["carrier_pose"],
             lambda step: time_s(max(step, 0)),

@@ -80,7 +80,7 @@ class Rules:
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "lane box"]:
         """How far the support of each box is from its planned height, m; 0 where it has none."""
-        boxes = state.pose[..., 2] - worlds.target[..., 2]
+        boxes = motion.middles(state.pose, worlds.middle)[..., 2] - worlds.target[..., 2]
         carrier = state.carrier_pose[:, 2] - worlds.carrier_pos[:, 2]
         moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
         moved = jnp.where(worlds.support == CARRIER, carrier[:, None], moved)
@@ -92,7 +92,8 @@ class Rules:
             begins = state.status == Status.SETTLED
             end = state.driven_from + worlds.drive_steps
             metrics = self._without_rest(self._forget_transients(state, worlds, begins), begins)
-            anchor = jnp.where(begins[:, None, None], state.pose[..., :2], metrics.sway_anchor)
+            middles = motion.middles(state.pose, worlds.middle)
+            anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
             return state._replace(
                 status=jnp.where(begins, Status.RUNNING, state.status),
                 end=jnp.where(begins, end, state.end),
@@ -123,7 +124,7 @@ class Rules:
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " lane"]:
         """Whether a box is over a threshold now, or has dropped."""
         limits = self.sim.thresholds
-        shift = motion.shift(state.pose[..., :3], worlds.target, limits.shift_floor_m)
+        shift = motion.shift(motion.middles(state.pose, worlds.middle), worlds.target, limits.shift_floor_m)
         tilt = motion.tilt_deg(state.pose[..., 3:])
         excess = motion.excess(shift, tilt, state.metrics.drop_step >= 0, limits)
         placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
@@ -176,7 +177,7 @@ class Rules:
         looked = standing & (sample | last)[:, None]
 
         pose = jnp.where(sample[:, None, None], seen.pose, state.pose)
-        pos, quat = pose[..., :3], pose[..., 3:]
+        pos, quat = motion.middles(pose, worlds.middle), pose[..., 3:]
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
         excess = motion.excess(motion.shift(pos, worlds.target, limits.shift_floor_m), tilt, dropped, limits)

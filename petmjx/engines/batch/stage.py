@@ -140,16 +140,7 @@ class Stage:
         return lanes._replace(scratch=self.stepper.scratch())
 
     def _overrides(self, worlds: Worlds) -> dict[str, Float[Array, "lane ..."]]:
-        return override_fields(
-            worlds.half,
-            worlds.mass,
-            worlds.carrier_half,
-            worlds.carrier_mass,
-            worlds.friction,
-            self.stepper.model,
-            held=self.held,
-            physics=self.physics,
-        )
+        return override_fields(worlds, self.stepper.model, held=self.held, physics=self.physics)
 
     def _refill(
         self, lanes: Lanes, table: State, worlds: Worlds, queue: Queue

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.config import SOFT_START_STEPS, Simulation
+from petmjx.history import CARRIER
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
 from petmjx.world.release import NOTHING, release_of
@@ -46,7 +47,10 @@ class Status:
 class Worlds(NamedTuple):
     """Constants of worlds.
 
-    ``friction`` rows are floor, carrier, box. ``drive_yaw`` is (cos, sin); ``drive_steps`` counts from the drive's
+    Body 0 is the carrier, and box k is body k + 1. The shapes of body b are from ``first_shape[b]`` on, in the order of
+    bodies, and ``shape_body`` says whose each is. ``half`` and ``middle`` are the boxes' half extents and their middles
+    in their frames; ``inertia_box`` is as in ``petmjx.world.body.Body``. ``floor_friction`` and ``friction``: sliding,
+    torsional and rolling coefficients. ``drive_yaw`` is (cos, sin); ``drive_steps`` counts from the drive's
     first step to the world's end. ``driven``: a drive follows; ``held``: it holds the carrier fast. ``settles``: the
     placement ends in a settled state, for a drive or to keep. ``start`` is where a box is released if its ``support``
     is where the plan has it (petmjx/world/release.py).
@@ -54,14 +58,19 @@ class Worlds(NamedTuple):
 
     n_boxes: Int[Array, " world"]
     half: Float[Array, "world box 3"]
-    mass: Float[Array, "world box"]
+    middle: Float[Array, "world box 3"]
     target: Float[Array, "world box 3"]
     start: Float[Array, "world box 7"]
     support: Int[Array, "world box"]
-    carrier_half: Float[Array, "world 3"]
     carrier_pos: Float[Array, "world 3"]
-    carrier_mass: Float[Array, " world"]
-    friction: Float[Array, "world 3 3"]
+    mass: Float[Array, "world body"]
+    inertia_box: Float[Array, "world body 3"]
+    first_shape: Int[Array, "world body_end"]
+    shape_body: Int[Array, "world shape"]
+    shape_half: Float[Array, "world shape 3"]
+    shape_pos: Float[Array, "world shape 3"]
+    friction: Float[Array, "world shape 3"]
+    floor_friction: Float[Array, "world 3"]
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]
     drive_yaw: Float[Array, "world 2"]
@@ -141,14 +150,17 @@ Record = TypeVar("Record", Worlds, Metrics, State)
 
 
 def per_box(record: type[Any]) -> tuple[str, ...]:
-    """Names of a record's fields whose second axis is ``box``, from their annotations."""
+    """Names of a record's fields whose second axis grows with the boxes, from their annotations."""
     shapes = {name: getattr(kind, "dim_str", "") for name, kind in get_type_hints(record).items()}
-    return tuple(name for name, shape in shapes.items() if shape.split()[1:2] == ["box"])
+    growing = {"box", "body", "body_end", "shape"}
+    return tuple(name for name, shape in shapes.items() if growing & set(shape.split()[1:2]))
 
 
 def narrow(record: Record, capacity: int) -> Record:
-    """The first ``capacity`` box columns of a record."""
-    columns: dict[str, Any] = {name: getattr(record, name)[:, :capacity] for name in per_box(type(record))}
+    """A record with columns for the first ``capacity`` boxes."""
+    spare = (record.half if isinstance(record, Worlds) else record[0]).shape[1] - capacity
+    cut = slice(-spare) if spare else slice(None)
+    columns: dict[str, Any] = {name: getattr(record, name)[:, cut] for name in per_box(type(record))}
     if isinstance(record, State):
         columns["metrics"] = narrow(record.metrics, capacity)
     return record._replace(**columns)
@@ -199,16 +211,26 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
     """
     scenes = list({id(job.scene): job.scene for job in jobs}.values())
     row_of = {id(scene): row for row, scene in enumerate(scenes)}
-    n = len(scenes)
-    half, mass = np.full((n, width, 3), 0.1, np.float32), np.ones((n, width), np.float32)
+    n, boards = len(scenes), max(len(scene.carrier.half_size) for scene in scenes)
+    half, middle = np.full((n, width, 3), 0.1, np.float32), np.zeros((n, width, 3), np.float32)
     target, start = np.zeros((n, width, 3), np.float32), np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
     support = np.full((n, width), NOTHING, np.int32)
+    mass, inertia_box = np.ones((n, width + 1), np.float32), np.full((n, width + 1, 3), 0.1, np.float32)
+    first_shape = np.tile(np.arange(width + 2, dtype=np.int32), (n, 1))
+    shape_body = np.zeros((n, boards + width), np.int32)
+    shape_half, shape_pos, friction = (np.full((n, boards + width, 3), fill, np.float32) for fill in (0.1, 0.0, 1.0))
     for row, scene in enumerate(scenes):
-        k, release = scene.n_boxes, release_of(scene, sim)
-        half[row, :k], mass[row, :k], target[row, :k] = scene.half_size, scene.mass, scene.target
-        start[row, :k, :3], start[row, :k, 3:] = release.pos, scene.start_quat
+        k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
+        half[row, :k], middle[row, :k], target[row, :k] = scene.half_size, scene.middle, scene.target
+        start[row, :k, :3], start[row, :k, 3:] = scene.frames(release.pos, scene.start_quat), scene.start_quat
         support[row, :k] = release.support
+        mass[row, : k + 1] = np.append(scene.carrier.mass, scene.mass)
+        inertia_box[row, : k + 1] = scene.inertia_boxes
+        s = len(shapes.body)
+        first_shape[row, 1:] += len(scene.carrier.half_size) - 1
+        shape_body[row, :s], shape_half[row, :s] = shapes.body - CARRIER, shapes.half_size
+        shape_pos[row, :s], friction[row, :s] = shapes.pos, shapes.friction
     spare = rows - len(jobs)
     fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
 
@@ -227,14 +249,19 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
     return Worlds(
         n_boxes=spread([scene.n_boxes for scene in scenes], np.int32),
         half=spread(half),
-        mass=spread(mass),
+        middle=spread(middle),
         target=spread(target),
         start=spread(start),
         support=spread(support, np.int32),
-        carrier_half=spread([scene.carrier_half_size for scene in scenes]),
-        carrier_pos=spread([scene.carrier_pos for scene in scenes]),
-        carrier_mass=spread([scene.carrier_mass for scene in scenes]),
-        friction=spread([[s.floor_friction, s.carrier_friction, s.box_friction] for s in scenes]),
+        carrier_pos=spread([scene.carrier.pos for scene in scenes]),
+        mass=spread(mass),
+        inertia_box=spread(inertia_box),
+        first_shape=spread(first_shape, np.int32),
+        shape_body=spread(shape_body, np.int32),
+        shape_half=spread(shape_half),
+        shape_pos=spread(shape_pos),
+        friction=spread(friction),
+        floor_friction=spread([scene.floor_friction for scene in scenes]),
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
         drive_scale=each(_drive_factor, np.float32),
         drive_yaw=each(lambda job: _direction(job), np.float32),
@@ -263,7 +290,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         all_placed: static check; every box stands at its release pose from the start.
         ends: the last step, where it is known in advance (fixed schedule); else NEVER.
     """
-    n, width = worlds.mass.shape
+    n, width = worlds.n_boxes.shape[0], worlds.half.shape[1]
     zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)
     never = jnp.full(n, NEVER, jnp.int32)
     upright = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (n, 4))

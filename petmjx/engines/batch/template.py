@@ -10,13 +10,17 @@ from typing import Any
 
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jaxtyping import Array, Float
 
-from petmjx.config import Cone, Physics, Solver
-from petmjx.world.model import CARRIER_NAME, FLOOR_NAME, add_pair, box_name, skin_of
+from petmjx.config import Physics, Solver
+from petmjx.engines.batch.state import Worlds
+from petmjx.world.body import Body
+from petmjx.world.model import HeldCarrier, build_spec
+from petmjx.world.scene import IDENTITY_QUAT, Scene
 
-FLOOR_GEOM, CARRIER_GEOM, FIRST_BOX_GEOM = 0, 1, 2
-WORLD_BODY, CARRIER_BODY, FIRST_BOX_BODY = 0, 1, 2
+FLOOR_GEOM = 0
+CARRIER_BODY, FIRST_BOX_BODY = 1, 2
 
 FLOAT32_TOLERANCE = 1e-6
 """Smallest relative solver tolerance: float32 does not resolve MuJoCo's 1e-8, which would only cost iterations."""
@@ -35,6 +39,7 @@ PARKING_PITCH_M = 8.0
 
 def padded_template(
     capacity: int,
+    boards: int,
     physics: Physics,
     *,
     held: bool,
@@ -43,72 +48,43 @@ def padded_template(
     iterations: int,
     line_search_iterations: int,
 ) -> mujoco.MjModel:
-    """Compile the template: floor, carrier, ``capacity`` boxes; nominal sizes that overrides replace.
+    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes; nominal sizes that overrides
+    replace.
 
     Args:
-        held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one.
+        held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one; it stands where its
+            world's data say.
     """
-    spec = mujoco.MjSpec()
+    scene = _nominal_scene(capacity, boards, physics)
+    at = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT), mocap=True) if held else None
+    spec = build_spec(scene, physics, at)
     option = spec.option
-    option.timestep = physics.timestep_s
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON if solver is Solver.NEWTON else mujoco.mjtSolver.mjSOL_CG
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if physics.cone is Cone.ELLIPTIC else mujoco.mjtCone.mjCONE_PYRAMIDAL
-    option.impratio = physics.impratio
-    option.gravity = (0.0, 0.0, -physics.gravity_m_s2)
     option.tolerance = tolerance
     option.iterations = iterations
     option.ls_iterations = line_search_iterations
-    contact: dict[str, Any] = {"solref": physics.solref, "solimp": (*physics.solimp, 0.5, 2.0)}
-    declared = physics.has_own_friction
-    if declared:
-        contact |= {"contype": 0, "conaffinity": 0}
-    spec.worldbody.add_geom(
-        name=FLOOR_NAME,
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=(0, 0, 1),
-        pos=(0, 0, physics.floor_z_m),
-        friction=physics.floor_friction,
-        **contact,
-    )
-
-    frictions = {FLOOR_NAME: physics.floor_friction}
-
-    def add_box(
-        name: str, half: tuple[float, float, float], pos: tuple[float, float, float], mass: float, free: bool
-    ) -> None:
-        body = spec.worldbody.add_body(pos=pos)
-        if free:
-            body.add_freejoint()
-        else:
-            body.mocap = True  # stands where its world's data say
-        # An explicit inertial keeps the inertia frame aligned with the box: MuJoCo would otherwise sort the
-        # principal axes, and the per-world diagonals could not be written in box order.
-        body.explicitinertial = True
-        body.mass = mass
-        body.inertia = [mass / 3 * (half[1] ** 2 + half[2] ** 2) for _ in range(3)]
-        body.ipos = (0, 0, 0)
-        body.iquat = (1, 0, 0, 0)
-        skin = skin_of(physics, name)
-        body.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[each + skin for each in half],
-            margin=-skin,
-            friction=physics.box_friction,
-            **contact,
-        )
-        if declared:
-            for other, friction in frictions.items():
-                if free or other != FLOOR_NAME:
-                    add_pair(spec, physics, (other, name), (friction, physics.box_friction))
-        frictions[name] = physics.box_friction
-
-    carrier_half = (0.4, 0.3, physics.carrier_half_height_m)
-    add_box(CARRIER_NAME, carrier_half, (0.0, 0.0, PARKING_HEIGHT_M), physics.carrier_mass_kg, not held)
-    for k in range(capacity):
-        add_box(box_name(k), (0.15, 0.15, 0.1), (PARKING_PITCH_M * (k + 1), 0.0, PARKING_HEIGHT_M), 5.0, True)
     return spec.compile()
+
+
+def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
+    """Boxes that wait in the air. Its inertia is explicit: MuJoCo would else sort the principal axes, and worlds could
+    not write theirs in the order of a box's axes."""
+    half, place = np.tile([0.15, 0.15, 0.1], (capacity, 1)), np.array(parked_positions(capacity), np.float64)
+    board = np.tile([0.4, 0.3, physics.carrier_half_height_m], (boards, 1))
+    aloft = np.array([0.0, 0.0, PARKING_HEIGHT_M])
+    friction = np.tile(physics.carrier_friction, (boards, 1))
+    return Scene(
+        half_size=half,
+        mass=np.full(capacity, 5.0),
+        target=place,
+        start_pos=place,
+        start_quat=np.tile(IDENTITY_QUAT, (capacity, 1)),
+        friction=np.tile(physics.box_friction, (capacity, 1)),
+        carrier=Body(aloft, physics.carrier_mass_kg, board, np.zeros((boards, 3)), friction, board[0]),
+        floor_friction=physics.floor_friction,
+        floor_z=physics.floor_z_m,
+        inertia_box=half,
+    )
 
 
 def parked_positions(capacity: int) -> Float[Array, "box 3"]:
@@ -123,30 +99,20 @@ def _box_inertia(half: Float[Array, "lane body 3"], mass: Float[Array, "lane bod
     return mass[..., None] / 3 * (squares.sum(-1, keepdims=True) - squares)
 
 
-def override_fields(
-    half: Float[Array, "lane box 3"],
-    mass: Float[Array, "lane box"],
-    carrier_half: Float[Array, "lane 3"],
-    carrier_mass: Float[Array, " lane"],
-    friction: Float[Array, "lane 3 3"],
-    base: Any,
-    *,
-    held: bool,
-    physics: Physics,
-) -> dict[str, Float[Array, "lane ..."]]:
+def override_fields(worlds: Worlds, model: Any, *, held: bool, physics: Physics) -> dict[str, Float[Array, "lane ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
-    ``friction`` rows are floor, carrier, box. ``physics`` says by how much geoms are larger than boxes. ``base`` is the
-    template's MJX model, whose values stand for what no world changes (the world body, the floor). Derived fields
-    follow MuJoCo's compiler: ``body_invweight0`` and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I;
-    ``geom_rbound`` is the half diagonal; all are checked against it in tests.
+    ``physics`` says by how much geoms are larger than boxes. ``model`` is the template's MJX model, whose values stand
+    for what no world changes (the world body, the floor). Derived fields follow MuJoCo's compiler: ``body_invweight0``
+    and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I; ``geom_rbound`` is the half diagonal; all are
+    checked against it in tests.
     """
-    lanes, capacity = mass.shape
-    all_half = jnp.concatenate([carrier_half[:, None], half], axis=1)
-    geom_half = all_half + jnp.array([physics.carrier_skin_m] + [physics.skin_m] * capacity)[None, :, None]
-    all_mass = jnp.concatenate([carrier_mass[:, None], mass], axis=1)
-    inertia = _box_inertia(all_half, all_mass)
-    inv_translation = 1 / all_mass
+    lanes, shapes = worlds.shape_half.shape[:2]
+    boards = shapes - worlds.half.shape[1]
+    skin = jnp.array([physics.carrier_skin_m] * boards + [physics.skin_m] * (shapes - boards))
+    geom_half = worlds.shape_half + skin[None, :, None]
+    inertia = _box_inertia(worlds.inertia_box, worlds.mass)
+    inv_translation = 1 / worlds.mass
     inv_rotation = (1 / inertia).mean(-1)
     if held:
         inv_translation = inv_translation.at[:, 0].set(0.0)
@@ -155,26 +121,27 @@ def override_fields(
     def with_world_body(values: Float[Array, "lane body *k"]) -> Float[Array, "lane body+1 *k"]:
         return jnp.concatenate([jnp.zeros((lanes, 1, *values.shape[2:])), values], axis=1)
 
-    def with_floor(values: Float[Array, "lane body *k"], name: str) -> Float[Array, "lane body+1 *k"]:
-        floor = jnp.broadcast_to(getattr(base, name)[FLOOR_GEOM], (lanes, 1, *values.shape[2:]))
+    def with_floor(values: Float[Array, "lane shape *k"], name: str) -> Float[Array, "lane shape+1 *k"]:
+        floor = jnp.broadcast_to(getattr(model, name)[FLOOR_GEOM], (lanes, 1, *values.shape[2:]))
         return jnp.concatenate([floor, values], axis=1)
 
     free = slice(1, None) if held else slice(None)
     dof = jnp.stack([inv_translation, inv_rotation], axis=-1)[:, free]
     fields = {
-        "body_mass": with_world_body(all_mass),
+        "body_mass": with_world_body(worlds.mass),
         "body_inertia": with_world_body(inertia),
-        "body_subtreemass": jnp.concatenate([all_mass.sum(1, keepdims=True), all_mass], axis=1),
+        "body_subtreemass": jnp.concatenate([worlds.mass.sum(1, keepdims=True), worlds.mass], axis=1),
         "body_invweight0": with_world_body(jnp.stack([inv_translation, inv_rotation], axis=-1)),
         "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(lanes, -1),
         "geom_size": with_floor(geom_half, "geom_size"),
+        "geom_pos": with_floor(worlds.shape_pos, "geom_pos"),
         "geom_rbound": with_floor(jnp.sqrt((geom_half**2).sum(-1)), "geom_rbound"),
         "geom_aabb": with_floor(jnp.concatenate([jnp.zeros_like(geom_half), geom_half], axis=-1), "geom_aabb"),
-        "geom_friction": jnp.concatenate(
-            [friction[:, :2], jnp.broadcast_to(friction[:, 2:], (lanes, capacity, 3))], axis=1
-        ),
+        "geom_friction": jnp.concatenate([worlds.floor_friction[:, None], worlds.friction], axis=1),
     }
-    if getattr(base, "npair", 0):
-        partners = jnp.maximum(fields["geom_friction"][:, base.pair_geom1], fields["geom_friction"][:, base.pair_geom2])
+    if getattr(model, "npair", 0):
+        partners = jnp.maximum(
+            fields["geom_friction"][:, model.pair_geom1], fields["geom_friction"][:, model.pair_geom2]
+        )
         fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])]
     return fields

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from petmjx.config import Cone, Simulation, Solver
 from petmjx.engines.cpu.ordering import body_order
-from petmjx.metrics.force_np import FIRST_BOX_GEOM, top_forces
+from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
-from petmjx.world.model import HeldCarrier, add_boxes, build_spec
+from petmjx.world.body import turned
+from petmjx.world.model import HeldCarrier, add_boxes, build_spec, geom_bodies
 from petmjx.world.release import Release, release_of
 from petmjx.world.scene import Scene
 
@@ -44,7 +45,7 @@ _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSo
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """Positions (7), velocities (6) and solver warm start (6) of carrier and boxes; rows: carrier, box 0, …"""
+    """qpos (7), qvel (6) and solver warm start (6) of carrier and boxes; rows: carrier, box 0, …"""
 
     pose: FloatArray
     velocity: FloatArray
@@ -69,6 +70,7 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
+        geom_bodies: (ngeom,) the box that each geom belongs to, or ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are.
     """
 
@@ -118,6 +120,7 @@ class LiveWorld:
             # stays on: the solver's tolerance is relative to the island, and the reference's creep depends on it.
             self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         self.data = mujoco.MjData(self.model)
+        self.geom_bodies = geom_bodies(self.model, self.order)
         self._warnings: NDArray[np.int32] = self.data.warning.number
         self._first_body = 2 + self._has_waiting
         free = self._held is None
@@ -133,8 +136,10 @@ class LiveWorld:
 
     @property
     def pose(self) -> FloatArray:
-        """(capacity, 7) positions and quaternions of the boxes after the last step."""
-        return self._poses[self._row]
+        """(capacity, 7) middles and quaternions of the boxes after the last step."""
+        poses = self._poses[self._row]
+        poses[:, :3] = self.scene.middles(poses[:, :3], poses[:, 3:])
+        return poses
 
     @property
     def velocity(self) -> FloatArray:
@@ -169,9 +174,8 @@ class LiveWorld:
 
     def _contacts(self) -> NDArray[np.integer]:
         """(m, 2) pairs of boxes that touched in the last step."""
-        bodies = np.asarray(self.data.contact.geom).reshape(-1, 2) - FIRST_BOX_GEOM
-        pairs: NDArray[np.integer] = self.order[bodies[(bodies >= 0).all(axis=1)]]
-        return pairs
+        bodies = self.geom_bodies[np.reshape(self.data.contact.geom, (-1, 2))]
+        return bodies[(bodies >= 0).all(axis=1)]
 
     def _forces(self, box: int) -> FloatArray:
         row: FloatArray = self.data.xfrc_applied[self._first_body + self._row[box]]
@@ -183,8 +187,8 @@ class LiveWorld:
             self._grow()
         box = self.n_placed
         row = self._row[box]
-        heights = self._poses[self._row, 2]
-        self._poses[row, :3] = self.release.place_of(box, self.scene, heights, self.carrier_pose[2])
+        place = self.release.place_of(box, self.scene, self.pose[:, 2], self.carrier_pose[2])
+        self._poses[row, :3] = place - turned(self.scene.start_quat[box : box + 1], self.scene.middle[box : box + 1])[0]
         self._poses[row, 3:] = self.scene.start_quat[box]
         self._velocities[row] = 0.0
         self._warmstarts[row] = 0.0
@@ -217,17 +221,17 @@ class LiveWorld:
         self.data.xfrc_applied[1, :3] = force_n
 
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
-        """(k, 3) centres and (k, 4) orientations of the placed boxes at the beginning of the last step.
+        """(k, 3) middles and (k, 4) orientations of the placed boxes at the beginning of the last step.
 
         The accelerations and contact forces of that step belong to the same moment.
         """
         rows = self._first_body + self._row[: self.n_placed]
-        return self.data.xpos[rows], self.data.xquat[rows]
+        pos, quat = self.data.xpos[rows], self.data.xquat[rows]
+        return self.scene.middles(pos, quat), quat
 
     def top_forces(self) -> FloatArray:
         """(k,) force on top of each placed box in the last step, N."""
-        forces = top_forces(self.data, self.capacity, self.pyramidal)
-        return forces[self._row[: self.n_placed]]
+        return top_forces(self.data, self.geom_bodies, self.capacity, self.pyramidal)[: self.n_placed]
 
     def accelerations(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) linear (m/s²) and (k, 3) angular accelerations (rad/s²) of the placed boxes in the last step, in world
@@ -257,7 +261,7 @@ class LiveWorld:
         """A copy of the state of a world with a free carrier."""
         data = self.data
         return BodyState(
-            pose=np.vstack((data.qpos[:7], self.pose)),
+            pose=np.vstack((data.qpos[:7], self._poses[self._row])),
             velocity=np.vstack((data.qvel[:6], self.velocity)),
             warmstart=np.vstack((data.qacc_warmstart[:6], self._warmstarts[self._row])),
         )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.frames import history_of
 from petmjx.history import Contacts, History, Record
-from petmjx.metrics.force_np import FIRST_BOX_GEOM, contact_normal_and_tangents
+from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.world.job import Job
 
@@ -112,22 +112,20 @@ class Recorder:
             values[:k, 0] = live.top_forces()
             if self._details:
                 values[:k, 1:4], values[:k, 4:7] = live.accelerations()
-                contacts = read_contacts(live.data, live.order, live.pyramidal, len(self._frames))
+                contacts = read_contacts(live.data, live.geom_bodies, live.pyramidal, len(self._frames))
                 values[:k, 7] = _penetration(contacts, k)
         self._begun = self._begun or k > 0
         self._frames.append(_Frame(step, k, pose, live.carrier_pose, values, contacts))
 
 
-def read_contacts(data: mujoco.MjData, order: NDArray[np.integer], pyramidal: bool, frame: int) -> Contacts:
+def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: bool, frame: int) -> Contacts:
     """All contacts of the last step.
 
     Args:
-        order: boxes in the order of their bodies.
+        bodies: (ngeom,) of the geoms, as ``petmjx.world.model.geom_bodies`` gives them.
         frame: the number that these contacts get.
     """
-    body = np.array(data.contact.geom, np.int32).reshape(-1, 2) - FIRST_BOX_GEOM
-    is_box = body >= 0
-    body[is_box] = order[body[is_box]]
+    body = bodies[np.reshape(data.contact.geom, (-1, 2))].astype(np.int32)
     axes = np.array(data.contact.frame).reshape(-1, 3, 3)
     force = np.zeros((len(body), 3))
     if len(body):

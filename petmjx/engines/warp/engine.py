@@ -28,7 +28,7 @@ from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
 
 PAIRS_PER_BOX = 10
-"""Pairs of near boxes reserved per box."""
+"""Pairs of near geoms reserved per box, and per board of a carrier."""
 
 CONTACTS_PER_BOX = 8
 """Contacts reserved per box. Full real pallets have 4.5; the most that any of 2,000 sample plans needed was 6.4, in a
@@ -224,6 +224,7 @@ class MjxWarpEngine(GroupEngine):
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
             has_lanes = job.scene.n_boxes <= max(group.run.capacities.get(_kind(job), [0]))
+            has_lanes = has_lanes and len(job.scene.carrier.half_size) <= group.boards
             has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
             return known and has_lanes and has_times and job.record is None and group.recorder.idle
 
@@ -261,7 +262,7 @@ class MjxWarpEngine(GroupEngine):
         """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit. What says
         that memory is short is raised if these are lanes of two sizes."""
         run = group.run
-        fleets = tuple(self._fleet(run, kind) for kind in _kinds(run))
+        fleets = tuple(self._fleet(run, kind, group.boards) for kind in _kinds(run))
         shapes = tuple(fleet.shape for fleet in fleets)
         key = RolloutKey(run.sim, fleets, len(run.timetable.clock), len(run.timetable.settled_nominally))
         if shapes in self._kept and self._kept[shapes][0] == key:
@@ -292,10 +293,10 @@ class MjxWarpEngine(GroupEngine):
         (n_boxes,) = run.capacities[kind]
         return min(self._room.get((run.sim.physics.cone, kind), 1) * (n_boxes + MORE_BOXES), _most_room(kind))
 
-    def _fleet(self, run: Run, kind: str) -> Fleet:
-        """Lanes of a size, as many as there can be."""
+    def _fleet(self, run: Run, kind: str, boards: int) -> Fleet:
+        """Lanes of a size, as many as there can be, for carriers of so many shapes."""
         (n_boxes,) = run.capacities[kind]
         shape = Shape.here(n_boxes)
-        boxes = self._boxes_of_room(run, kind)
+        shapes = self._boxes_of_room(run, kind) + boards - 1
         lanes = min(self.lanes or shape.lanes, shape.lanes)
-        return Fleet(shape, lanes, n_boxes, PAIRS_PER_BOX * boxes, CONTACTS_PER_BOX * boxes)
+        return Fleet(shape, lanes, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)

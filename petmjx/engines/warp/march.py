@@ -46,19 +46,20 @@ class Fleet:
     Attributes:
         shape: of the lanes.
         lanes: worlds at the same time.
-        n_boxes, pairs, room: most boxes, pairs of near geoms, and contacts of a world.
+        n_boxes, boards, pairs, room: most boxes, shapes of a carrier, pairs of near geoms, and contacts of a world.
     """
 
     shape: Shape
     lanes: int
     n_boxes: int
+    boards: int
     pairs: int
     room: int
 
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of the axes of its workspace."""
-        return records.axes(self.lanes, self.n_boxes, self.pairs, self.room)
+        return records.axes(self.lanes, self.n_boxes, self.boards, self.pairs, self.room)
 
 
 class March:

@@ -5,8 +5,9 @@ passes the arrays of ``Tables`` and ``State``: they are the tables of petmjx/eng
 the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
 
 Axes. ``world``: a row of the tables. ``lane``: a thread block, which has one world at a time. ``queue``: of worlds for
-lanes of one size. ``block``: a body that moves; ``dof``: one of its six rows. ``geom``: floor, carrier, boxes in
-packing order. ``pair``: two geoms that are near one another; ``slot``: a contact. Units are SI.
+lanes of one size. ``body``: the carrier, then the boxes in packing order; ``block``: a body that moves; ``dof``: one of
+its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
+``slot``: a contact. Units are SI.
 """
 
 from __future__ import annotations
@@ -107,14 +108,19 @@ class Tables:
 
     n_boxes: Annotated[wp.array[int], "world"]
     half: Annotated[wp.array3d[float], "world box 3"]
-    mass: Annotated[wp.array2d[float], "world box"]
+    middle: Annotated[wp.array3d[float], "world box 3"]
     target: Annotated[wp.array3d[float], "world box 3"]
     start: Annotated[wp.array3d[float], "world box 7"]
     support: Annotated[wp.array2d[int], "world box"]
-    carrier_half: Annotated[wp.array2d[float], "world 3"]
     carrier_pos: Annotated[wp.array2d[float], "world 3"]
-    carrier_mass: Annotated[wp.array[float], "world"]
-    friction: Annotated[wp.array3d[float], "world 3 3"]
+    mass: Annotated[wp.array2d[float], "world body"]
+    inertia_box: Annotated[wp.array3d[float], "world body 3"]
+    first_shape: Annotated[wp.array2d[int], "world body_end"]
+    shape_body: Annotated[wp.array2d[int], "world shape"]
+    shape_half: Annotated[wp.array3d[float], "world shape 3"]
+    shape_pos: Annotated[wp.array3d[float], "world shape 3"]
+    friction: Annotated[wp.array3d[float], "world shape 3"]
+    floor_friction: Annotated[wp.array2d[float], "world 3"]
     profile: Annotated[wp.array[int], "world"]
     drive_scale: Annotated[wp.array[float], "world"]
     drive_yaw: Annotated[wp.array2d[float], "world 2"]
@@ -250,6 +256,7 @@ class Lane:
     threads: int
     world: int
     placed: int  # boxes that stand
+    geoms: int  # the floor and the shapes of the carrier and of these boxes
     held: int  # 1 if the carrier is held fast: its body is then no block
 
 
@@ -258,11 +265,12 @@ def most_panels(n_boxes: int) -> int:
     return -(-6 * (n_boxes + 1) // PANEL)
 
 
-def axes(lanes: int, n_boxes: int, pairs: int, room: int) -> dict[str, int]:
+def axes(lanes: int, n_boxes: int, boards: int, pairs: int, room: int) -> dict[str, int]:
     """Sizes of the axes of a lane.
 
     Args:
         n_boxes: most boxes of a world.
+        boards: most shapes of a carrier.
         pairs: most pairs of near geoms of a world.
         room: most contacts of a world.
     """
@@ -271,8 +279,8 @@ def axes(lanes: int, n_boxes: int, pairs: int, room: int) -> dict[str, int]:
     return {
         "lane": lanes,
         "box": n_boxes,
-        "geom": n_boxes + 2,
-        "geom_end": n_boxes + 3,
+        "geom": n_boxes + boards + 1,
+        "geom_end": n_boxes + boards + 2,
         "block": n_blocks,
         "block_end": n_blocks + 1,
         "dof": 6 * n_blocks,
@@ -334,6 +342,6 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict
     return views
 
 
-def lane_bytes(n_boxes: int, pairs: int, room: int) -> int:
+def lane_bytes(n_boxes: int, boards: int, pairs: int, room: int) -> int:
     """Device memory of a lane, bytes."""
-    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, pairs, room)))
+    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, boards, pairs, room)))

@@ -20,6 +20,7 @@ from petmjx.results.compare import KEY
 from petmjx.text import printable
 from petmjx.units import FloatArray
 from petmjx.verdict import Verdict
+from petmjx.world.body import Body
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 600_000
@@ -89,14 +90,14 @@ class _World:
     Attributes:
         numbers: (n, columns) values of ``_NUMBERS``.
         names: n pairs of item and article.
-        target: (n, 3) planned centres, m; ``carrier``: (6,) its centre and its size, m.
+        target: (n, 3) planned centres, m.
     """
 
     numbers: FloatArray
     names: Sequence[tuple[str, str]]
     plan: Plan
     target: FloatArray
-    carrier: FloatArray
+    carrier: Body
 
 
 def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
@@ -107,12 +108,12 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
         places = boxes.reset_index().groupby(KEY, sort=False).indices
         numbers = boxes[[*_NUMBERS]].to_numpy(np.float64)
         names = list(zip(boxes["item_id"], boxes["article"], strict=True))
-        scenes: dict[str, tuple[FloatArray, FloatArray]] = {}
+        scenes: dict[str, tuple[FloatArray, Body]] = {}
         for plan_id, variant in zip(part["plan_id"], part["variant"], strict=True):
             plan = run.found.plans[plan_id]
             if plan_id not in scenes:
                 scene = build_scene(plan, sim)
-                scenes[plan_id] = scene.target, np.concatenate([scene.carrier_pos, 2 * scene.carrier_half_size])
+                scenes[plan_id] = scene.target, scene.carrier
             rows = places[plan_id, variant]
             here = slice(rows[0], rows[-1] + 1)
             yield _World(numbers[here], names[here], plan, *scenes[plan_id])
@@ -143,7 +144,9 @@ def _packed(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | Packed]:
     planned = np.rint(target * TENTHS_PER_M).astype(np.int64)
     return {
         "count": whole(np.array([len(world.names) for world in worlds])),
-        "carrier": np.array([world.carrier for world in worlds], dtype=np.float32),
+        "carrier": np.array([world.carrier.pos for world in worlds], dtype=np.float32),
+        "n_boards": whole(np.array([len(world.carrier.boards) for world in worlds])),
+        "boards": np.concatenate([world.carrier.boards for world in worlds]).astype(np.float32),
         "items": np.frombuffer(json.dumps(items).encode(), dtype=np.uint8),
         "kind": whole(kind),
         "planned": whole(planned),

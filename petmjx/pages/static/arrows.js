@@ -1,5 +1,6 @@
 // Arrows of a story: contact forces, and what shakes the pallet.
 
+import { corners } from "./carrier.js";
 import { roundedUp, shareOf } from "./colours.js";
 import { norm, scaled, sub, unit } from "./vectors.js";
 
@@ -37,12 +38,12 @@ export function driveArrows(info, frames) {
   const { kind, one_g: oneG } = info.drive;
   const vector = (frame) => [0, 1, 2].map((axis) => frames.drive[3 * frame + axis] / oneG);
   const level = (frame) => norm(vector(frame));
-  const reach = info.carrier.size.map((size) => size / 2);
+  const [low, high] = corners(info.carrier);
+  const reach = scaled(sub(high, low), 0.5);
 
   // seen from the carrier, gravity turns: g − a
   const felt = (frame) => sub([0, 0, -1], vector(frame));
-  const { pos } = info.carrier;
-  const beside = [pos[0] - reach[0] - 0.3, pos[1] - reach[1], 0.5];
+  const beside = [low[0] - 0.3, low[1], 0.5];
   const gravity = (frame) => {
     const pull = scaled(felt(frame), G_LENGTH);
     return { from: beside, vector: pull, colour: ORANGE, radius: DRIVE_RADIUS };

@@ -1,6 +1,7 @@
 // One world's boxes as they ended, out of the blocks that petmjx/pages/report/boxes.py packs.
 
 import { readBlock } from "./blocks.js";
+import { corners } from "./carrier.js";
 
 const PER_M = 1e4; // planned places are tenths of a millimetre
 const MM = 1000;
@@ -14,7 +15,8 @@ export async function endedWorld(number, worldsPerBlock) {
   const first = arrays.count.subarray(0, at).reduce((sum, count) => sum + count, 0);
   const n = arrays.count[at];
   const part = (name, size) => arrays[name].subarray(size * first, size * (first + n));
-  const carrier = arrays.carrier.subarray(6 * at, 6 * at + 6);
+  const board = arrays.n_boards.subarray(0, at).reduce((sum, count) => sum + count, 0);
+  const boards = [...arrays.boards.subarray(6 * board, 6 * (board + arrays.n_boards[at]))];
   const kinds = Array.from(part("kind", 1), (kind) => arrays.items[kind]);
   const planned = Float32Array.from(part("planned", 3), (tenths) => tenths / PER_M);
   const moved = part("moved", 3);
@@ -33,7 +35,7 @@ export async function endedWorld(number, worldsPerBlock) {
     force: part("force", 1).map(Math.expm1),
     rest: part("rest", 1).map(Math.expm1),
     drop: part("drop", 1),
-    carrier: { pos: [...carrier.subarray(0, 3)], size: [...carrier.subarray(3)] },
+    carrier: { pos: [...arrays.carrier.subarray(3 * at, 3 * at + 3)], boards },
   };
 }
 
@@ -66,8 +68,7 @@ const FAR = 0.8; // m: what lies farther beside the pallet does not make the pic
 
 // What a picture shows: the carrier, the plan, and boxes that lie near at the end.
 export function bounds({ n, sizes, planned, pos, carrier }) {
-  const low = carrier.pos.map((place, k) => place - carrier.size[k] / 2);
-  const high = carrier.pos.map((place, k) => place + carrier.size[k] / 2);
+  const [low, high] = corners(carrier);
   const widen = (places, lowest, highest) => {
     for (let k = 0; k < 3 * n; k++) {
       if (Number.isNaN(places[k])) continue;

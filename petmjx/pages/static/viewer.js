@@ -3,7 +3,7 @@
 //   const viewer = createViewer(canvas, {sizes, carrier, floorZ});   null where there is no WebGL 2
 //
 // Lengths are metres, z is up, quaternions (w, x, y, z), colours sRGB from 0 to 1, angles radians. Arrays are flat:
-// `sizes` has 3 numbers a box, the whole extents. `carrier` is {size: [x, y, z], pos: [x, y, z]}; `floorZ` its floor.
+// `sizes` has 3 numbers a box, the whole extents. `carrier` is as in carrier.js; `floorZ` its floor.
 //
 //   setScene({sizes, carrier, floorZ})  other boxes in the same canvas; everything else is as after createViewer
 //   setPoses(pos, quat)                 3 and 4 numbers a box; a box whose pos is NaN is not drawn
@@ -29,6 +29,7 @@
 // context comes back by itself.
 
 import { Camera } from "./camera.js";
+import { boardsAt, corners } from "./carrier.js";
 import { listen } from "./gestures.js";
 import { ARROW_NUMBERS, BOX_NUMBERS, Painter } from "./painter.js";
 import { add, dot, norm, sub, turned, turnedBack } from "./vectors.js";
@@ -74,7 +75,8 @@ class Viewer {
     this.n = n;
     this.half = Float32Array.from(sizes, (size) => size / 2);
     this.floorZ = floorZ;
-    this.carrier = { half: carrier.size.map((size) => size / 2), pos: carrier.pos, quat: [1, 0, 0, 0] };
+    this.carrier = carrier;
+    this.boards = boardsAt(carrier, carrier.pos, [1, 0, 0, 0]);
     this.pos = new Float32Array(3 * n).fill(NaN);
     this.quat = new Float32Array(4 * n);
     this.colours = new Float32Array(3 * n).map((_, k) => CARDBOARD[k % 3]);
@@ -82,10 +84,10 @@ class Viewer {
     this.ghosts = null;
     this.arrows = [];
     this.marks = [];
-    this.values = new Float32Array((n + 1) * BOX_STRIDE);
+    this.values = new Float32Array((n + this.boards.length) * BOX_STRIDE);
     this.glass = new Float32Array(2 * n * BOX_STRIDE);
-    const reach = carrier.size.map((size) => size / 2);
-    this.frame(sub(carrier.pos, reach), [carrier.pos[0] + reach[0], carrier.pos[1] + reach[1], 1]);
+    const [low, high] = corners(carrier);
+    this.frame(low, [high[0], high[1], 1]);
     this.resize();
   }
 
@@ -96,7 +98,7 @@ class Viewer {
   }
 
   setCarrier(pos, quat) {
-    Object.assign(this.carrier, { pos, quat });
+    this.boards = boardsAt(this.carrier, pos, quat);
     this.redraw();
   }
 
@@ -155,7 +157,7 @@ class Viewer {
   pick(x, y) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const { from, along } = this.camera.ray((2 * x) / width - 1, 1 - (2 * y) / height);
-    let nearest = this.distanceTo(this.carrier, from, along);
+    let nearest = Math.min(...this.boards.map((board) => this.distanceTo(board, from, along)));
     let picked = -1;
     for (let box = 0; box < this.n; box++) {
       const distance = this.distanceTo(this.box(box), from, along);
@@ -248,7 +250,7 @@ class Viewer {
     const glass = { values: this.glass, count: 0 };
     const into = this.opacity < 1 ? glass : solid;
     for (const box of this.farthestFirst()) this.write(into, this.box(box), this.colourOf(box), this.edgeOf(box, edge));
-    this.write(solid, this.carrier, [...WOOD, 1], edge);
+    for (const board of this.boards) this.write(solid, board, [...WOOD, 1], edge);
     const marked = { values: new Float32Array(this.marks.length * BOX_STRIDE), count: 0 };
     for (const { box, colour } of this.marks) {
       const line = [...colour, MARK_WIDTH * this.density];

@@ -4,8 +4,8 @@ Pairs are in the order of their geoms, and a pair's contacts in the order in whi
 over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX. Contacts have
 the parameters that MuJoCo gives them (its documentation, "Modeling", "Solver parameters").
 
-A contact is described by its frame and three moment arms per body (27 numbers), since each of its two bodies is a free
-box or does not move.
+A contact is described by its frame and three moment arms per body (27 numbers), since each of its two bodies is free or
+does not move.
 """
 
 from __future__ import annotations
@@ -15,7 +15,16 @@ from mujoco.mjx.third_party.mujoco_warp._src.collision_primitive_core import box
 from mujoco.mjx.third_party.mujoco_warp._src.math import make_frame
 
 from petmjx.engines.warp.kernel.block import any_of_all, prefix_sums, wait_for_all, warp_by_warp
-from petmjx.engines.warp.kernel.motion import ROOM, angular_velocity, half_size, linear_velocity, mass_of, skin_of
+from petmjx.engines.warp.kernel.motion import (
+    ROOM,
+    angular_velocity,
+    body_of,
+    center,
+    first_geom,
+    geom_half,
+    linear_velocity,
+    skin_of,
+)
 from petmjx.engines.warp.kernel.ordering import block_position
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
 
@@ -34,30 +43,37 @@ its room, so that it need not be made in each step."""
 
 
 @wp.func
+def _first_partner(tables: Tables, at: Lane, geom: int) -> int:
+    """The first of the geoms behind this one that may touch it: of another body, and not held fast to the floor."""
+    body = wp.max(body_of(tables, at.world, geom), wp.where(at.held != 0, 0, -1))
+    return first_geom(tables, at.world, body + 1)
+
+
+@wp.func
 def _near(model: Model, work: Workspace, at: Lane, one: int, two: int, apart: float) -> bool:
     """Whether the boxes around two geoms are no further apart than this along each axis, m."""
     reach = work.reach[at.lane, two]
     place = work.place[at.lane, two]
     if one == 0:
-        return place[2] - reach[2] <= model.floor_z + apart and two > at.held
+        return place[2] - reach[2] <= model.floor_z + apart
     gap = wp.abs(place - work.place[at.lane, one]) - reach - work.reach[at.lane, one]
     return wp.max(gap[0], wp.max(gap[1], gap[2])) <= apart
 
 
 @wp.func
-def list_pairs(model: Model, work: Workspace, at: Lane, apart: float) -> int:
+def list_pairs(model: Model, tables: Tables, work: Workspace, at: Lane, apart: float) -> int:
     """List pairs of geoms that are no further apart than this, m; returns their number, which may be more than fit.
 
     ``pair_of`` says where the pairs of each lower geom begin. ``lower`` has the pairs of each higher geom, from
     ``lower_of``, in order.
     """
     lane = at.lane
-    n = at.placed + 2
+    n = at.geoms
     for one in range(at.thread, n, at.threads):
         work.home[lane, one] = work.place[lane, one]
         work.home_reach[lane, one] = work.reach[lane, one]
         count = int(0)
-        for two in range(one + 1, n):
+        for two in range(_first_partner(tables, at, one), n):
             count += wp.where(_near(model, work, at, one, two, apart), 1, 0)
         work.pair_of[lane, one] = count
     wait_for_all()
@@ -68,7 +84,7 @@ def list_pairs(model: Model, work: Workspace, at: Lane, apart: float) -> int:
         return n_pairs
     for one in range(at.thread, n, at.threads):
         pair = work.pair_of[lane, one]
-        for two in range(one + 1, n):
+        for two in range(_first_partner(tables, at, one), n):
             if _near(model, work, at, one, two, apart):
                 work.first[lane, pair] = one
                 work.second[lane, pair] = two
@@ -116,9 +132,9 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         distances = vec8f()
         places = mat83f()
         normal = wp.vec3(0.0, 0.0, 1.0)
-        lower_skin = skin_of(model, one)
-        skin = skin_of(model, two)
-        half = half_size(tables, at.world, two) + wp.vec3(skin, skin, skin)
+        lower_skin = skin_of(model, tables, at.world, one)
+        skin = skin_of(model, tables, at.world, two)
+        half = geom_half(tables, at.world, two) + wp.vec3(skin, skin, skin)
         margin = -lower_skin - skin
         if one == 0:
             distances, places, normal = plane_box(
@@ -128,7 +144,7 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
             found, distances, places, normal = box_box(
                 work.place[lane, one],
                 work.turn[lane, one],
-                half_size(tables, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
+                geom_half(tables, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
                 work.place[lane, two],
                 work.turn[lane, two],
                 half,
@@ -186,11 +202,19 @@ def _moment_arms(axes: wp.mat33, lever: wp.vec3, turn: wp.mat33) -> wp.mat33:
 
 
 @wp.func
-def _give(tables: Tables, at: Lane, geom: int) -> float:
-    """MuJoCo's inverse weight of a geom's body, 1/kg; 0 if it does not move."""
-    if geom - 1 - at.held < 0:
+def _give(tables: Tables, at: Lane, body: int) -> float:
+    """MuJoCo's inverse weight of a body, 1/kg; 0 if it does not move."""
+    if body - at.held < 0:
         return 0.0
-    return 1.0 / mass_of(tables, at.world, geom)
+    return 1.0 / tables.mass[at.world, body]
+
+
+@wp.func
+def _friction(tables: Tables, world: int, geom: int) -> float:
+    """Sliding friction of a geom."""
+    if geom == 0:
+        return tables.floor_friction[world, 0]
+    return tables.friction[world, geom - 1, 0]
 
 
 @wp.func
@@ -209,11 +233,12 @@ def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: L
         second = work.second[lane, pair]
         point = work.points[lane, pair, slot - work.contact_of[lane, pair]]
         axes = make_frame(work.normal[lane, pair])
-        one = first - 1 - at.held
-        two = second - 1 - at.held
-        mu = wp.max(tables.friction[world, wp.min(first, 2), 0], tables.friction[world, wp.min(second, 2), 0])
-        mu = wp.max(mu, MIN_FRICTION)
-        weight = _give(tables, at, first) + _give(tables, at, second)
+        body_one = body_of(tables, world, first)
+        body_two = body_of(tables, world, second)
+        one = body_one - at.held
+        two = body_two - at.held
+        mu = wp.max(wp.max(_friction(tables, world, first), _friction(tables, world, second)), MIN_FRICTION)
+        weight = _give(tables, at, body_one) + _give(tables, at, body_two)
         if model.pyramidal != 0:
             weight = 2.0 * mu * mu * weight * (1.0 + mu * mu)
         touch = wp.vec3(point[0], point[1], point[2])
@@ -221,13 +246,13 @@ def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: L
         arms_two = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         velocity = wp.vec3(0.0, 0.0, 0.0)
         if one >= 0:
-            arms_one = _moment_arms(axes, touch - work.place[lane, first], work.turn[lane, first])
-            along = axes * linear_velocity(state, world, first)
-            velocity -= along + arms_one * angular_velocity(state, world, first)
+            arms_one = _moment_arms(axes, touch - center(state, world, body_one), work.turn[lane, first])
+            along = axes * linear_velocity(state, world, body_one)
+            velocity -= along + arms_one * angular_velocity(state, world, body_one)
         if two >= 0:
-            arms_two = _moment_arms(axes, touch - work.place[lane, second], work.turn[lane, second])
-            along = axes * linear_velocity(state, world, second)
-            velocity += along + arms_two * angular_velocity(state, world, second)
+            arms_two = _moment_arms(axes, touch - center(state, world, body_two), work.turn[lane, second])
+            along = axes * linear_velocity(state, world, body_two)
+            velocity += along + arms_two * angular_velocity(state, world, body_two)
         kbi = _reference(model, point[3])
         damping = wp.where(model.friction_damping > 0.0, model.friction_damping, kbi[1])
         for r in range(3):
@@ -246,7 +271,7 @@ def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: L
 
 
 @wp.func
-def link_blocks(state: State, work: Workspace, at: Lane) -> None:
+def link_blocks(tables: Tables, state: State, work: Workspace, at: Lane) -> None:
     """The contacts of each block, as links: 2 × contact + side.
 
     ``links[lane, link_begin[lane, b]:link_begin[lane, b + 1]]`` belong to block b, in the order of the contacts:
@@ -256,9 +281,10 @@ def link_blocks(state: State, work: Workspace, at: Lane) -> None:
     lane = at.lane
     n_blocks = work.n_blocks[lane]
     for block in range(at.thread, n_blocks, at.threads):
-        geom = block + 1 + at.held
-        count = work.contact_of[lane, work.pair_of[lane, geom + 1]] - work.contact_of[lane, work.pair_of[lane, geom]]
-        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, geom + 1]):
+        geom = first_geom(tables, at.world, block + at.held)
+        end_geom = first_geom(tables, at.world, block + at.held + 1)
+        count = work.contact_of[lane, work.pair_of[lane, end_geom]] - work.contact_of[lane, work.pair_of[lane, geom]]
+        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, end_geom]):
             pair = work.lower[lane, entry]
             count += work.contact_of[lane, pair + 1] - work.contact_of[lane, pair]
         work.link_begin[lane, block] = count
@@ -266,28 +292,31 @@ def link_blocks(state: State, work: Workspace, at: Lane) -> None:
     prefix_sums(work.link_begin, lane, n_blocks, at.thread)
     wait_for_all()
     for block in range(at.thread, n_blocks, at.threads):
-        geom = block + 1 + at.held
+        geom = first_geom(tables, at.world, block + at.held)
+        end_geom = first_geom(tables, at.world, block + at.held + 1)
         position = block_position(state, at, block)
         low = int(position)
         link = work.link_begin[lane, block]
-        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, geom + 1]):
+        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, end_geom]):
             pair = work.lower[lane, entry]
             begin = work.contact_of[lane, pair]
             end = work.contact_of[lane, pair + 1]
             for slot in range(begin, end):
                 work.links[lane, link] = 2 * slot + 1
                 link += 1
-            other = work.first[lane, pair] - 1 - at.held
+            other = body_of(tables, at.world, work.first[lane, pair]) - at.held
             if end > begin and other >= 0:
                 low = wp.min(low, block_position(state, at, other))
-        for pair in range(work.pair_of[lane, geom], work.pair_of[lane, geom + 1]):
+        for pair in range(work.pair_of[lane, geom], work.pair_of[lane, end_geom]):
             begin = work.contact_of[lane, pair]
             end = work.contact_of[lane, pair + 1]
             for slot in range(begin, end):
                 work.links[lane, link] = 2 * slot
                 link += 1
             if end > begin:
-                low = wp.min(low, block_position(state, at, work.second[lane, pair] - 1 - at.held))
+                low = wp.min(
+                    low, block_position(state, at, body_of(tables, at.world, work.second[lane, pair]) - at.held)
+                )
         work.position[lane, block] = position
         work.lowest[lane, position] = low
     wait_for_all()

@@ -10,7 +10,7 @@ from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_blocks, list_pairs, make_rows
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
-from petmjx.engines.warp.kernel.motion import begin_step, end_step
+from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import newton
@@ -85,11 +85,11 @@ def advance(
     n_pairs = listed
     anew = left or n_pairs < 0
     if anew:
-        n_pairs = list_pairs(model, work, at, APART)
+        n_pairs = list_pairs(model, tables, work, at, APART)
         listed = n_pairs
         if n_pairs > model.pairs:
             # without the pairs that only may touch soon, so that it does not depend on when they were listed
-            n_pairs = list_pairs(model, work, at, NEAR)
+            n_pairs = list_pairs(model, tables, work, at, NEAR)
             listed = -1
         if n_pairs > model.pairs:
             overflow(state, at)
@@ -104,10 +104,10 @@ def advance(
         return -1
     make_rows(model, tables, state, work, at, n_contacts)
     if step % RENEWED_EVERY == 0:
-        renew_order(state, work, at, n_pairs)
+        renew_order(tables, state, work, at, n_pairs)
         changed = True
     if changed:
-        link_blocks(state, work, at)
+        link_blocks(tables, state, work, at)
     limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
     newton(at.lane, at.thread, at.threads, limit, changed, measured, model, work, near, near_words)
     wait_for_all()
@@ -169,6 +169,7 @@ def run_lane(
         late = any_of_all(full)
         while state.status[at.world] == RUNNING and not late:
             at.placed = state.placed[at.world]
+            at.geoms = first_geom(tables, at.world, at.placed + 1)
             at.held = wp.where(state.driven_from[at.world] != NEVER and tables.held[at.world], 1, 0)
             if at.placed != stood:
                 listed = -1

@@ -1,8 +1,9 @@
 """Motion of a world's bodies: from poses to accelerations without contacts, and from accelerations to the next poses.
 
-All bodies are free boxes (or a carrier that is held fast). A block is a body that moves; it has six rows in the
-equations. Blocks are the carrier and the boxes, or only the boxes if the carrier is held. The block of a geom is its
-number − 1, or − 2 if the carrier is held; negative blocks do not move.
+Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body.py). Body 0 is the carrier, which is free or
+held fast, and box k is body k + 1. A block is a body that moves; it has six rows in the equations. Blocks are all
+bodies, or only the boxes if the carrier is held: the block of a body is its number, less one if the carrier is held.
+Negative blocks do not move. Geom 0 is the floor, and shape k is geom k + 1.
 """
 
 from __future__ import annotations
@@ -23,26 +24,44 @@ vec6 = wp.types.vector(length=6, dtype=float)
 
 
 @wp.func
-def half_size(tables: Tables, world: int, geom: int) -> wp.vec3:
-    """Half extents of the carrier or a box, m."""
-    if geom == 1:
-        return wp.vec3(tables.carrier_half[world, 0], tables.carrier_half[world, 1], tables.carrier_half[world, 2])
-    box = geom - 2
+def body_of(tables: Tables, world: int, geom: int) -> int:
+    """The body of a geom; -1 of the floor."""
+    if geom == 0:
+        return -1
+    return tables.shape_body[world, geom - 1]
+
+
+@wp.func
+def first_geom(tables: Tables, world: int, body: int) -> int:
+    """The first geom of a body, and the end of those of the body before it."""
+    return tables.first_shape[world, body] + 1
+
+
+@wp.func
+def box_half(tables: Tables, world: int, box: int) -> wp.vec3:
+    """Half extents of a box, m."""
     return wp.vec3(tables.half[world, box, 0], tables.half[world, box, 1], tables.half[world, box, 2])
 
 
 @wp.func
-def skin_of(model: Model, geom: int) -> float:
-    """By how much the floor, the carrier or a box is larger for the collider, m (as in petmjx/world/model.py)."""
-    return wp.where(geom == 0, 0.0, wp.where(geom == 1, model.carrier_skin, model.skin))
+def geom_half(tables: Tables, world: int, geom: int) -> wp.vec3:
+    """Half extents of a geom that is not the floor, m."""
+    half = tables.shape_half[world, geom - 1]
+    return wp.vec3(half[0], half[1], half[2])
 
 
 @wp.func
-def mass_of(tables: Tables, world: int, geom: int) -> float:
-    """Mass of the carrier or a box, kg."""
-    if geom == 1:
-        return tables.carrier_mass[world]
-    return tables.mass[world, geom - 2]
+def middle_of(tables: Tables, world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
+    """The middle of a box whose frame is at this pose, m."""
+    middle = wp.vec3(tables.middle[world, box, 0], tables.middle[world, box, 1], tables.middle[world, box, 2])
+    return place + rotation(q) * middle
+
+
+@wp.func
+def skin_of(model: Model, tables: Tables, world: int, geom: int) -> float:
+    """By how much a geom is larger for the collider, m (as in petmjx/world/model.py): the floor not at all."""
+    body = body_of(tables, world, geom)
+    return wp.where(body < 0, 0.0, wp.where(body == 0, model.carrier_skin, model.skin))
 
 
 @wp.func
@@ -54,39 +73,39 @@ def moments(half: wp.vec3, mass: float) -> wp.vec3:
 
 
 @wp.func
-def center(state: State, world: int, geom: int) -> wp.vec3:
-    """Centre of the carrier or a box, m."""
-    if geom == 1:
+def center(state: State, world: int, body: int) -> wp.vec3:
+    """Centre of mass of a body, m."""
+    if body == 0:
         return wp.vec3(state.carrier_pose[world, 0], state.carrier_pose[world, 1], state.carrier_pose[world, 2])
-    box = geom - 2
+    box = body - 1
     return wp.vec3(state.pose[world, box, 0], state.pose[world, box, 1], state.pose[world, box, 2])
 
 
 @wp.func
-def orientation(state: State, world: int, geom: int) -> wp.vec4:
-    """Quaternion of the carrier or a box, w first."""
-    if geom == 1:
+def orientation(state: State, world: int, body: int) -> wp.vec4:
+    """Quaternion of a body, w first."""
+    if body == 0:
         p = state.carrier_pose[world]
         return wp.vec4(p[3], p[4], p[5], p[6])
-    q = state.pose[world, geom - 2]
+    q = state.pose[world, body - 1]
     return wp.vec4(q[3], q[4], q[5], q[6])
 
 
 @wp.func
-def linear_velocity(state: State, world: int, geom: int) -> wp.vec3:
-    """Velocity of the centre of the carrier or a box, m/s."""
-    if geom == 1:
+def linear_velocity(state: State, world: int, body: int) -> wp.vec3:
+    """Velocity of a body's centre of mass, m/s."""
+    if body == 0:
         return wp.vec3(state.carrier_vel[world, 0], state.carrier_vel[world, 1], state.carrier_vel[world, 2])
-    v = state.vel[world, geom - 2]
+    v = state.vel[world, body - 1]
     return wp.vec3(v[0], v[1], v[2])
 
 
 @wp.func
-def angular_velocity(state: State, world: int, geom: int) -> wp.vec3:
-    """Angular velocity of the carrier or a box in its own frame, rad/s."""
-    if geom == 1:
+def angular_velocity(state: State, world: int, body: int) -> wp.vec3:
+    """Angular velocity of a body in its own frame, rad/s."""
+    if body == 0:
         return wp.vec3(state.carrier_vel[world, 3], state.carrier_vel[world, 4], state.carrier_vel[world, 5])
-    v = state.vel[world, geom - 2]
+    v = state.vel[world, body - 1]
     return wp.vec3(v[3], v[4], v[5])
 
 
@@ -136,23 +155,28 @@ def begin_step(
         work.reach[lane, 0] = wp.vec3(0.0, 0.0, 0.0)
         work.n_blocks[lane] = at.placed + 1 - at.held
         work.worst[lane] = wp.int64(0)
-    for geom in range(1 + at.thread, at.placed + 2, at.threads):
-        place = center(state, world, geom)
-        q = orientation(state, world, geom)
-        spin = angular_velocity(state, world, geom)
-        half = half_size(tables, world, geom)
-        mass = mass_of(tables, world, geom)
+    for geom in range(1 + at.thread, at.geoms, at.threads):
+        body = body_of(tables, world, geom)
+        frame = center(state, world, body)
+        q = orientation(state, world, body)
+        spin = angular_velocity(state, world, body)
+        half = geom_half(tables, world, geom)
+        offset = tables.shape_pos[world, geom - 1]
+        mass = tables.mass[world, body]
+        equal = tables.inertia_box[world, body]
         home = work.home[lane, geom]
         home_reach = work.home_reach[lane, geom]
+        leads = first_geom(tables, world, body) == geom
         start = vec6()
         for i in range(6):
-            if geom == 1:
+            if body == 0:
                 start[i] = state.carrier_ahead[world, i]
             else:
-                start[i] = state.ahead[world, geom - 2, i]
+                start[i] = state.ahead[world, body - 1, i]
         turn = rotation(q)
+        place = frame + turn * wp.vec3(offset[0], offset[1], offset[2])
         # as far as the box with its skin reaches, less the depth at which its contacts begin
-        skin = skin_of(model, geom)
+        skin = wp.where(body == 0, model.carrier_skin, model.skin)
         skinned = half + wp.vec3(skin, skin, skin)
         reach = wp.vec3(
             wp.dot(wp.abs(turn[0]), skinned) - skin,
@@ -165,19 +189,21 @@ def begin_step(
         work.place[lane, geom] = place
         work.turn[lane, geom] = turn
         work.reach[lane, geom] = reach
-        if sample and geom >= 2:
+        block = body - at.held
+        if not leads:
+            continue
+        if sample and body >= 1:
             for i in range(3):
-                work.seen[lane, geom - 2, i] = place[i]
+                work.seen[lane, body - 1, i] = frame[i]
             for i in range(4):
-                work.seen[lane, geom - 2, 3 + i] = q[i]
-        block = geom - 1 - at.held
+                work.seen[lane, body - 1, 3 + i] = q[i]
         if block < 0:
             continue
-        inertia = moments(half, mass)
+        inertia = moments(wp.vec3(equal[0], equal[1], equal[2]), mass)
         torque = -wp.cross(spin, wp.cw_mul(inertia, spin))
         dof = 6 * block
         for i in range(3):
-            force = wp.where(geom == 1, push[i], 0.0)
+            force = wp.where(body == 0, push[i], 0.0)
             work.inertia[lane, dof + i] = mass
             work.inertia[lane, dof + 3 + i] = inertia[i]
             work.smooth[lane, dof + i] = gravity[i] + force / mass
@@ -206,18 +232,18 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
     lane = at.lane
     world = at.world
     astray = bool(False)
-    for geom in range(1 + at.held + at.thread, at.placed + 2, at.threads):
-        block = geom - 1 - at.held
+    for body in range(at.held + at.thread, at.placed + 1, at.threads):
+        block = body - at.held
         dof = 6 * block
         a = vec6()
         for i in range(6):
             a[i] = float(work.acceleration[lane, dof + i])
-        linear = linear_velocity(state, world, geom)
-        spin = angular_velocity(state, world, geom)
+        linear = linear_velocity(state, world, body)
+        spin = angular_velocity(state, world, body)
         for i in range(3):
             linear[i] = linear[i] + model.timestep * a[i]
             spin[i] = spin[i] + model.timestep * a[3 + i]
-        where = center(state, world, geom)
+        where = center(state, world, body)
         for i in range(3):
             where[i] = where[i] + model.timestep * linear[i]
         speed = wp.length(spin)
@@ -227,7 +253,7 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
             sine = wp.sin(angle * 0.5) / speed
         cosine = wp.cos(angle * 0.5)
         v = sine * spin
-        q = orientation(state, world, geom)
+        q = orientation(state, world, body)
         w = q[0]
         u = wp.vec3(q[1], q[2], q[3])
         turned_w = w * cosine - wp.dot(u, v)
@@ -238,7 +264,7 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
             good = _is_number(where[i]) and _is_number(linear[i]) and _is_number(spin[i]) and _is_number(after[1 + i])
             if not good or not _is_number(after[0]):
                 astray = True
-        if geom == 1:
+        if body == 0:
             for i in range(3):
                 state.carrier_pose[world, i] = where[i]
                 state.carrier_vel[world, i] = linear[i]
@@ -249,7 +275,7 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
                 state.carrier_ahead[world, i] = 2.0 * a[i] - state.carrier_warm[world, i]
                 state.carrier_warm[world, i] = a[i]
         else:
-            box = geom - 2
+            box = body - 1
             for i in range(3):
                 state.pose[world, box, i] = where[i]
                 state.vel[world, box, i] = linear[i]
@@ -260,21 +286,22 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
                 state.ahead[world, box, i] = 2.0 * a[i] - state.warm[world, box, i]
                 state.warm[world, box, i] = a[i]
             if measured:
-                work.top_force[lane, box] = _top_force(work, lane, geom, block, at.held)
+                work.top_force[lane, box] = _top_force(work, lane, block)
     return astray
 
 
 @wp.func
-def _top_force(work: Workspace, lane: int, geom: int, block: int, held: int) -> float:
+def _top_force(work: Workspace, lane: int, block: int) -> float:
     """Force that presses on a box from above, N: of contacts within 45° of level with geoms whose centre is higher."""
     total = wp.float64(0.0)
-    z = work.place[lane, geom][2]
     for entry in range(work.link_begin[lane, block], work.link_begin[lane, block + 1]):
         link = work.links[lane, entry]
         k = link // 2
         side = link % 2
-        its_z = work.place[lane, work.blocks[lane, k, 1 - side] + 1 + held][2]
-        lower = z < its_z or (side == 1 and z == its_z)
+        pair = work.pair_at[lane, k]
+        first_z = work.place[lane, work.first[lane, pair]][2]
+        second_z = work.place[lane, work.second[lane, pair]][2]
+        lower = wp.where(side == 1, second_z <= first_z, first_z < second_z)
         if lower and wp.abs(work.rows[lane, k, 2]) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):

@@ -12,7 +12,8 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
-from petmjx.engines.warp.records import Lane, State, Workspace
+from petmjx.engines.warp.kernel.motion import body_of
+from petmjx.engines.warp.records import Lane, State, Tables, Workspace
 
 RENEWED_EVERY = wp.constant(25)
 """Steps: contacts change when a box is placed, about every 60 steps, and while boxes fall."""
@@ -38,7 +39,7 @@ def block_position(state: State, at: Lane, block: int) -> int:
 
 
 @wp.func
-def _find_levels(work: Workspace, at: Lane, n_pairs: int, root: int) -> None:
+def _find_levels(tables: Tables, work: Workspace, at: Lane, n_pairs: int, root: int) -> None:
     """How many contacts lie between each body and the root."""
     lane = at.lane
     for body in range(at.thread, at.placed + 1, at.threads):
@@ -47,9 +48,9 @@ def _find_levels(work: Workspace, at: Lane, n_pairs: int, root: int) -> None:
     for level in range(at.placed + 1):
         found = bool(False)
         for pair in range(at.thread, n_pairs, at.threads):
-            one = work.first[lane, pair] - 1
+            one = body_of(tables, at.world, work.first[lane, pair])
             if one >= 0 and work.contact_of[lane, pair + 1] > work.contact_of[lane, pair]:
-                two = work.second[lane, pair] - 1
+                two = body_of(tables, at.world, work.second[lane, pair])
                 of_one = work.level[lane, one]
                 of_two = work.level[lane, two]
                 if of_one == level and of_two == UNREACHED:
@@ -63,18 +64,18 @@ def _find_levels(work: Workspace, at: Lane, n_pairs: int, root: int) -> None:
 
 
 @wp.func
-def renew_order(state: State, work: Workspace, at: Lane, n_pairs: int) -> None:
+def renew_order(tables: Tables, state: State, work: Workspace, at: Lane, n_pairs: int) -> None:
     """Put the bodies in order by the contacts of this step; bodies of one level stay in packing order."""
     lane = at.lane
     n = at.placed + 1
-    _find_levels(work, at, n_pairs, 0)
+    _find_levels(tables, work, at, n_pairs, 0)
     root = int(0)
     for body in range(n):
         level = work.level[lane, body]
         if level != UNREACHED and level > work.level[lane, root]:
             root = body
     wait_for_all()
-    _find_levels(work, at, n_pairs, root)
+    _find_levels(tables, work, at, n_pairs, root)
     for body in range(at.thread, n, at.threads):
         level = work.level[lane, body]
         position = int(0)

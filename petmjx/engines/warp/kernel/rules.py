@@ -11,7 +11,7 @@ import warp as wp
 from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
-from petmjx.engines.warp.kernel.motion import half_size, rotation
+from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation, rotation
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
 from petmjx.verdict import Flag
 from petmjx.world import release
@@ -81,8 +81,9 @@ def _look(
         place[i] = wp.where(sample, work.seen[at.lane, box, i], state.pose[world, box, i])
     for i in range(4):
         q[i] = wp.where(sample, work.seen[at.lane, box, 3 + i], state.pose[world, box, 3 + i])
+    place = middle_of(tables, world, box, place, q)
     tilt = _tilt(q)
-    lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), half_size(tables, world, box + 2))
+    lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(tables, world, box))
     dropped = place[2] < 0.0 or lowest < model.drop_z
     if dropped and state.drop_step[world, box] < 0:
         state.drop_step[world, box] = step
@@ -105,7 +106,7 @@ def _look(
 @wp.func
 def _speed(tables: Tables, state: State, world: int, box: int) -> float:
     """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
-    radius = wp.length(half_size(tables, world, box + 2))
+    radius = wp.length(box_half(tables, world, box))
     return _length(state.vel, world, box, 0) + radius * _length(state.vel, world, box, 3)
 
 
@@ -201,9 +202,10 @@ def _moves_or_failed(model: Model, tables: Tables, state: State, at: Lane, secon
             q[i] = state.pose[world, box, 3 + i]
             change = q[i] - state.still_pose[world, box, 3 + i]
             turned += change * change
-        radius = wp.length(half_size(tables, world, box + 2))
+        radius = wp.length(box_half(tables, world, box))
         if wp.sqrt(shifted) + 2.0 * radius * wp.sqrt(turned) > model.still_speed * seconds:
             moves = True
+        place = middle_of(tables, world, box, place, q)
         if _excess(model, tables, world, box, place, _tilt(q), state.drop_step[world, box] >= 0) > 1.0:
             failed = True
     return any_of_all(moves), any_of_all(failed)
@@ -218,7 +220,9 @@ def place_next(model: Model, tables: Tables, state: State, world: int, step: int
     if support == CARRIER:
         come_down = state.carrier_pose[world, 2] - tables.carrier_pos[world, 2]
     elif support != NOTHING:
-        come_down = state.pose[world, support, 2] - tables.target[world, support, 2]
+        place = center(state, world, support + 1)
+        middle = middle_of(tables, world, support, place, orientation(state, world, support + 1))
+        come_down = middle[2] - tables.target[world, support, 2]
     come_down = wp.clamp(come_down, -model.most_followed, model.most_followed)
     for i in range(7):
         start = tables.start[world, box, i] + wp.where(i == 2, come_down, 0.0)

@@ -1,0 +1,117 @@
+"""What the bodies of a scene are made of: shapes, which are boxes fixed to them.
+
+A body's frame has its origin in the centre of mass and the axes of its shapes; they are its principal axes. So the
+inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of mass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Triple
+from petmjx.units import FloatArray
+
+_ASKEW: Final = 1e-6
+"""Largest product of inertia, as a share of the largest second moment, that is taken for rounding."""
+
+
+def turned(quat: FloatArray, vector: FloatArray) -> FloatArray:
+    """(…, 3) vectors turned by (…, 4) quaternions (w, x, y, z) of any length but zero."""
+    axis, w = quat[..., 1:], quat[..., :1]
+    twice = 2 * np.cross(axis, vector) / (quat**2).sum(axis=-1, keepdims=True)
+    found: FloatArray = vector + w * twice + np.cross(axis, twice)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A body of one or more boxes, such as the carrier with its boards.
+
+    Attributes:
+        pos: (3,) centre of mass, m.
+        mass: kg.
+        half_size: (s, 3) half extents of its shapes, m.
+        shape_pos: (s, 3) their centres in the body's frame, m.
+        friction: (s, 3) their sliding, torsional and rolling coefficients.
+        inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
+            equivalent inertia box.
+    """
+
+    pos: FloatArray
+    mass: float
+    half_size: FloatArray
+    shape_pos: FloatArray
+    friction: FloatArray
+    inertia_box: FloatArray
+
+    @classmethod
+    def solid(cls, pos: FloatArray, half_size: FloatArray, mass: float, friction: Triple) -> Body:
+        """One solid box."""
+        return cls(pos, mass, half_size[None], np.zeros((1, 3)), np.array([friction]), half_size)
+
+    @classmethod
+    def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
+        """Boards that are solid boxes.
+
+        Args:
+            center: (s, 3) of each board, m.
+            half_size: (s, 3) m.
+            mass: (s,) kg.
+            friction: (s, 3).
+
+        Raises:
+            ValueError: their principal axes are not the axes of the boards.
+        """
+        pos = mass @ center / mass.sum()
+        place = center - pos
+        products = np.einsum("s,si,sj->ij", mass, place, place)  # second moments of mass, boards as points
+        second = np.diag(products) + mass @ half_size**2 / 3
+        if (np.abs(products - np.diag(np.diag(products))) > _ASKEW * second.max()).any():
+            raise ValueError("the boards of a carrier must balance, so that its principal axes are those of the boards")
+        return cls(pos, float(mass.sum()), half_size, place, friction, np.sqrt(3 * second / mass.sum()))
+
+    def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(s, 3) centres, (s, 4) orientations and (s, 3) half extents of its shapes when the body is at this pose."""
+        quats = np.tile(quat, (len(self.half_size), 1))
+        return pos + turned(quats, self.shape_pos), quats, self.half_size
+
+    @property
+    def boards(self) -> FloatArray:
+        """(s, 6) extents of its shapes and their places in the body's frame, m, as pages and tables have them."""
+        return np.hstack([2 * self.half_size, self.shape_pos])
+
+    @property
+    def low(self) -> FloatArray:
+        """(3,) the lowest corner of all shapes where the body is planned, m."""
+        low: FloatArray = (self.pos + self.shape_pos - self.half_size).min(axis=0)
+        return low
+
+    @property
+    def high(self) -> FloatArray:
+        """(3,) the highest corner, m."""
+        high: FloatArray = (self.pos + self.shape_pos + self.half_size).max(axis=0)
+        return high
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """The shapes of a scene's bodies, body after body: those of the carrier, then those of the boxes in packing order.
+
+    Attributes:
+        body: (s,) the box that a shape belongs to, or ``CARRIER``.
+        half_size, pos, friction: (s, 3) as in ``Body``.
+    """
+
+    body: NDArray[np.intp]
+    half_size: FloatArray
+    pos: FloatArray
+    friction: FloatArray
+
+    def of(self, body: int) -> range:
+        """The rows of a body's shapes."""
+        begin, end = np.searchsorted(self.body, [body, body + 1]).tolist()
+        return range(begin, end)

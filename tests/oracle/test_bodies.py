@@ -1,0 +1,101 @@
+"""Worlds of bodies that no option makes yet, on all engines: a carrier of two boards, boxes of two frictions, centres
+of mass aside. What they do statics says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.history import Record
+from petmjx.units import STANDARD_GRAVITY
+from petmjx.verdict import Outcome, Verdict
+from petmjx.world.body import Body
+from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
+from petmjx.world.scene import Scene
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+from support.plans import make_scene
+from support.tiny_worlds import engine as warp_engine
+
+from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+
+pytestmark = pytest.mark.slow
+
+SIM = Simulation(interval_s=0.2, rest_window_s=0.1, settle_s=0.2, size_reduction_mm=0)
+SIDE_MM, GAP_M = 200.0, 0.3
+HALF_HEIGHT_M = SIM.physics.carrier_half_height_m
+BEYOND_M = 0.03
+"""How far the middle of a box is beyond the edge of its board."""
+LOW, HIGH, PUSH_G = 0.2, 0.6, 0.4
+"""Friction of a box that slides, and of one that does not, when the carrier is accelerated by so many g."""
+SAME_PLACE_M = 1e-3
+
+
+def boards(friction: float) -> Body:
+    """Two boards along y with a gap between them, whose inner edges are at x = 0 and ``GAP_M``."""
+    half = np.array([[0.2, 0.4, HALF_HEIGHT_M]] * 2)
+    center = np.array([[-0.2, 0.4, -HALF_HEIGHT_M], [GAP_M + 0.2, 0.4, -HALF_HEIGHT_M]])
+    return Body.of_boards(center, half, np.array([10.0, 10.0]), np.tile([friction, 0.005, 0.0001], (2, 1)))
+
+
+def at_the_edge(toward_board_m: float) -> Scene:
+    """Two boxes on the left board. The first has its middle beyond the edge, and its centre of mass this far back."""
+    corner = -SIDE_MM / 2 + 1000 * BEYOND_M
+    scene = make_scene([((SIDE_MM,) * 3, (corner, 0, 0), 4.0), ((SIDE_MM,) * 3, (-300, 500, 0), 4.0)], SIM)
+    aside = np.array([[-toward_board_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    return replace(scene, carrier=boards(0.5), mass_center=aside)
+
+
+def slippery_and_rough() -> Scene:
+    scene = make_scene([((SIDE_MM, SIDE_MM, 100), (-300, y, 0), 4.0) for y in (0, 500)], SIM)
+    return replace(scene, carrier=boards(0.1), friction=np.array([[LOW, 0.005, 1e-4], [HIGH, 0.005, 1e-4]]))
+
+
+def push() -> Drive:
+    samples = np.zeros((200, 3))
+    samples[:, 0] = PUSH_G * STANDARD_GRAVITY
+    return Drive(Excitation("push", ACCELERATION, samples), rest_s=0.1)
+
+
+SCENES = {"stands": at_the_edge(2 * BEYOND_M), "tips": at_the_edge(0.0), "slides": slippery_and_rough()}
+
+
+@pytest.fixture(scope="module", params=["mujoco", "mjx-jax", "mjx-warp"])
+def outcomes(request: pytest.FixtureRequest) -> Iterator[dict[str, Outcome]]:
+    engines: dict[str, type[Engine] | object] = {"mujoco": MujocoEngine, "mjx-jax": MjxJaxEngine}
+    engine = warp_engine() if request.param == "mjx-warp" else engines[request.param](4)  # type: ignore[operator]
+    drives = {"slides": push()}
+    jobs = [Job(scene, drives.get(name), record=Record(50)) for name, scene in SCENES.items()]
+    with jax.numpy_rank_promotion("allow"):
+        yield {list(SCENES)[outcome.job]: outcome for outcome in engine.run(jobs, SIM)}
+
+
+def test_a_gap_bears_nothing_and_the_centre_of_mass_decides(outcomes: dict[str, Outcome]) -> None:
+    assert outcomes["stands"].verdict is Verdict.STABLE
+    assert outcomes["tips"].verdict is Verdict.UNSTABLE
+    assert outcomes["tips"].culprit == 0
+
+
+def test_places_are_those_of_middles(outcomes: dict[str, Outcome]) -> None:
+    found, scene = outcomes["stands"], SCENES["stands"]
+    np.testing.assert_allclose(found.boxes.pos, scene.target, atol=SAME_PLACE_M)
+    np.testing.assert_allclose(found.boxes.shift_m, 0.0, atol=SAME_PLACE_M)
+    assert found.history is not None
+    np.testing.assert_allclose(found.history.pos[-1], scene.target, atol=SAME_PLACE_M)
+
+
+def test_each_box_has_its_own_friction(outcomes: dict[str, Outcome]) -> None:
+    """Boards have less friction than both boxes, and the larger of two coefficients counts. The slippery box slides by
+    ½ (a − μ g) t² while the carrier is accelerated, seen from the carrier against the acceleration."""
+    sway = outcomes["slides"].boxes.max_sway_m
+    seconds = 200 * SIM.physics.timestep_s
+    assert sway[0] >= 0.95 * (PUSH_G - LOW) * STANDARD_GRAVITY * seconds**2 / 2
+    assert sway[1] < SAME_PLACE_M
