@@ -104,6 +104,11 @@ def axis_sizes(record: Any) -> dict[str, int]:
     return sizes
 
 
+def of_boxes(rows: int, boxes: int) -> dict[str, int]:
+    """Sizes of the axes of ``Worlds`` whose carriers have one shape."""
+    return {"world": rows, "box": boxes, "body": boxes + 1, "body_end": boxes + 2, "shape": boxes + 1}
+
+
 @pytest.fixture(scope="module")
 def worlds() -> Worlds:
     return upload_worlds(JOBS, ROWS, WIDTH, {}, SIM)
@@ -115,7 +120,8 @@ def table(worlds: Worlds) -> State:
 
 
 def test_a_table_is_as_annotated(worlds: Worlds, table: State) -> None:
-    assert axis_sizes(worlds) == axis_sizes(table) == {"world": ROWS, "box": WIDTH}
+    assert axis_sizes(worlds) == of_boxes(ROWS, WIDTH)
+    assert axis_sizes(table) == {"world": ROWS, "box": WIDTH}
 
 
 def test_states_that_start_from_a_kept_one_are_as_annotated(table: State) -> None:
@@ -134,7 +140,7 @@ def test_lanes_and_queue_are_as_annotated_from_begin_to_end(worlds: Worlds, tabl
     lanes = stage.empty(worlds, table)
 
     def consistent(lanes: Lanes, table: State, queue: Queue) -> None:
-        assert axis_sizes(lanes) == {"lane": LANES, "world": LANES, "box": CAPACITY}
+        assert axis_sizes(lanes) == {"lane": LANES, **of_boxes(LANES, CAPACITY)}
         assert axis_sizes(table) == {"world": ROWS, "box": WIDTH}
         assert axis_sizes(queue) == {"world": ROWS}
         assert {len(values) for values in lanes.overrides.values()} == {LANES}
@@ -160,9 +166,12 @@ def test_a_field_of_the_wrong_kind_is_found(worlds: Worlds, table: State) -> Non
 
 
 def test_records_are_cut_along_their_boxes_and_nothing_else(worlds: Worlds, table: State) -> None:
-    assert set(per_box(Worlds)) == {"half", "mass", "target", "start", "support"}
+    of_a_box = {"half", "middle", "target", "start", "support"}
+    of_a_body = {"mass", "inertia_box", "first_shape", "shape_body", "shape_half", "shape_pos", "friction"}
+    assert set(per_box(Worlds)) == of_a_box | of_a_body
     for record in (worlds, table, table.metrics):
-        assert axis_sizes(narrow(record, 2)) == {"world": ROWS, "box": 2}
+        sizes = of_boxes(ROWS, 2) if record is worlds else {"world": ROWS, "box": 2}
+        assert axis_sizes(narrow(record, 2)) == sizes
         np.testing.assert_array_equal(
             np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(narrow(record, WIDTH))]),
             np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(record)]),
@@ -170,8 +179,9 @@ def test_records_are_cut_along_their_boxes_and_nothing_else(worlds: Worlds, tabl
     assert axis_sizes(take_rows(table, jnp.array([3, 99]))) == {"world": 2, "box": WIDTH}
     # A record's box axis is its second in every field that has one.
     for kind in (Worlds, Metrics, State):
-        has_boxes = {name for name, hint in get_type_hints(kind).items() if "box" in getattr(hint, "dim_str", "")}
-        assert set(per_box(kind)) == has_boxes
+        axes = {name: getattr(hint, "dim_str", "").split() for name, hint in get_type_hints(kind).items()}
+        growing = ("box", "body", "body_end", "shape")
+        assert set(per_box(kind)) == {name for name, found in axes.items() if set(growing) & set(found)}
 
 
 # ---------------------------------------------------------------------- names of axes

@@ -10,6 +10,7 @@ import numpy as np
 
 from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.clock import Clock
+from petmjx.engines.cpu.drive import NEVER, ActingDrive
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.recorder import Recorder
@@ -17,9 +18,6 @@ from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Drive, Job
-
-_FAR = 2**62
-"""A step that never comes."""
 
 _FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
 
@@ -67,14 +65,14 @@ class WorldRun:
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
         self._step = self._first_step = self._last_placement = 0
         self._quiet = QuietRule(sim, job.scene)
-        self._fast_since = _FAR
+        self._fast_since = NEVER
         self._sign_step = self._n_at_sign = 0
         self._waiting, self._waits_since = True, 0
         self._patient = False
-        self._latest = self._latest_if_failed = _FAR
+        self._latest = self._latest_if_failed = NEVER
         self._still_pose = np.zeros((job.scene.n_boxes, 7))
-        self._set_end(_FAR)
-        self._driving, self._drive_start = False, 0
+        self._set_end(NEVER)
+        self._drive: ActingDrive | None = None
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
         self._recorder = Recorder(job.record, job, dt) if job.record is not None else None
@@ -141,7 +139,8 @@ class WorldRun:
             self._go_to(target)
             if self._step < target:
                 return False
-            self._set_drive_row()
+            if self._drive is not None:
+                self._drive.act(self._step, self._live)
             if not self._observe():
                 return False
             if self._recorder is not None and self._recorder.is_due(self._step):
@@ -177,6 +176,10 @@ class WorldRun:
     # ------------------------------------------------------------------ events
 
     @property
+    def _driving(self) -> bool:
+        return self._drive is not None
+
+    @property
     def _goes_on(self) -> bool:
         """Whether the world settles after the placement, for a drive or to keep the settled state."""
         return self._job.drive is not None or self._job.keep_state
@@ -187,8 +190,8 @@ class WorldRun:
         if self._waiting:
             poll = self._sim.quiet.poll_steps
             target = min(target, max(self._deadline, step + 1), step + poll - step % poll)
-        if self._driving:
-            target = min(target, self._next_drive_change())
+        if self._drive is not None:
+            target = min(target, self._drive.next_change(step))
         if step < self._still_from:
             target = min(target, self._still_from)
         window = self._end - self._rest_steps
@@ -236,7 +239,7 @@ class WorldRun:
         if self._step - self._last_placement < landing:
             return False
         if not too_fast:
-            self._fast_since = _FAR
+            self._fast_since = NEVER
             return False
         self._fast_since = min(self._fast_since, self._step)
         return self._step - self._fast_since >= landing
@@ -270,7 +273,7 @@ class WorldRun:
             self._settle()
         else:
             self._waiting = False
-            if self._end == _FAR:
+            if self._end == NEVER:
                 self._set_end(self._step + self._rest_steps)
 
     @property
@@ -288,7 +291,7 @@ class WorldRun:
         """Begin to wait for the next event."""
         self._waiting, self._waits_since = True, self._step
         self._quiet.restart()
-        self._latest, self._latest_if_failed = self._latest_step(self._step), _FAR
+        self._latest, self._latest_if_failed = self._latest_step(self._step), NEVER
         self._patient = self._sim.waits_for_rest and self._adapts and not self._is_plain_static
         if self._patient:
             self._latest = self._longest_wait
@@ -304,7 +307,7 @@ class WorldRun:
         patience: it is as long as without, counted from the sign."""
         if self._metrics.culprit < 0 or not self._patient:
             return self._latest
-        if self._latest_if_failed == _FAR:
+        if self._latest_if_failed == NEVER:
             self._latest_if_failed = self._latest_step(max(self._waits_since, self._sign_step))
         return self._latest_if_failed
 
@@ -355,7 +358,7 @@ class WorldRun:
         moves = not self._quiet.is_still(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
         if moves and not self._metrics.is_over(pose[:, :3], pose[:, 3:]):
             if self._may_wait:
-                self._set_end(_FAR)
+                self._set_end(NEVER)
                 self._metrics.restart_rest()
                 self._wait()
                 return
@@ -400,35 +403,14 @@ class WorldRun:
 
     def _begin_drive(self, drive: Drive) -> None:
         self._waiting = False
-        self._drive_start = self._step
-        rows = drive.rows(self._scene.total_mass)
-        # One row more than the excitation: nothing acts after it.
-        self._rows: FloatArray = np.vstack((rows, np.zeros((1, 3))))
-        changes = np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
-        self._changes = self._step + changes
         rest_steps = seconds_to_steps(drive.rest_s, self._dt)
         self._drive_end = self._step + len(drive.excitation.samples) + rest_steps
         self._set_end(self._drive_end)
-        self._driving = True
+        self._drive = ActingDrive(drive, self._step, self._scene.total_mass, self._down)
         self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
-        self._holds_carrier = drive.excitation.kind != "force"
-        if self._holds_carrier:
+        if self._drive.holds_carrier:
             self._live.hold_carrier()
-        self._set_drive_row()
-
-    def _next_drive_change(self) -> int:
-        place = int(np.searchsorted(self._changes, self._step, side="right"))
-        return int(self._changes[place]) if place < len(self._changes) else _FAR
-
-    def _set_drive_row(self) -> None:
-        """Set the force or gravity that acts during the next step."""
-        if not self._driving:
-            return
-        row = self._rows[min(self._step - self._drive_start, len(self._rows) - 1)]
-        if self._holds_carrier:
-            self._live.set_gravity(self._down - row)
-        else:
-            self._live.set_carrier_force(row)
+        self._drive.act(self._step, self._live)
 
     # ------------------------------------------------------------------ result
 
@@ -461,7 +443,7 @@ class WorldRun:
         )
         if self._recorder is not None:
             self._recorder.look(self._step, live)
-            outcome.history = self._recorder.history(self._clock.time_s, self._drive_start if self._driving else None)
+            outcome.history = self._recorder.history(self._clock.time_s, self._drive.begin if self._drive is not None else None)
         if self._job.keep_state:
             ended = SettledState(self._step, None, metrics, self._flags, replace(outcome))
             outcome.state = self._kept if self._kept is not None else ended

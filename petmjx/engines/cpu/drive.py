@@ -1,0 +1,44 @@
+"""What shakes a world on C MuJoCo: a drive's rows of force or acceleration, and when they change."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petmjx.engines.cpu.live import LiveWorld
+from petmjx.units import FloatArray
+from petmjx.world.job import FORCE, Drive
+
+NEVER = 2**62
+"""A step that never comes."""
+
+
+class ActingDrive:
+    """A drive that begins after a step.
+
+    Args:
+        begin: the step.
+        gravity: (3,) m/s².
+
+    Attributes:
+        holds_carrier: whether it accelerates the carrier, which is then held fast.
+    """
+
+    def __init__(self, drive: Drive, begin: int, total_mass: float, gravity: FloatArray) -> None:
+        self.begin, self._gravity = begin, gravity
+        self.holds_carrier = drive.excitation.kind != FORCE
+        # One row more than the excitation: nothing acts after it.
+        self._rows: FloatArray = np.vstack((drive.rows(total_mass), np.zeros((1, 3))))
+        self._changes = begin + np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
+
+    def next_change(self, step: int) -> int:
+        """The first step after this one before which another row begins to act."""
+        place = int(np.searchsorted(self._changes, step, side="right"))
+        return int(self._changes[place]) if place < len(self._changes) else NEVER
+
+    def act(self, step: int, live: LiveWorld) -> None:
+        """Set the force or gravity that acts during the step after this one."""
+        row = self._rows[min(step - self.begin, len(self._rows) - 1)]
+        if self.holds_carrier:
+            live.set_gravity(self._gravity - row)
+        else:
+            live.set_carrier_force(row)
