@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from petmjx.engines.cpu.live import LiveWorld
+from petmjx.engines.cpu.waits import NEVER
 from petmjx.units import FloatArray
 from petmjx.world.job import FORCE, Drive
-
-NEVER = 2**62
-"""A step that never comes."""
 
 
 class ActingDrive:

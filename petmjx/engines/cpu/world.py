@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.config import SOFT_START_STEPS, Check, Simulation
 from petmjx.engines.clock import Clock
-from petmjx.engines.cpu.drive import NEVER, ActingDrive
+from petmjx.engines.cpu.drive import ActingDrive
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.recorder import Recorder
 from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.units import FloatArray, seconds_to_steps
+from petmjx.engines.cpu.waits import NEVER, Waits
+from petmjx.units import seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Drive, Job
 
@@ -61,15 +62,13 @@ class WorldRun:
         self._sample_steps = max(seconds_to_steps(sim.sample_interval_s, dt), 1)
         self._rest_steps = seconds_to_steps(sim.rest_window_s, dt)
         self._static = sim.check is Check.STATIC
-        self._adaptive = sim.schedule is not Schedule.FIXED
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
-        self._step = self._first_step = self._last_placement = 0
+        self._step = self._first_step = 0
+        self._waits = Waits(sim, self._clock, self._settles)
         self._quiet = QuietRule(sim, job.scene)
         self._fast_since = NEVER
         self._sign_step = self._n_at_sign = 0
-        self._waiting, self._waits_since = True, 0
-        self._patient = False
-        self._latest = self._latest_if_failed = NEVER
+        self._waiting = True
         self._still_pose = np.zeros((job.scene.n_boxes, 7))
         self._set_end(NEVER)
         self._drive: ActingDrive | None = None
@@ -101,8 +100,7 @@ class WorldRun:
         self._live = LiveWorld(self._scene, self._sim, n_boxes=self._scene.n_boxes if self._static else 0)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds)
         begun = self._soft_start()
-        if not self._adaptive and not self._goes_on:
-            self._set_end(self._end_of_fixed())
+        self._set_end(self._waits.end_of_fixed(self._scene.n_boxes))
         self._wait()
         return begun
 
@@ -121,7 +119,7 @@ class WorldRun:
 
     def _resume(self, start: SettledState) -> None:
         assert start.bodies is not None
-        self._step = self._first_step = self._last_placement = start.step
+        self._step = self._first_step = self._waits.last_placement = start.step
         self._live = LiveWorld.resume(self._scene, self._sim, start.bodies, self._clock.time_s(start.step))
         self._metrics = start.metrics.fork()
         self._flags |= start.flags | Flag.FORKED
@@ -180,7 +178,7 @@ class WorldRun:
         return self._drive is not None
 
     @property
-    def _goes_on(self) -> bool:
+    def _settles(self) -> bool:
         """Whether the world settles after the placement, for a drive or to keep the settled state."""
         return self._job.drive is not None or self._job.keep_state
 
@@ -189,7 +187,7 @@ class WorldRun:
         target = min(self._end, step + self._sample_steps - step % self._sample_steps)
         if self._waiting:
             poll = self._sim.quiet.poll_steps
-            target = min(target, max(self._deadline, step + 1), step + poll - step % poll)
+            target = min(target, max(self._waits.deadline(self._sign), step + 1), step + poll - step % poll)
         if self._drive is not None:
             target = min(target, self._drive.next_change(step))
         if step < self._still_from:
@@ -236,7 +234,7 @@ class WorldRun:
         following ones, over at least as many steps as a box needs to land, must be violent too.
         """
         landing = self._sim.quiet.min_steps
-        if self._step - self._last_placement < landing:
+        if self._step - self._waits.last_placement < landing:
             return False
         if not too_fast:
             self._fast_since = NEVER
@@ -251,14 +249,17 @@ class WorldRun:
         self._keep_still_pose()
 
     def _wait_or_go_on(self) -> None:
-        quiet = self._look_for_quiet() and self._adapts
-        rested = self._step - self._waits_since >= self._sim.quiet.min_steps
-        if self._step < self._deadline and not (quiet and rested):
-            return
+        quiet = self._look_for_quiet() and self._waits.adapts
+        rested = self._step - self._waits.since >= self._sim.quiet.min_steps
+        if self._step >= self._waits.deadline(self._sign) or (quiet and rested):
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """The wait is over: place the next box, settle, or begin the rest window."""
         live = self._live
         places = live.n_placed < self._scene.n_boxes
-        settles = self._goes_on and not self._driving
-        if (places or (settles and not self._rests_first)) and not self._quiet.holds and self._metrics.culprit < 0:
+        settles = self._settles and not self._driving and not self._waits.rests_first
+        if (places or settles) and not self._quiet.holds and self._metrics.culprit < 0:
             self._flags |= Flag.MOVING
         if places:
             if self._recorder is not None:
@@ -267,73 +268,25 @@ class WorldRun:
             self._still_pose[live.n_placed - 1] = live.pose[live.n_placed - 1]
             if self._recorder is not None:
                 self._recorder.place(live)
-            self._last_placement = self._step
+            self._waits.last_placement = self._step
             self._wait()
-        elif settles and not self._rests_first:
+        elif settles:
             self._settle()
         else:
             self._waiting = False
             if self._end == NEVER:
                 self._set_end(self._step + self._rest_steps)
 
-    @property
-    def _adapts(self) -> bool:
-        """Whether what is waited for comes as soon as the pallet is quiet. With the fixed schedule only a world does so
-        that has moved at its end."""
-        return self._adaptive or self._waits_since > self._last_placement
-
-    @property
-    def _rests_first(self) -> bool:
-        """Whether a rest window, and a look at its end, come before a drive."""
-        return self._adaptive and self._sim.waits_for_rest
-
     def _wait(self) -> None:
         """Begin to wait for the next event."""
-        self._waiting, self._waits_since = True, self._step
+        self._waiting = True
         self._quiet.restart()
-        self._latest, self._latest_if_failed = self._latest_step(self._step), NEVER
-        self._patient = self._sim.waits_for_rest and self._adapts and not self._is_plain_static
-        if self._patient:
-            self._latest = self._longest_wait
+        self._waits.begin(self._step, self._scene.n_boxes, self._live.n_placed == self._scene.n_boxes)
 
     @property
-    def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive, whose length is an option of its own."""
-        return self._static and not self._goes_on
-
-    @property
-    def _deadline(self) -> int:
-        """The latest step for the event that is waited for. Once a box shows a sign of failure, nothing is gained by
-        patience: it is as long as without, counted from the sign."""
-        if self._metrics.culprit < 0 or not self._patient:
-            return self._latest
-        if self._latest_if_failed == NEVER:
-            self._latest_if_failed = self._latest_step(max(self._waits_since, self._sign_step))
-        return self._latest_if_failed
-
-    def _latest_step(self, since: int) -> int:
-        """The latest step for the event that is waited for since a step, without patience.
-
-        With the fixed schedule a drive starts at the time of the reference implementation, counted from the nominal
-        time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
-        """
-        sim = self._sim
-        if self._live.n_placed == self._scene.n_boxes and self._goes_on and not self._driving:
-            fixed_s = 0.0 if self._static else self._scene.n_boxes * sim.interval_s
-            placed_s = self._clock.time_s(since) if self._adaptive else fixed_s
-            return seconds_to_steps(placed_s + sim.settle_s, self._dt)
-        if self._is_plain_static:
-            return seconds_to_steps(sim.duration_s, self._dt)
-        return self._later(since, sim.interval_s)
-
-    @property
-    def _longest_wait(self) -> int:
-        """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
-        return self._later(self._drive_end if self._driving else self._last_placement, self._sim.longest_wait_s)
-
-    def _later(self, since: int, wait_s: float) -> int:
-        """The step at which a wait is over. After a drive waits are counted in steps, since its end is, too."""
-        return since + seconds_to_steps(wait_s, self._dt) if self._driving else self._clock.first_after(since, wait_s)
+    def _sign(self) -> int | None:
+        """The step of the first sign of failure, if there was one."""
+        return self._sign_step if self._metrics.culprit >= 0 else None
 
     def _set_end(self, step: int) -> None:
         """Set the last step, and that from which on boxes must be still."""
@@ -357,32 +310,18 @@ class WorldRun:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
         moves = not self._quiet.is_still(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
         if moves and not self._metrics.is_over(pose[:, :3], pose[:, 3:]):
-            if self._may_wait:
+            if self._waits.may_go_on(self._step):
                 self._set_end(NEVER)
                 self._metrics.restart_rest()
                 self._wait()
                 return
             self._flags |= Flag.MOVING
-        if self._goes_on and self._rests_first and not self._driving:
+        if self._settles and self._waits.rests_first and not self._driving:
             self._settle()
-
-    @property
-    def _may_wait(self) -> bool:
-        sim = self._sim
-        if not sim.waits_for_rest or sim.total_time_factor is not None:
-            return False
-        return self._step < (self._latest_step(0) if self._is_plain_static else self._longest_wait)
-
-    def _end_of_fixed(self) -> int:
-        """The last step with the fixed schedule and without a drive."""
-        sim = self._sim
-        if sim.check is Check.STATIC:
-            return seconds_to_steps(sim.duration_s, self._dt)
-        return seconds_to_steps((self._scene.n_boxes + 1) * sim.interval_s, self._dt)
 
     def _look_for_quiet(self) -> bool:
         """Look at the pallet, if it is time; whether it is quiet at this look."""
-        if self._step % self._sim.quiet.poll_steps or self._step == self._waits_since:
+        if self._step % self._sim.quiet.poll_steps or self._step == self._waits.since:
             return False
         velocity = self._live.velocity[: self._live.n_placed]
         return self._quiet.look(velocity, sign_seen=self._metrics.culprit >= 0)
@@ -404,8 +343,8 @@ class WorldRun:
     def _begin_drive(self, drive: Drive) -> None:
         self._waiting = False
         rest_steps = seconds_to_steps(drive.rest_s, self._dt)
-        self._drive_end = self._step + len(drive.excitation.samples) + rest_steps
-        self._set_end(self._drive_end)
+        self._waits.drive_end = self._step + len(drive.excitation.samples) + rest_steps
+        self._set_end(self._waits.drive_end)
         self._drive = ActingDrive(drive, self._step, self._scene.total_mass, self._down)
         self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
         if self._drive.holds_carrier:
@@ -443,7 +382,9 @@ class WorldRun:
         )
         if self._recorder is not None:
             self._recorder.look(self._step, live)
-            outcome.history = self._recorder.history(self._clock.time_s, self._drive.begin if self._drive is not None else None)
+            outcome.history = self._recorder.history(
+                self._clock.time_s, self._drive.begin if self._drive is not None else None
+            )
         if self._job.keep_state:
             ended = SettledState(self._step, None, metrics, self._flags, replace(outcome))
             outcome.state = self._kept if self._kept is not None else ended
