@@ -55,7 +55,7 @@ class Release(NamedTuple):
 
 def release_of(scene: Scene, sim: Simulation) -> Release:
     """How the boxes of a scene are released, one by one. In a static check all stand at their planned places."""
-    if sim.physics.falls_into_place or sim.check is Check.STATIC:
+    if sim.physics.falls_into_place or sim.check is Check.STATIC or not scene.n_boxes:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
     support = _supports(scene)
     touches = (support != NOTHING) & (scene.start_pos[:, 2] <= scene.target[:, 2])

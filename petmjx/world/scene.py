@@ -6,7 +6,7 @@ shapes or bodies: who needs an index asks the scene.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +56,12 @@ class Scene:
     @property
     def n_boxes(self) -> int:
         return len(self.mass)
+
+    def first(self, count: int) -> Scene:
+        """The scene with its first boxes alone."""
+        of_boxes = ("half_size", "mass", "target", "start_pos", "start_quat", "friction", "mass_center", "inertia_box")
+        cut = {name: values[:count] for name in of_boxes if (values := getattr(self, name)) is not None}
+        return replace(self, **cut)
 
     @property
     def total_mass(self) -> float:

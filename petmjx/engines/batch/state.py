@@ -42,6 +42,8 @@ class Status:
     FINISHED = 3
     OVERFLOWED = 4
     """A buffer was too small: the stage must run again from the state with which the world entered it."""
+    PAUSED = 5
+    """All boxes of an open world are placed and rest, and more may come."""
 
 
 class Worlds(NamedTuple):
@@ -52,7 +54,8 @@ class Worlds(NamedTuple):
     in their frames; ``inertia_box`` is as in ``petmjx.world.body.Body``. ``floor_friction`` and ``friction``: sliding,
     torsional and rolling coefficients. ``drive_yaw`` is (cos, sin); ``drive_steps`` counts from the drive's
     first step to the world's end. ``driven``: a drive follows; ``held``: it holds the carrier fast. ``settles``: the
-    placement ends in a settled state, for a drive or to keep. ``start`` is where a box is released if its ``support``
+    placement ends in a settled state, for a drive or to keep. ``pauses``: when its boxes rest the world waits for more
+    (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``
     is where the plan has it (petmjx/world/release.py).
     """
 
@@ -78,6 +81,7 @@ class Worlds(NamedTuple):
     driven: Bool[Array, " world"]
     held: Bool[Array, " world"]
     settles: Bool[Array, " world"]
+    pauses: Bool[Array, " world"]
 
 
 class Metrics(NamedTuple):
@@ -141,6 +145,9 @@ class State(NamedTuple):
     steps_done: Int[Array, " world"]
     metrics: Metrics
 
+    # Force on each box's top in the step after which the world paused, N.
+    top_force: Float[Array, "world box"]
+
     @property
     def running(self) -> Bool[Array, " world"]:
         return self.status == Status.RUNNING
@@ -200,7 +207,9 @@ def uploaded(values: NDArray[Any]) -> jax.Array:
     return array
 
 
-def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], sim: Simulation) -> Worlds:
+def upload_worlds(
+    jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], sim: Simulation, boards: int = 1
+) -> Worlds:
     """Constants of a group of jobs as device arrays. Everything is made on the host: on a device each operation of each
     shape would first have to be compiled.
 
@@ -208,10 +217,11 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
         rows: at least one a job; those beyond repeat the first job's scene and are never run.
         width: box columns.
         profiles: ``id`` of an excitation → its row in the profile table.
+        boards: shapes for which carriers have room; more where a scene's has more.
     """
     scenes = list({id(job.scene): job.scene for job in jobs}.values())
     row_of = {id(scene): row for row, scene in enumerate(scenes)}
-    n, boards = len(scenes), max(len(scene.carrier.half_size) for scene in scenes)
+    n, boards = len(scenes), max(boards, *(len(scene.carrier.half_size) for scene in scenes))
     half, middle = np.full((n, width, 3), 0.1, np.float32), np.zeros((n, width, 3), np.float32)
     target, start = np.zeros((n, width, 3), np.float32), np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
@@ -269,6 +279,7 @@ def upload_worlds(jobs: Sequence[Job], rows: int, width: int, profiles: dict[int
         driven=each(lambda job: job.drive is not None, np.bool_),
         held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
         settles=each(lambda job: job.drive is not None or job.keep_state, np.bool_),
+        pauses=uploaded(np.zeros(rows, np.bool_)),
     )
 
 
@@ -334,4 +345,5 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         flags=ints,
         steps_done=ints,
         metrics=metrics,
+        top_force=zeros,
     )

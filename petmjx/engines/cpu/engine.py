@@ -6,48 +6,17 @@ import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-import mujoco
-
 from petmjx.config import Simulation
 from petmjx.engines.base import Progress
+from petmjx.engines.cpu.log import QUIET_MUJOCO
+from petmjx.engines.cpu.open_worlds import MujocoWorlds
 from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.engines.failing import failed_outcome
 from petmjx.machine import cpu_threads
 from petmjx.text import one_line
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
-
-
-class _QuietMujoco:
-    """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
-
-    Its messages (bad numbers, full buffers) are read from its data instead and become flags in the results. The setting
-    belongs to the process: the first run changes it and the last one restores it.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._runs = 0
-        self._before: mujoco.MjLogConfig | None = None
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if self._runs == 0:
-                self._before = mujoco.MjLogConfig.get()
-                silent = mujoco.MjLogConfig.get()
-                silent.logto_console = False
-                silent.logto_file = False
-                mujoco.MjLogConfig.set(silent)
-            self._runs += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._runs -= 1
-            if self._runs == 0:
-                mujoco.MjLogConfig.set(self._before)
-
-
-_QUIET_MUJOCO = _QuietMujoco()
+from petmjx.world.scene import Scene
 
 
 class MujocoEngine:
@@ -73,6 +42,10 @@ class MujocoEngine:
         self.threads = threads if threads is not None else cpu_threads()
         self.world_timeout_s = world_timeout_s
 
+    def open(self, scenes: Sequence[Scene], sim: Simulation) -> MujocoWorlds:
+        """Worlds that stay open (petmjx/engines/open.py), on this engine's threads."""
+        return MujocoWorlds(scenes, sim, self.threads)
+
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
@@ -83,7 +56,7 @@ class MujocoEngine:
         progress = progress if progress is not None else Progress()
         begun = 0
         pending: set[Future[Outcome]] = set()
-        with _QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
+        with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
                 while pending or begun < len(jobs):  # jobs may have been appended meanwhile
                     while begun < len(jobs) and len(pending) < 2 * self.threads:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
@@ -121,6 +122,11 @@ class LiveWorld:
             self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         self.data = mujoco.MjData(self.model)
         self.geom_bodies = geom_bodies(self.model, self.order)
+        self._look_into_data()
+
+    def _look_into_data(self) -> None:
+        """Views of the boxes' rows in MuJoCo's data."""
+        capacity = self.capacity
         self._warnings: NDArray[np.int32] = self.data.warning.number
         self._first_body = 2 + self._has_waiting
         free = self._held is None
@@ -171,6 +177,18 @@ class LiveWorld:
         for box in range(count, self.capacity):
             self._poses[self._row[box], :3] = (_PARKING_M + _PARKING_PITCH_M * box, 0.0, _PARKING_M)
             self._forces(box)[2] = self.scene.mass[box] * self._sim.physics.gravity_m_s2
+
+    def extend(self, scene: Scene) -> None:
+        """The scene has more boxes behind those that it had."""
+        self.scene = scene
+        vars(self).pop("release", None)  # is worked out anew
+
+    def fork(self) -> LiveWorld:
+        """A world of its own in the same state, to the last bit."""
+        twin = copy.copy(self)
+        twin._spec, twin.model, twin.data = self._spec.copy(), copy.copy(self.model), copy.copy(self.data)
+        twin._look_into_data()
+        return twin
 
     def _contacts(self) -> NDArray[np.integer]:
         """(m, 2) pairs of boxes that touched in the last step."""

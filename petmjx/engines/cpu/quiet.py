@@ -19,9 +19,13 @@ class QuietRule:
     def __init__(self, sim: Simulation, scene: Scene) -> None:
         self._rule = sim.quiet
         self._waits_for_creep = sim.waits_for_rest
-        self._radius_m = np.linalg.norm(scene.half_size, axis=1)
         self._steps = 0
         self._first: FloatArray = np.zeros(0)
+        self.extend(scene)
+
+    def extend(self, scene: Scene) -> None:
+        """The world's scene has more boxes."""
+        self._radius_m = np.linalg.norm(scene.half_size, axis=1)
 
     def restart(self) -> None:
         """Another wait begins: the count starts again."""

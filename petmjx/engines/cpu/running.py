@@ -44,6 +44,15 @@ class OracleMetrics:
                 setattr(twin, name, value.copy())
         return twin
 
+    def extend(self, scene: Scene) -> None:
+        """The world's scene has more boxes, of which nothing is known yet."""
+        larger = OracleMetrics(scene, self._thresholds)
+        for name, value in vars(larger).items():
+            if isinstance(value, np.ndarray):
+                value[: self._scene.n_boxes] = getattr(self, name)
+                setattr(self, name, value)
+        self._scene = scene
+
     @property
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))

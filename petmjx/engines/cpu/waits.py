@@ -13,17 +13,15 @@ NEVER = 2**62
 class Waits:
     """The wait for the next placement, for the drive, or for the rest window.
 
-    Args:
-        settles: a drive follows the placement, or its settled state is kept.
-
     Attributes:
+        settles: a drive follows the placement, or its settled state is kept.
         since: the step after which the wait began.
         last_placement: the step after which the last box was placed.
         drive_end: the last step of the drive; None before it begins.
     """
 
     def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
-        self._sim, self._clock, self._settles = sim, clock, settles
+        self._sim, self._clock, self.settles = sim, clock, settles
         self._dt = sim.physics.timestep_s
         self._static = sim.check is Check.STATIC
         self._adaptive = sim.schedule is not Schedule.FIXED
@@ -46,7 +44,7 @@ class Waits:
     @property
     def _is_plain_static(self) -> bool:
         """Whether this is a static check without a drive, whose length is an option of its own."""
-        return self._static and not self._settles
+        return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool) -> None:
         """Begin to wait.
@@ -79,7 +77,7 @@ class Waits:
         time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
         """
         sim = self._sim
-        if self._all_placed and self._settles and self.drive_end is None:
+        if self._all_placed and self.settles and self.drive_end is None:
             fixed_s = 0.0 if self._static else self._boxes * sim.interval_s
             placed_s = self._clock.time_s(since) if self._adaptive else fixed_s
             return seconds_to_steps(placed_s + sim.settle_s, self._dt)
@@ -111,7 +109,7 @@ class Waits:
 
     def end_of_fixed(self, n_boxes: int) -> int:
         """The last step with the fixed schedule and without a drive; ``NEVER`` where it is not known in advance."""
-        if self._adaptive or self._settles:
+        if self._adaptive or self.settles:
             return NEVER
         if self._static:
             return self.static_end

@@ -69,6 +69,7 @@ class WorldRun:
         self._fast_since = NEVER
         self._sign_step = self._n_at_sign = 0
         self._waiting = True
+        self._pauses = self.paused = False
         self._still_pose = np.zeros((job.scene.n_boxes, 7))
         self._set_end(NEVER)
         self._drive: ActingDrive | None = None
@@ -129,8 +130,8 @@ class WorldRun:
         self._begin_drive(self._job.drive)
 
     def _loop(self) -> bool:
-        """Step from event to event. Returns whether the world reached its end."""
-        while self._step < self._end:
+        """Step from event to event. Returns whether the world reached its end, or a pause."""
+        while self._step < self._end and not self.paused:
             if self._cancelled():
                 raise Cancelled
             target = self._next_event()
@@ -252,9 +253,11 @@ class WorldRun:
         quiet = self._look_for_quiet() and self._waits.adapts
         rested = self._step - self._waits.since >= self._sim.quiet.min_steps
         if self._step >= self._waits.deadline(self._sign) or (quiet and rested):
-            self._go_on()
+            self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes
+            if not self.paused:
+                self._proceed()
 
-    def _go_on(self) -> None:
+    def _proceed(self) -> None:
         """The wait is over: place the next box, settle, or begin the rest window."""
         live = self._live
         places = live.n_placed < self._scene.n_boxes

@@ -18,14 +18,16 @@ from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.march import SLICE_NS, Fleet
+from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape, size_for
+from petmjx.engines.warp.shape import SIZES, Shape, size_for
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 
 PAIRS_PER_BOX = 10
 """Pairs of near geoms reserved per box, and per board of a carrier."""
@@ -117,6 +119,14 @@ class MjxWarpEngine(GroupEngine):
         self._kept: dict[tuple[Shape, ...], tuple[RolloutKey, Rollout]] = {}
         self._room: dict[tuple[Cone, str], int] = {}
         """How much larger than usual buffers have to be, by size of lanes."""
+
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = SIZES[0].most_boxes) -> WarpWorlds:
+        """Worlds that stay open (petmjx/engines/open.py).
+
+        Args:
+            most_boxes: of a world, ever.
+        """
+        return WarpWorlds(scenes, sim, most_boxes)
 
     def _drop(self) -> None:
         """Free the memory of the programs that are kept."""

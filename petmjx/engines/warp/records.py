@@ -127,6 +127,7 @@ class Tables:
     drive_steps: Annotated[wp.array[int], "world"]
     held: Annotated[wp.array[wp.bool], "world"]
     settles: Annotated[wp.array[wp.bool], "world"]
+    pauses: Annotated[wp.array[wp.bool], "world"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
     order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take lanes; behind them negative numbers
 
@@ -159,6 +160,7 @@ class State:
     status: Annotated[wp.array[int], "world"]
     flags: Annotated[wp.array[int], "world"]
     steps_done: Annotated[wp.array[int], "world"]
+    top_force: Annotated[wp.array2d[float], "world box"]
     max_tilt: Annotated[wp.array2d[float], "world box"]
     max_lin_acc: Annotated[wp.array2d[float], "world box"]
     max_ang_acc: Annotated[wp.array2d[float], "world box"]

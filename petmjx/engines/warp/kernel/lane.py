@@ -80,7 +80,7 @@ def advance(
     step = state.step[at.world] + 1
     sample = step > 0 and step % model.sample_every == 0
     every = frames.every[at.world]
-    measured = sample or step > state.rest_from[at.world] or every > 0
+    measured = sample or step > state.rest_from[at.world] or every > 0 or tables.pauses[at.world]
     left = any_of_all(begin_step(model, tables, state, work, at, gravity, push, sample))
     n_pairs = listed
     anew = left or n_pairs < 0

@@ -19,6 +19,7 @@ from petmjx.world import release
 NEVER = wp.constant(int(batch_state.NEVER))
 RUNNING = wp.constant(batch_state.Status.RUNNING)
 SETTLED = wp.constant(batch_state.Status.SETTLED)
+PAUSED = wp.constant(batch_state.Status.PAUSED)
 FINISHED = wp.constant(batch_state.Status.FINISHED)
 NONFINITE = wp.constant(int(Flag.NONFINITE))
 EXPLOSION = wp.constant(int(Flag.EXPLOSION))
@@ -310,10 +311,11 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         goes = step >= _deadline(model, tables, state, world, driven, more, adapts, culprit >= 0, sign_step)
         if quiet and adapts and waited >= model.min_steps:
             goes = True
+    pauses = goes and not more and not driven and tables.pauses[world]
     # with a drive to come, and no look whether the pallet rests
-    settles = goes and not more and not driven and tables.settles[world] and not rests_first
+    settles = goes and not more and not pauses and not driven and tables.settles[world] and not rests_first
     rest_from = state.rest_from[world]
-    if goes and not more and not settles:
+    if goes and not more and not settles and not pauses:
         rest_from = step
         end = step + model.rest_steps
 
@@ -332,6 +334,9 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         moving = moves and not failed and not again
         settles = tables.settles[world] and not driven and not again
         finished = not again and not settles
+    if pauses:
+        for box in range(at.thread, at.placed, at.threads):
+            state.top_force[world, box] = work.top_force[at.lane, box]
     if step == still_from or again:
         for box in range(at.thread, at.placed, at.threads):
             if again:
@@ -363,6 +368,8 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         state.flags[world] = flags
         if finished:
             state.status[world] = FINISHED
+        elif pauses:
+            state.status[world] = PAUSED
         elif goes and more:
             place_next(model, tables, state, world, step)
         elif settles:

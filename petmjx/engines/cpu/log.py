@@ -1,0 +1,40 @@
+"""MuJoCo's messages, kept off the terminal and out of files."""
+
+from __future__ import annotations
+
+import threading
+from typing import Final
+
+import mujoco
+
+
+class QuietMujoco:
+    """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
+
+    Its messages (bad numbers, full buffers) are read from its data instead and become flags in the results. The setting
+    belongs to the process: the first run changes it and the last one restores it.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._runs = 0
+        self._before: mujoco.MjLogConfig | None = None
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._runs == 0:
+                self._before = mujoco.MjLogConfig.get()
+                silent = mujoco.MjLogConfig.get()
+                silent.logto_console = False
+                silent.logto_file = False
+                mujoco.MjLogConfig.set(silent)
+            self._runs += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._runs -= 1
+            if self._runs == 0:
+                mujoco.MjLogConfig.set(self._before)
+
+
+QUIET_MUJOCO: Final = QuietMujoco()

@@ -1,0 +1,111 @@
+"""One world on C MuJoCo that stays open: boxes are put into it one after the other, and it can be forked."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from petmjx.config import Schedule, Simulation
+from petmjx.engines.cpu.world import WorldRun
+from petmjx.engines.open import Reading
+from petmjx.verdict import Outcome
+from petmjx.world.job import Drive, Job
+from petmjx.world.scene import Scene
+
+
+class OpenWorld(WorldRun):
+    """A world that pauses when all its boxes are placed and have come to rest.
+
+    It begins after its soft start. No box is placed yet; in a static check all are.
+
+    Attributes:
+        paused: whether boxes can be put into it.
+        ended: whether it has failed, so that it does not go on.
+
+    Raises:
+        ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
+    """
+
+    def __init__(self, scene: Scene, sim: Simulation, cancelled: Callable[[], bool]) -> None:
+        if sim.schedule is Schedule.FIXED:
+            raise ValueError("worlds with the fixed schedule do not stay open")
+        super().__init__(0, Job(scene), sim, cancelled)
+        self._pauses = True
+        self.ended = not self._start()
+
+    def go_on(self) -> None:
+        """Place the boxes that are not placed yet, and wait until they rest, by the rules of the placement.
+
+        Raises:
+            Cancelled: the run was interrupted.
+        """
+        if not self.ended and not self.paused:
+            self.ended = not self._loop()
+
+    def put(self, scene: Scene) -> None:
+        """Put boxes into a world that has not ended.
+
+        Args:
+            scene: the world's, with more boxes behind its own.
+
+        Raises:
+            ValueError: it has no more boxes, or the world has ended.
+        """
+        if self.ended:
+            raise ValueError("the world has ended: nothing can be put into it")
+        if scene.n_boxes <= self._scene.n_boxes:
+            raise ValueError(f"the scene must have more than {self._scene.n_boxes} boxes, and has {scene.n_boxes}")
+        self._scene, self._job = scene, replace(self._job, scene=scene)
+        self._live.extend(scene)
+        self._metrics.extend(scene)
+        self._quiet.extend(scene)
+        self._still_pose = np.vstack((self._still_pose, np.zeros((scene.n_boxes - len(self._still_pose), 7))))
+        self._leave_pause()
+
+    def fork(self) -> Self:
+        """A twin in the same state, which goes on by itself."""
+        twin = copy.copy(self)
+        twin._live, twin._metrics, twin._quiet = self._live.fork(), self._metrics.fork(), copy.copy(self._quiet)
+        twin._waits, twin._still_pose = copy.copy(self._waits), self._still_pose.copy()
+        return twin
+
+    def finish(self, index: int, drive: Drive | None = None) -> Outcome:
+        """Go on to the end: the rest window and, if there is one, the drive. The world is then no longer open.
+
+        Raises:
+            Cancelled: the run was interrupted.
+            ValueError: the world has no boxes.
+        """
+        if not self._scene.n_boxes:
+            raise ValueError("a world without boxes has no verdict")
+        self.go_on()
+        self._index, self._pauses = index, False
+        self._job = replace(self._job, drive=drive)
+        self._waits.settles = self._settles
+        if not self.ended:
+            self._leave_pause()
+        return self._outcome(came_to_end=not self.ended and self._loop())
+
+    def _leave_pause(self) -> None:
+        if self.paused:
+            self.paused = False
+            self._proceed()
+            self._keep_still_pose()
+
+    def read(self) -> Reading:
+        """The world as it is now."""
+        live, k = self._live, self._live.n_placed
+        pose = live.pose[:k]
+        return Reading(
+            time_s=self._clock.time_s(self._step),
+            ended=self.ended,
+            flags=self._flags,
+            pos=pose[:, :3],
+            quat=pose[:, 3:],
+            top_force_n=live.top_forces(),
+            culprit=self._metrics.culprit,
+        )

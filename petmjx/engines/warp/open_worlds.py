@@ -1,0 +1,300 @@
+"""Worlds that stay open on the engine mjx-warp. Their states lie on the device, and stay there from call to call.
+
+``Open`` is a pytree, and what changes it are pure functions of it, so that jitted programs can call them:
+``WarpWorlds`` has the same for the host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import warp as wp
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.config import Check, Schedule, Simulation
+from petmjx.engines.batch.capacities import round_up
+from petmjx.engines.batch.groups import MAX_GROWTH, OVERFLOW_BITS
+from petmjx.engines.batch.outcomes import outcomes, pick
+from petmjx.engines.batch.recorder import Recorder
+from petmjx.engines.batch.rules import Rules
+from petmjx.engines.batch.state import (
+    NEVER,
+    Metrics,
+    State,
+    Status,
+    Worlds,
+    choose_rows,
+    fresh_state,
+    put_rows,
+    take_rows,
+    upload_worlds,
+    uploaded,
+)
+from petmjx.engines.batch.timetable import Timetable, build_timetable
+from petmjx.engines.clock import Clock
+from petmjx.engines.open import Reading
+from petmjx.engines.warp import records
+from petmjx.engines.warp.march import SLICE_NS, Fleet, March
+from petmjx.engines.warp.rollout import constants
+from petmjx.engines.warp.shape import Shape
+from petmjx.verdict import Flag, Outcome
+from petmjx.world.job import Drive, Job
+from petmjx.world.scene import Scene
+
+
+class Open(NamedTuple):
+    """Open worlds: what is constant about them until boxes are put in, and their states."""
+
+    worlds: Worlds
+    state: State
+
+
+class Simulator:
+    """The pure functions of open worlds.
+
+    Args:
+        most_boxes: of a world.
+        boards: most shapes of a carrier.
+        room: how much larger than usual buffers are.
+    """
+
+    def __init__(self, sim: Simulation, timetable: Timetable, most_boxes: int, boards: int, room: int = 1) -> None:
+        shape = Shape.here(most_boxes)
+        geoms = most_boxes + boards + 1
+        fleet = Fleet(shape, shape.lanes, most_boxes, boards, 10 * room * geoms, 8 * room * geoms)
+        self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
+        self._sim, self._timetable = sim, timetable
+        self._placing = Rules(sim, timetable, most_boxes, driven=False)
+        self._driving = Rules(sim, timetable, most_boxes, driven=True)
+
+    def load(self) -> None:
+        """Compile the kernel, or take it from Warp's cache."""
+        self._march.load()
+
+    def begin(self, worlds: Worlds) -> State:
+        """States of worlds before their soft start."""
+        static = self._sim.check is Check.STATIC
+        ends = jnp.full(len(worlds.n_boxes), NEVER, jnp.int32)
+        fresh: State = fresh_state(worlds, all_placed=static, ends=ends, rest_steps=self._timetable.rest_steps)
+        return fresh
+
+    def put(self, open_: Open, rows: Int[Array, " row"], worlds: Worlds) -> Open:
+        """Give worlds more boxes. In those that are paused the first of them is placed.
+
+        Args:
+            rows: which; rows beyond the last world are left out.
+            worlds: their constants, with the boxes that they had and more.
+        """
+        after = put_rows(open_.worlds, rows, worlds)
+        state = open_.state
+        goes = (state.status == Status.PAUSED) & (state.placed < after.n_boxes)
+        state = self._placing.place_next(self._noting_motion(state, goes), after, goes)
+        return Open(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
+
+    def finish(self, open_: Open) -> State:
+        """Paused worlds begin their rest window, or their drive, as their constants say."""
+        state, worlds = open_.state, open_.worlds
+        goes = state.status == Status.PAUSED
+        settles = goes & worlds.settles & (not self._sim.waits_for_rest)
+        rests = goes & ~settles
+        state = self._noting_motion(state, settles)
+        return state._replace(
+            rest_from=jnp.where(rests, state.step, state.rest_from),
+            end=jnp.where(rests, state.step + self._timetable.rest_steps, state.end),
+            driven_from=jnp.where(settles, state.step, state.driven_from),
+            status=jnp.where(settles, Status.SETTLED, jnp.where(rests, Status.RUNNING, state.status)),
+        )
+
+    def go_on(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
+        """Let worlds go on until each has paused or ended, or has no room in its buffers."""
+        worlds, n = open_.worlds, len(open_.worlds.n_boxes)
+        tables = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
+        shapes = records.array_shapes(records.Frames, {"frame": 1, "box": worlds.half.shape[1], "world": n})
+        kinds = {name: kind.dtype for name, kind in records.array_types(records.Frames).items()}
+
+        def running(state: State) -> Bool[Array, ""]:
+            return (state.running | ((state.status == Status.SETTLED) & worlds.driven)).any()
+
+        def slice_of_time(state: State) -> State:
+            begins = (state.status == Status.SETTLED) & worlds.driven
+            state = choose_rows(begins, self._driving.enter(state, worlds), state)
+            flat = state._asdict()
+            flat |= flat.pop("metrics")._asdict()
+            frames = {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name])) for name, shape in shapes.items()}
+            after, *_ = self._march(tables, flat, self._march.workspace(), frames)
+            metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
+            return State(**after, metrics=metrics)
+
+        return Open(worlds, jax.lax.while_loop(running, slice_of_time, open_.state))
+
+    def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
+        """The flag of worlds that go on although they are not at rest."""
+        moves = goes & (state.metrics.culprit < 0) & (state.quiet_steps < self._sim.quiet.steps)
+        return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
+
+
+def fork(open_: Open, sources: Int[Array, " row"], into: Int[Array, " row"]) -> Open:
+    """Give worlds the constants and states of others."""
+    worlds, state = open_
+    return Open(
+        put_rows(worlds, into, take_rows(worlds, sources)),
+        put_rows(state, into, take_rows(state, sources)),
+    )
+
+
+class WarpWorlds:
+    """The protocol ``OpenWorlds`` on the engine mjx-warp. Called by one thread at a time.
+
+    Args:
+        scenes: of the worlds.
+        most_boxes: of a world, ever.
+
+    Attributes:
+        open: the worlds.
+        simulator: its pure functions go on with them in a jitted program.
+
+    Raises:
+        ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int) -> None:
+        if sim.schedule is Schedule.FIXED:
+            raise ValueError("worlds with the fixed schedule do not stay open")
+        self._sim, self._scenes = sim, list(scenes)
+        self._width = round_up(most_boxes)
+        self._boards = max(len(scene.carrier.half_size) for scene in scenes)
+        self._timetable = build_timetable(sim, self._width)
+        self._room = 1
+        self._make_simulator()
+        worlds = self._constants([Job(scene) for scene in scenes], {}, pauses=True)
+        self.open = Open(worlds, self.simulator.begin(worlds))
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        """As in the protocol."""
+        fresh = self._constants([Job(scene) for scene in scenes], {}, pauses=True)
+        rows = self._rows(worlds, len(fresh.n_boxes))
+        self.open = Open(
+            put_rows(self.open.worlds, rows, fresh), put_rows(self.open.state, rows, self.simulator.begin(fresh))
+        )
+        self._keep(worlds, scenes)
+
+    def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        """As in the protocol."""
+        ended = np.asarray(self.open.state.status) == Status.FINISHED
+        for world, scene in zip(worlds, scenes, strict=True):
+            n = self._scenes[world].n_boxes
+            if ended[world]:
+                raise ValueError("the world has ended: nothing can be put into it")
+            if scene.n_boxes <= n:
+                raise ValueError(f"the scene must have more than {n} boxes, and has {scene.n_boxes}")
+        if len(worlds):
+            more = self._constants([Job(scene) for scene in scenes], {}, pauses=True)
+            self.open = self._put(self.open, self._rows(worlds, len(more.n_boxes)), more)
+            self._keep(worlds, scenes)
+
+    def go_on(self) -> None:
+        """As in the protocol."""
+        self.open = self._to_the_end(self.open, np.zeros((1, 1, 3), np.float32))
+
+    def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
+        """As in the protocol."""
+        if len(sources):
+            rows = 1 << (len(sources) - 1).bit_length()
+            self.open = _fork(self.open, self._rows(sources, rows), self._rows(into, rows))
+            self._keep(into, [self._scenes[world] for world in sources])
+
+    def read(self, worlds: Sequence[int]) -> list[Reading]:
+        """As in the protocol."""
+        state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
+        found = []
+        for world in worlds:
+            k = int(state.placed[world])
+            pose = np.asarray(state.pose[world, :k], np.float64)
+            found.append(
+                Reading(
+                    time_s=clock.time_s(max(int(state.step[world]), 0)),
+                    ended=bool(state.status[world] == Status.FINISHED),
+                    flags=Flag(int(state.flags[world])),
+                    pos=self._scenes[world].middles(pose[:, :3], pose[:, 3:]),
+                    quat=pose[:, 3:],
+                    top_force_n=np.asarray(state.top_force[world, :k], np.float64),
+                    culprit=int(state.metrics.culprit[world]),
+                )
+            )
+        return found
+
+    def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
+        """As in the protocol."""
+        if not len(worlds):
+            return []
+        scenes = [self._scenes[world] for world in worlds]
+        if any(not scene.n_boxes for scene in scenes):
+            raise ValueError("a world without boxes has no verdict")
+        self.go_on()
+        jobs = [Job(scene, drive) for scene, drive in zip(scenes, drives or [None] * len(scenes), strict=True)]
+        excitations = list({id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}.values())
+        steps = max((len(each.samples) for each in excitations), default=1)
+        profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
+        for row, each in enumerate(excitations):
+            profiles[row, : len(each.samples)] = each.samples
+        constants_ = self._constants(jobs, {id(each): row for row, each in enumerate(excitations)}, pauses=False)
+        sources = self._rows([*worlds, *[worlds[0]] * (len(constants_.n_boxes) - len(worlds))], len(constants_.n_boxes))
+        begun = Open(constants_, take_rows(self.open.state, sources))
+        ended = self._to_the_end(Open(constants_, self._finish(begun)), profiles)
+        rows = np.arange(len(jobs))
+        picked = pick(rows, ended.state, ended.worlds, self._sim)
+        return list(outcomes(rows, picked, jobs, 0, self._sim, Recorder(jobs, self._sim)))
+
+    def _to_the_end(self, open_: Open, profiles: np.ndarray[Any, Any]) -> Open:
+        """Let worlds go on; those whose buffers are too small again in larger ones."""
+        while True:
+            open_ = self._go_on(open_, uploaded(profiles))
+            full = open_.state.status == Status.OVERFLOWED
+            if not np.asarray(full).any():
+                return open_
+            enough = self._room < MAX_GROWTH
+            flags = (open_.state.flags & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
+            state = open_.state._replace(
+                flags=jnp.where(full & enough, flags, open_.state.flags),
+                status=jnp.where(full, Status.RUNNING if enough else Status.FINISHED, open_.state.status),
+            )
+            open_ = open_._replace(state=state)
+            if enough:
+                self._room *= 2
+                self._make_simulator()
+
+    def _make_simulator(self) -> None:
+        self.simulator = Simulator(self._sim, self._timetable, self._width, self._boards, self._room)
+        self.simulator.load()
+        self._go_on, self._put, self._finish = (
+            jax.jit(function) for function in (self.simulator.go_on, self.simulator.put, self.simulator.finish)
+        )
+
+    def _constants(self, jobs: Sequence[Job], profiles: dict[int, int], *, pauses: bool) -> Worlds:
+        """Constants of worlds, padded to a power of two, so that few programs are compiled."""
+        most = max(job.scene.n_boxes for job in jobs)
+        if most > self._width:
+            raise ValueError(f"there is room for {self._width} boxes in a world, and one has {most}")
+        rows = 1 << (len(jobs) - 1).bit_length()
+        worlds = upload_worlds(jobs, rows, self._width, profiles, self._sim, self._boards)
+        return worlds._replace(pauses=uploaded(np.full(rows, pauses)))
+
+    def _rows(self, worlds: Sequence[int], length: int) -> Int[Array, " row"]:
+        """Rows of the tables, padded with rows that there are not."""
+        rows = np.full(length, len(self.open.state.status), np.int32)
+        rows[: len(worlds)] = worlds
+        return uploaded(rows)
+
+    def _keep(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        for world, scene in zip(worlds, scenes, strict=True):
+            self._scenes[world] = scene
+
+
+_fork = jax.jit(fork)

@@ -1,0 +1,142 @@
+"""Worlds that stay open: what was asked bit by bit is what a run says of the whole plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from petmjx.config import Schedule, Simulation
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.open import OpenWorlds
+from petmjx.verdict import Outcome, Verdict
+from petmjx.world.job import FORCE, Drive, Excitation, Job
+from petmjx.world.scene import Scene, build_scene
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+from support.fake_stepper import assert_same
+from support.tiny_worlds import engine as warp_engine
+from support.worlds import boxes_by_plan, make_plan
+
+from petmjx.engines.batch.state import upload_worlds
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.open_worlds import Open, fork
+
+pytestmark = pytest.mark.usefixtures("ranks_may_differ")
+
+SIM = Simulation()
+NAMES = ("hand-one-box", "hand-bridge", "hand-falls-off", "brickwork", "falls 60 mm flat", "corner overhang of 70 %")
+FLOAT64 = 1e-12
+"""m. On C MuJoCo the boxes that wait for their turn are in a world's model, and with it in the solver's tolerance."""
+
+
+def scenes() -> dict[str, Scene]:
+    plans = boxes_by_plan()
+    return {name: build_scene(make_plan(name, plans[name]), SIM) for name in NAMES}
+
+
+def push() -> Drive:
+    samples = np.zeros((300, 3))
+    samples[:, 0] = 0.3 * np.sin(0.02 * np.arange(300))
+    return Drive(Excitation("push", FORCE, samples), rest_s=0.2)
+
+
+@pytest.fixture(scope="module", params=["mujoco", pytest.param("mjx-warp", marks=pytest.mark.slow)])
+def engine(request: pytest.FixtureRequest) -> MujocoEngine | MjxWarpEngine:
+    return MujocoEngine(2) if request.param == "mujoco" else warp_engine()
+
+
+def run(engine: MujocoEngine | MjxWarpEngine, drive: Drive | None = None) -> list[Outcome]:
+    found = engine.run([Job(scene, drive) for scene in scenes().values()], SIM)
+    return sorted(found, key=lambda outcome: outcome.job)
+
+
+def everything(worlds: OpenWorlds, drive: Drive | None = None) -> list[Outcome]:
+    return worlds.finish(range(len(NAMES)), [drive] * len(NAMES))
+
+
+def test_a_world_that_pauses_ends_as_one_that_does_not_to_the_last_bit(engine: MujocoEngine | MjxWarpEngine) -> None:
+    worlds = engine.open(list(scenes().values()), SIM)
+    worlds.go_on()
+    for drive in (None, push(), None):  # what is asked changes nothing
+        for found, expected in zip(everything(worlds, drive), run(engine, drive), strict=True):
+            assert_same(found, expected)
+            assert (found.flags, found.n_at_sign) == (expected.flags, expected.n_at_sign)
+
+
+def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) -> None:
+    plans = list(scenes().values())
+    worlds = engine.open([scene.first(0) for scene in plans], SIM)
+    for count in range(1, 5):
+        worlds.go_on()
+        readings = worlds.read(range(len(plans)))
+        open_ones = [k for k, scene in enumerate(plans) if scene.n_boxes >= count and not readings[k].ended]
+        worlds.put(open_ones, [plans[k].first(count) for k in open_ones])
+    worlds.go_on()
+    for reading, found, expected in zip(worlds.read(range(len(plans))), everything(worlds), run(engine), strict=True):
+        assert (found.verdict, found.reason, found.culprit) == (expected.verdict, expected.reason, expected.culprit)
+        if not reading.ended:
+            if isinstance(engine, MjxWarpEngine):
+                assert_same(found, expected)
+            np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=FLOAT64)
+        assert reading.ended == (found.verdict is Verdict.UNSTABLE and found.sim_time_s == reading.time_s)
+
+
+def test_forks_go_their_own_ways(engine: MujocoEngine | MjxWarpEngine) -> None:
+    scene = build_scene(make_plan("stack", boxes_by_plan()["stack of 4"]), SIM)
+    worlds = engine.open([scene.first(2)] * 3, SIM)
+    worlds.go_on()
+    before = worlds.read([0])[0]
+    worlds.fork([0, 0], [1, 2])
+    place = scene.target.copy()
+    place[2, 0] += 0.25
+    aside = replace(scene, start_pos=place, target=place)
+    worlds.put([1, 2], [scene.first(3), aside.first(3)])
+    worlds.go_on()
+    stays, stands, falls = worlds.read(range(3))
+    np.testing.assert_array_equal(stays.pos, before.pos)
+    assert (len(stays.pos), len(stands.pos)) == (2, 3)
+    np.testing.assert_allclose(stands.top_force_n[1], 6.0 * SIM.physics.gravity_m_s2, rtol=0.01)
+    assert (stands.culprit, falls.culprit) == (-1, 2)
+    worlds.reset([2], [scene.first(1)])
+    worlds.go_on()
+    assert len(worlds.read([2])[0].pos) == 1
+
+
+def test_what_cannot_be_is_refused(engine: MujocoEngine | MjxWarpEngine) -> None:
+    scene = build_scene(make_plan("stack", boxes_by_plan()["stack of 4"]), SIM)
+    worlds = engine.open([scene.first(0)], SIM)
+    worlds.go_on()
+    with pytest.raises(ValueError, match="without boxes"):
+        worlds.finish([0])
+    with pytest.raises(ValueError, match="more than 0 boxes"):
+        worlds.put([0], [scene.first(0)])
+    with pytest.raises(ValueError, match="fixed schedule"):
+        engine.open([scene], Simulation(schedule=Schedule.FIXED))
+
+
+@pytest.mark.slow
+def test_a_jitted_program_goes_on_with_them() -> None:
+    """Place, fork and place again in one program, as call by call to the last bit."""
+    scene = build_scene(make_plan("stack", boxes_by_plan()["stack of 4"]), SIM)
+    worlds, twin = (warp_engine().open([scene.first(1)] * 2, SIM, most_boxes=4) for _ in range(2))
+    still, simulator = jnp.zeros((1, 1, 3)), worlds.simulator
+    more = upload_worlds([Job(scene.first(3))], 1, 4, {}, SIM)._replace(pauses=jnp.ones(1, bool))
+
+    @jax.jit
+    def program(open_: Open) -> Open:
+        settled = fork(simulator.go_on(open_, still), jnp.array([0]), jnp.array([1]))
+        return simulator.go_on(simulator.put(settled, jnp.array([1]), more), still)
+
+    found = program(worlds.open)
+    twin.go_on()
+    twin.fork([0], [1])
+    twin.put([1], [scene.first(3)])
+    twin.go_on()
+    assert found.state.placed.tolist() == [1, 3]
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(twin.open), strict=True):
+        np.testing.assert_array_equal(one, other)
