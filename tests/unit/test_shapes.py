@@ -156,12 +156,12 @@ def test_lanes_and_queue_are_as_annotated_from_begin_to_end(worlds: Worlds, tabl
 
 def test_a_field_of_the_wrong_kind_is_found(worlds: Worlds, table: State) -> None:
     wrong = [
-        worlds._replace(mass=worlds.mass[:, 1:]),
+        worlds._replace(inertia_box=worlds.inertia_box[:, 1:]),
         worlds._replace(n_boxes=worlds.mass[:, 0]),
         table._replace(metrics=table.metrics._replace(culprit=table.placed[1:])),
     ]
     for record in wrong:
-        with pytest.raises(AssertionError, match=r"mass|n_boxes|culprit"):
+        with pytest.raises(AssertionError, match=r"inertia_box|n_boxes|culprit"):
             axis_sizes(record)
 
 
