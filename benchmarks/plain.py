@@ -33,7 +33,8 @@ def plain_loop(scene: Scene, physics: Physics, *, on_floor: bool) -> NDArray[np.
     data = mujoco.MjData(model)
     n = scene.n_boxes
     pose, velocity = data.qpos[7:].reshape(n, 7), data.qvel[6:].reshape(n, 6)
-    acceleration, lifted = data.qacc[6:].reshape(n, 6), data.xfrc_applied[2:]
+    first = model.nbody - n
+    acceleration, lifted = data.qacc[6:].reshape(n, 6), data.xfrc_applied[first:]
     weight = scene.mass * physics.gravity_m_s2 * (not on_floor)
     pose[:, 0] = 3.0 + 1.5 * np.arange(n)
     pose[:, 1] = 5.0
@@ -53,7 +54,7 @@ def plain_loop(scene: Scene, physics: Physics, *, on_floor: bool) -> NDArray[np.
         mujoco.mj_step(model, data)
         if step % SAMPLE_STEPS == 0 and placed:
             now = (
-                tilt_deg(data.xquat[2 : 2 + placed]),
+                tilt_deg(data.xquat[first : first + placed]),
                 np.linalg.norm(acceleration[:placed, :3], axis=1),
                 np.linalg.norm(acceleration[:placed, 3:], axis=1),
                 top_forces(data, bodies, n, physics.cone is Cone.PYRAMIDAL)[:placed],

@@ -17,7 +17,7 @@ from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.body import turned
-from petmjx.world.model import HeldCarrier, add_boxes, build_spec, geom_bodies
+from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
 from petmjx.world.release import Release, release_of
 from petmjx.world.scene import Scene
 
@@ -128,7 +128,7 @@ class LiveWorld:
         """Views of the boxes' rows in MuJoCo's data."""
         capacity = self.capacity
         self._warnings: NDArray[np.int32] = self.data.warning.number
-        self._first_body = 2 + self._has_waiting
+        self._carrier, self._first_body = self.model.body(CARRIER_NAME).id, self.model.nbody - capacity
         free = self._held is None
         self._first_q, self._first_v = 7 * free + self._has_waiting, 6 * free + self._has_waiting
         self._poses: FloatArray = self.data.qpos[self._first_q :].reshape(capacity, 7)
@@ -224,7 +224,7 @@ class LiveWorld:
         waiting_kg = float(self.scene.mass[self.n_placed :].sum())
         gravity = self._sim.physics.gravity_m_s2
         share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _WAITING_MASS_KG)
-        self.data.xfrc_applied[2, 2] = _WAITING_MASS_KG * gravity * (1.0 - sqrt(share))
+        self.data.xfrc_applied[self.model.body(_WAITING_NAME).id, 2] = _WAITING_MASS_KG * gravity * (1.0 - sqrt(share))
 
     def step(self, count: int) -> None:
         """Advance by ``count`` steps in C, with the GIL released."""
@@ -236,7 +236,7 @@ class LiveWorld:
 
     def set_carrier_force(self, force_n: FloatArray) -> None:
         """(3,) N on the carrier's centre of mass, from the next step on."""
-        self.data.xfrc_applied[1, :3] = force_n
+        self.data.xfrc_applied[self._carrier, :3] = force_n
 
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) middles and (k, 4) orientations of the placed boxes at the beginning of the last step.
