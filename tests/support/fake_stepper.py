@@ -41,7 +41,6 @@ class FakeModel(NamedTuple):
     """The model fields that overrides are made from."""
 
     geom_size: jax.Array
-    geom_pos: jax.Array
     geom_rbound: jax.Array
     geom_aabb: jax.Array
     body_pos: jax.Array
@@ -65,7 +64,6 @@ class FakeStepper:
         self.capacity, self.lanes, self.held = capacity, lanes, held
         bodies = capacity + 2
         self.model = FakeModel(
-            jnp.zeros((bodies, 3)),
             jnp.zeros((bodies, 3)),
             jnp.zeros(bodies),
             jnp.zeros((bodies, 6)),

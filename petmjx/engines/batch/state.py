@@ -74,6 +74,7 @@ class Worlds(NamedTuple):
     shape_pos: Float[Array, "world shape 3"]
     friction: Float[Array, "world shape 3"]
     floor_friction: Float[Array, "world 3"]
+    floor_z: Float[Array, " world"]
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]
     drive_yaw: Float[Array, "world 2"]
@@ -272,6 +273,7 @@ def upload_worlds(
         shape_pos=spread(shape_pos),
         friction=spread(friction),
         floor_friction=spread([scene.floor_friction for scene in scenes]),
+        floor_z=spread([scene.floor_z for scene in scenes]),
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
         drive_scale=each(_drive_factor, np.float32),
         drive_yaw=each(lambda job: _direction(job), np.float32),

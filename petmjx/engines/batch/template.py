@@ -125,6 +125,7 @@ def override_fields(worlds: Worlds, model: Any, *, held: bool, physics: Physics)
         floor = jnp.broadcast_to(getattr(model, name)[FLOOR_GEOM], (lanes, 1, *values.shape[2:]))
         return jnp.concatenate([floor, values], axis=1)
 
+    floor = jnp.zeros((lanes, 3)).at[:, 2].set(worlds.floor_z)
     free = slice(1, None) if held else slice(None)
     dof = jnp.stack([inv_translation, inv_rotation], axis=-1)[:, free]
     fields = {
@@ -134,7 +135,7 @@ def override_fields(worlds: Worlds, model: Any, *, held: bool, physics: Physics)
         "body_invweight0": with_world_body(jnp.stack([inv_translation, inv_rotation], axis=-1)),
         "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(lanes, -1),
         "geom_size": with_floor(geom_half, "geom_size"),
-        "geom_pos": with_floor(worlds.shape_pos, "geom_pos"),
+        "geom_pos": jnp.concatenate([floor[:, None], worlds.shape_pos], axis=1),
         "geom_rbound": with_floor(jnp.sqrt((geom_half**2).sum(-1)), "geom_rbound"),
         "geom_aabb": with_floor(jnp.concatenate([jnp.zeros_like(geom_half), geom_half], axis=-1), "geom_aabb"),
         "geom_friction": jnp.concatenate([worlds.floor_friction[:, None], worlds.friction], axis=1),

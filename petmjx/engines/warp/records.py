@@ -51,7 +51,6 @@ class Model:
 
     timestep: float
     gravity: float
-    floor_z: float
     solref: wp.vec2
     low_impedance: float
     high_impedance: float
@@ -121,6 +120,7 @@ class Tables:
     shape_pos: Annotated[wp.array3d[float], "world shape 3"]
     friction: Annotated[wp.array3d[float], "world shape 3"]
     floor_friction: Annotated[wp.array2d[float], "world 3"]
+    floor_z: Annotated[wp.array[float], "world"]
     profile: Annotated[wp.array[int], "world"]
     drive_scale: Annotated[wp.array[float], "world"]
     drive_yaw: Annotated[wp.array2d[float], "world 2"]

@@ -51,7 +51,6 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     return {
         "timestep": physics.timestep_s,
         "gravity": physics.gravity_m_s2,
-        "floor_z": physics.floor_z_m,
         "solref": wp.vec2(*physics.solref),
         "low_impedance": low,
         "high_impedance": high,

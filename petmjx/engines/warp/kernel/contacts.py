@@ -50,12 +50,12 @@ def _first_partner(tables: Tables, at: Lane, geom: int) -> int:
 
 
 @wp.func
-def _near(model: Model, work: Workspace, at: Lane, one: int, two: int, apart: float) -> bool:
+def _near(work: Workspace, at: Lane, one: int, two: int, apart: float) -> bool:
     """Whether the boxes around two geoms are no further apart than this along each axis, m."""
     reach = work.reach[at.lane, two]
     place = work.place[at.lane, two]
     if one == 0:
-        return place[2] - reach[2] <= model.floor_z + apart
+        return place[2] - reach[2] <= work.place[at.lane, 0][2] + apart
     gap = wp.abs(place - work.place[at.lane, one]) - reach - work.reach[at.lane, one]
     return wp.max(gap[0], wp.max(gap[1], gap[2])) <= apart
 
@@ -74,7 +74,7 @@ def list_pairs(model: Model, tables: Tables, work: Workspace, at: Lane, apart: f
         work.home_reach[lane, one] = work.reach[lane, one]
         count = int(0)
         for two in range(_first_partner(tables, at, one), n):
-            count += wp.where(_near(model, work, at, one, two, apart), 1, 0)
+            count += wp.where(_near(work, at, one, two, apart), 1, 0)
         work.pair_of[lane, one] = count
     wait_for_all()
     prefix_sums(work.pair_of, lane, n, at.thread)
@@ -85,7 +85,7 @@ def list_pairs(model: Model, tables: Tables, work: Workspace, at: Lane, apart: f
     for one in range(at.thread, n, at.threads):
         pair = work.pair_of[lane, one]
         for two in range(_first_partner(tables, at, one), n):
-            if _near(model, work, at, one, two, apart):
+            if _near(work, at, one, two, apart):
                 work.first[lane, pair] = one
                 work.second[lane, pair] = two
                 pair += 1
@@ -124,7 +124,7 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
     for pair in range(warp_by_warp(at), n_pairs, at.threads):
         one = work.first[lane, pair]
         two = work.second[lane, pair]
-        if not _near(model, work, at, one, two, NEAR):
+        if not _near(work, at, one, two, NEAR):
             changed = changed or work.touching[lane, pair] != 0
             work.touching[lane, pair] = 0
             continue

@@ -150,7 +150,7 @@ def begin_step(
     world = at.world
     left = bool(False)
     if at.thread == 0:
-        work.place[lane, 0] = wp.vec3(0.0, 0.0, model.floor_z)
+        work.place[lane, 0] = wp.vec3(0.0, 0.0, tables.floor_z[world])
         work.turn[lane, 0] = wp.identity(n=3, dtype=float)
         work.reach[lane, 0] = wp.vec3(0.0, 0.0, 0.0)
         work.n_blocks[lane] = at.placed + 1 - at.held
