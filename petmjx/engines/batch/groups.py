@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Check, Schedule, Simulation
-from petmjx.engines.base import Progress, RunLock
+from petmjx.engines.base import Engine, Progress, RunLock
 from petmjx.engines.batch.outcomes import handed_on, started_states
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.setup import set_up_jax
@@ -104,7 +104,7 @@ class Group:
         self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
 
-class GroupEngine(ABC):
+class GroupEngine(Engine, ABC):
     """Simulates worlds in groups on one JAX device.
 
     Args:

@@ -9,10 +9,10 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 import mujoco
 
 from petmjx.config import Simulation
-from petmjx.engines.base import Progress
+from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.engines.failing import failed_outcome
-from petmjx.machine import cpu_threads
+from petmjx.machine import cpu_threads, device_name
 from petmjx.text import one_line
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
@@ -50,7 +50,7 @@ class _QuietMujoco:
 _QUIET_MUJOCO = _QuietMujoco()
 
 
-class MujocoEngine:
+class MujocoEngine(Engine):
     """Simulates each world alone, on its exact model: the oracle, and the fastest engine without a GPU.
 
     ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
@@ -72,6 +72,10 @@ class MujocoEngine:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.threads = threads if threads is not None else cpu_threads()
         self.world_timeout_s = world_timeout_s
+
+    @property
+    def device(self) -> str:
+        return device_name(self.name, self.threads)
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
