@@ -147,13 +147,13 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device
     only if a job needs them: rows behind the jobs', which never run, may have any state.
     """
-    starts: list[Any] = list({id(job.start): job.start for job in jobs if job.start is not None}.values())
+    starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:
         return fresh
     row_of = {id(start): row for row, start in enumerate(starts)}
     spare = len(fresh.step) - len(jobs)
     source = np.array([row_of.get(id(job.start), 0) for job in jobs] + [0] * spare)
-    forked = np.array([job.start is not None for job in jobs] + [True] * spare)
+    forked = np.array([isinstance(job.start, State) for job in jobs] + [True] * spare)
 
     def fork(new: jax.Array, *kept: Any) -> jax.Array:
         stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)

@@ -133,7 +133,7 @@ class Recorder:
         if found is None:
             return None
         job = self._jobs[row]
-        if job.start is not None:
+        if isinstance(job.start, State):
             found.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not found or found[-1].step[-1] != last.step[0]:
@@ -154,7 +154,7 @@ class Recorder:
         )
 
 
-def _of_state(job: Job, state: Any) -> Frames:
+def _of_state(job: Job, state: State) -> Frames:
     """A frame of a state; what acted is not known."""
     n = job.scene.n_boxes
     pose = np.array(state.pose, np.float32)[None, :n]
