@@ -13,8 +13,8 @@ from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
-"""Worlds whose states an MJX engine has on its device at the same time, unless it is told otherwise; with 80 boxes each
-takes 16 kB."""
+"""Worlds whose states mjx-warp has on its device at the same time, unless it is told otherwise; with 80 boxes each
+takes 16 kB. And the most jobs that a worker of either engine is given at once."""
 
 
 @dataclass

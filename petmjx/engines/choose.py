@@ -130,7 +130,7 @@ def make_engine(
 
     Args:
         threads: CPU threads of ``mujoco``; None: all.
-        lanes: worlds at once of the MJX engines; None: chosen from the device's memory.
+        lanes: worlds at once of the MJX engines; None: as many as each finds good.
         world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:

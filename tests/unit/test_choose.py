@@ -52,6 +52,8 @@ def test_a_run_s_steps_and_cost_worked_out_by_hand() -> None:
     assert MEASURED.seconds(work, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 10 * 500 * 1600)
     fixed = Work(Simulation(schedule="fixed"), [9])
     assert fixed.fixed_steps.tolist() == [10 * 350]
+    # mjx-jax has all boxes in its model from the beginning
+    assert MEASURED.seconds(fixed, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 3500 * 9**2)
     # while boxes come one by one, the mean of k^1.25 is the last one's / 2.25, and the sum of k² a third of 9³
     assert cpu_s(fixed) == pytest.approx(3700 * (2.4e-6 * 9**1.25 / 2.25 + 2e-5) + 9**3 / 3 * 1e-5)
     # with the schedule adaptive a static check ends when the pallet is quiet, whatever its duration

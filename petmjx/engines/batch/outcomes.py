@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
-from petmjx.engines.batch.state import State, Status, Worlds, narrow, take_rows, uploaded
+from petmjx.engines.batch.state import State, Worlds, narrow, take_rows, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
@@ -142,7 +142,7 @@ def _outcomes(
 
 
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
-    """A group's first states: fresh ones, and for jobs that start from a kept state that one.
+    """First states of jobs: fresh ones, and for jobs that start from a kept state that one.
 
     Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device
     only if a job needs them: rows behind the jobs', which never run, may have any state.
@@ -169,9 +169,3 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
 
     forked_states: State = jax.tree.map(fork, fresh, *starts)
     return forked_states._replace(steps_done=fresh.steps_done)
-
-
-def handed_on(status: NDArray[np.int32], driven: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which worlds are at their end for this run of jobs, by status, and not on the way to another stage or a drive."""
-    ended: NDArray[np.bool_] = (status == Status.FINISHED) | ((status == Status.SETTLED) & ~driven)
-    return ended

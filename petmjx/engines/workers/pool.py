@@ -40,7 +40,7 @@ LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 """Fewer jobs than this are not divided among the workers of these engines: a device takes as long for a few worlds as
 for many."""
 
-_HIGHEST = (" lanes", " contacts", " rows")
+_HIGHEST = (" lanes", " contacts")
 """Ends of the names in ``Progress.extra`` whose values are not sums."""
 
 
