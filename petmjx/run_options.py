@@ -115,7 +115,10 @@ class RunOptions(Checked):
         description="CPU threads of the engine mujoco, of each worker if there are some; by default all that there are",
     )
     lanes: Annotated[int | None, within(1, 1 << 20), Flag("--lanes", "N")] = Field(
-        None, ge=1, description="worlds at once of the MJX engines; by default chosen from the device's memory"
+        None,
+        ge=1,
+        description="worlds at once: lanes of mjx-warp, by default as many as the device has room for; those of a "
+        "batch of mjx-jax, by default up to 256",
     )
     world_timeout_s: Annotated[float | None, within(0, 1e9), Flag("--world-timeout", "S")] = Field(
         None,

@@ -15,7 +15,7 @@ import numpy as np
 
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice, engine_for
-from petmjx.machine import device_name, package_versions
+from petmjx.machine import package_versions
 from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan, PlanSet
@@ -209,7 +209,7 @@ class _Run:
             dynamic=bool(columns and columns.has_drives),
             force_intervals=options.force_intervals,
             versions=package_versions(),
-            device=getattr(self.engine, "device", "") or device_name(self.choice.name, options.threads),
+            device=self.engine.device,
             expected_worlds=self.total,
             overwrite=options.overwrite,
             resume=options.resume,

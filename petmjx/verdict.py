@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from petmjx.config import Thresholds
 from petmjx.history import History
 from petmjx.metrics.motion_np import excess
 from petmjx.units import FloatArray
+from petmjx.world.job import EngineState, KeptState
 
 
 class Verdict(StrEnum):
@@ -108,7 +109,7 @@ class Outcome:
     attempt: int = 1
     engine: str = ""
     """Which engine made this attempt; filled in where outcomes arrive (petmjx.engines.retry)."""
-    state: Any = None
+    state: KeptState | EngineState | None = None
     """The settled state, if the job asked for it: a ``KeptState`` where outcomes have arrived."""
     margin: float = math.nan
     """See :func:`margin_of`; filled in for all engines where their outcomes arrive (petmjx.engines.retry)."""

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from petmjx.config import Simulation
+from petmjx.machine import device_name
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
-"""Worlds whose states an MJX engine has on its device at the same time, unless it is told otherwise; with 80 boxes each
-takes 16 kB."""
+"""Worlds whose states mjx-warp has on its device at the same time, unless it is told otherwise; with 80 boxes each
+takes 16 kB. And the most jobs that a worker of either engine is given at once."""
 
 
 @dataclass
@@ -62,21 +63,40 @@ class RunLock:
 class GrowingJobs(list[Job]):
     """Jobs to which more are appended while an engine simulates them, whenever it has yielded an outcome.
 
-    Only engines whose attribute ``takes_more`` is true are given such a list. They simulate these jobs in the same run,
-    as soon as something is free for them; a run ends when none is left.
+    Only engines that take more are given such a list. They simulate these jobs in the same run, as soon as something is
+    free for them; a run ends when none is left.
     """
 
 
 @runtime_checkable
-class Engine(Protocol):
-    """Simulates worlds. Outcomes come in any order, as worlds finish; ``Outcome.job`` is the index of the job.
-
-    Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, makes the
-    other threads wait (``RunLock``).
-    """
+class Simulates(Protocol):
+    """The least that an engine of the user's own has. Outcomes come in any order, as worlds finish; ``Outcome.job`` is
+    the index of the job."""
 
     name: str
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once with ``sim.solver``. Further attempts are made by petmjx/engines/retry.py."""
         ...
+
+
+class Engine(Simulates, Protocol):
+    """An engine with all that petmjx asks of it. A class that inherits from it has what it does not say itself.
+
+    Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, makes the
+    other threads wait (``RunLock``).
+
+    Attributes:
+        takes_more: whether jobs may be appended while it runs (``GrowingJobs``).
+    """
+
+    takes_more: bool = False
+
+    @property
+    def device(self) -> str:
+        """The name of the device on which worlds run, for the results."""
+        return device_name(self.name)
+
+    def close(self) -> None:
+        """Free what is held between runs, such as workers. Nothing is run after it."""
+        return None

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from petmjx.checked import got
-from petmjx.engines.base import Engine
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine, Progress, Simulates
 from petmjx.engines.cost import MEASURED, Costs, Work
 from petmjx.errors import EngineUnavailable, InputError
-from petmjx.machine import cpu_threads, why_no_warp
+from petmjx.machine import cpu_threads, device_name, why_no_warp
 from petmjx.run_options import AUTO, RunOptions
 from petmjx.text import counted
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
 
 ENGINES: dict[str, tuple[str, str]] = {
     "mujoco": ("petmjx.engines.cpu.engine", "MujocoEngine"),
@@ -37,6 +40,25 @@ class Choice:
     seconds: float | None = None
 
 
+class Lent(Engine):
+    """An engine of the user's own, with what it leaves out of ``Engine``. It is not closed: it stays the user's.
+
+    Args:
+        threads: that the run was given, for the name of a device that the engine does not tell.
+    """
+
+    def __init__(self, own: Simulates, threads: int | None) -> None:
+        self.name, self._own, self._threads = own.name, own, threads
+        self.takes_more = bool(getattr(own, "takes_more", False))
+
+    @property
+    def device(self) -> str:
+        return getattr(self._own, "device", "") or device_name(self.name, self._threads)
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        return self._own.run(jobs, sim, progress)
+
+
 @contextmanager
 def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice]]:
     """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
@@ -44,8 +66,7 @@ def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice
     try:
         yield engine, choice
     finally:
-        if engine is not options.engine and hasattr(engine, "close"):
-            engine.close()
+        engine.close()
 
 
 def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> tuple[Engine, Choice]:
@@ -57,11 +78,11 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> 
     """
     asked = options.engine
     if not isinstance(asked, str):
-        if isinstance(asked, type) or not isinstance(asked, Engine):
+        if isinstance(asked, type) or not isinstance(asked, Simulates):
             raise InputError(f"engine must be a name or an object with a name and a method run, {got(asked)}")
         if options.asked_workers is not None:
             raise InputError("workers need an engine by name: each of them builds its own")
-        return asked, Choice(asked.name, "given")
+        return Lent(asked, options.threads), Choice(asked.name, "given")
     if options.asked_workers is not None:
         # imported only here: Ray is an extra
         from petmjx.engines.workers.resolve import resolve_workers
@@ -109,7 +130,7 @@ def make_engine(
 
     Args:
         threads: CPU threads of ``mujoco``; None: all.
-        lanes: worlds at once of the MJX engines; None: chosen from the device's memory.
+        lanes: worlds at once of the MJX engines; None: as many as each finds good.
         world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:

@@ -29,8 +29,9 @@ COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4}
 remaining steps are the expensive ones, in which boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.6
-"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes. While they come one by one, it
-is the mean of k to this power over k = 1…n: a share of 1 / (power + 1)."""
+"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes. While they come one by one, on
+``mjx-warp`` it is the mean of k to this power over k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in
+the model from the beginning."""
 
 SHAKEN_FACTOR = 2.0
 """Cost of a step of a drive on a device, relative to a step of the same pallet at rest."""
@@ -88,9 +89,9 @@ class Work:
             steps = np.minimum(self.fixed_steps, STATIC_STEPS)
         return 2 * SOFT_START_STEPS + steps
 
-    def _placing(self, power: float) -> FloatArray:
-        """(n,) box^power × steps of one placement, on a device."""
-        share = 1 / (power + 1) if self.sim.check is Check.ONE_BY_ONE else 1.0
+    def _placing(self, power: float, *, grows: bool) -> FloatArray:
+        """(n,) box^power × steps of one placement, on a device; ``grows``: boxes that are to come cost nothing."""
+        share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
     def _driving(self, power: float) -> FloatArray:
@@ -130,7 +131,8 @@ class Costs:
         n_plans = len(work.boxes)
         if not n_plans:
             return {"mujoco": 0.0, "mjx-jax": 0.0, "mjx-warp": self.gpu_start_s}
-        jax_steps = float((work.placements * work._placing(JAX_POWER) + work.drives * work._driving(JAX_POWER)).sum())
+        jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER)
+        jax_steps = float((work.placements * jax_placing + work.drives * jax_driving).sum())
         placing_s, driving_s = self._placing_s(work), self._driving_s(work.boxes, work.drive_steps)
         thread_s = float((work.placements * placing_s + work.drives * driving_s).sum())
         longest_s = float((placing_s + (driving_s if work.drives else 0.0)).max())
@@ -138,7 +140,7 @@ class Costs:
             "mujoco": max(thread_s / threads, longest_s),
             "mjx-jax": self.jax_step_s * jax_steps,
             "mjx-warp": self.gpu_start_s
-            + self._phase_s(n_plans * work.placements / gpus, float(work._placing(WARP_POWER).mean()))
+            + self._phase_s(n_plans * work.placements / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
             + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER).mean())),
         }
 

@@ -252,7 +252,7 @@ class _Making(Generic[AnyWorld]):
     ) -> Generator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]], None, list[_Pending[AnyWorld]]]:
         """Yield what an engine made of worlds; return those that an error of the engine left unanswered."""
         jobs = self.attempt.apply_to_jobs([ready_for(engine, pending[0].job) for pending in batch])
-        takes_more = self.more is not None and getattr(engine, "takes_more", False)
+        takes_more = self.more is not None and engine.takes_more
         if takes_more:
             jobs = GrowingJobs(jobs)
         unanswered = set(range(len(batch)))
@@ -299,7 +299,7 @@ class _Making(Generic[AnyWorld]):
         outcome.solver = self.sim.solver.value
         outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, self.sim.thresholds)
         note_edges(outcome, world.job)
-        if outcome.state is not None:
+        if outcome.state is not None and not isinstance(outcome.state, KeptState):
             outcome.state = KeptState(engine.name, outcome.state)
         records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
         if self.attempt.checks and before is not None:

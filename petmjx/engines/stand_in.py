@@ -15,7 +15,7 @@ from petmjx.config import Simulation, Solver
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import make_engine
 from petmjx.text import counted
-from petmjx.world.job import Job
+from petmjx.world.job import Job, KeptState
 
 STAND_INS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco"}
 """Engine → its stand-in."""
@@ -35,7 +35,7 @@ class Engines:
 
     def for_job(self, job: Job, sim: Simulation, *, again: bool) -> Engine:
         """Who simulates a job; ``again``: at a further attempt."""
-        foreign = job.start is not None and job.start.engine != self.own.name
+        foreign = isinstance(job.start, KeptState) and job.start.engine != self.own.name
         if (again or foreign or sim.solver is Solver.CG) and self.stand_in is not None:
             if again:
                 self.note(f"worlds that were invalid on {self.own.name} were simulated again on {self.stand_in.name}")
@@ -58,6 +58,6 @@ class Engines:
 def ready_for(engine: Engine, job: Job) -> Job:
     """A job as an engine takes it: with a state of its own to start from. From another engine's state it does not
     start: it takes the world through its placement again."""
-    if job.start is None:
+    if not isinstance(job.start, KeptState):
         return job
     return replace(job, start=job.start.state if job.start.engine == engine.name else None)

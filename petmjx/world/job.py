@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final, Protocol, SupportsInt
 
 import numpy as np
 
@@ -63,12 +63,22 @@ class Drive:
         return rows
 
 
+class EngineState(Protocol):
+    """A world whose placement has settled, as an engine keeps it to go on from there. What else is in it is the
+    engine's own."""
+
+    @property
+    def step(self) -> SupportsInt:
+        """Steps since the soft start."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class KeptState:
     """A settled state and the name of the engine that made it, which alone can start from it."""
 
     engine: str
-    state: Any
+    state: EngineState
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +93,6 @@ class Job:
 
     scene: Scene
     drive: Drive | None = None
-    start: Any = None
+    start: KeptState | EngineState | None = None
     keep_state: bool = False
     record: Record | None = None

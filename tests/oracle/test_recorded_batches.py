@@ -1,22 +1,20 @@
-"""Histories of the MJX engines: of lanes and stages over a stepper without physics, and of mjx-warp on the CPU."""
+"""Histories of the MJX engines: of batches over a stepper without physics, and of mjx-warp on the CPU."""
 
 from __future__ import annotations
 
 import functools
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from support.fake_stepper import FakeEngine, FakeStepper, assert_same, fake_scene, run_all
+from support.fake_stepper import FakeEngine, assert_same, fake_scene, run_all
 from support.histories import assert_equal, history_of
 from support.plans import make_scene, stack
 
 from petmjx.config import Check, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.history import Record
-from petmjx.verdict import Flag, Outcome
+from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.release import release_of
 
@@ -29,7 +27,7 @@ SIM = Simulation(interval_s=0.3, settle_s=0.3, rest_window_s=0.1, duration_s=0.5
 SHAKE = Drive(Excitation("shake", "force", np.tile([0.5, 0.0, 0.0], (60, 1))), scale=2.0, yaw_rad=0.5, rest_s=0.1)
 
 SCENES = [fake_scene(*masses) for masses in ([30.0, 70.0, 10.0], [10.0], [20.0, 1000.0, 5.0], [5.0] * 5)]
-"""Boxes tremble as many steps as they have kilograms; the one with 1000 falls. Most go through several capacities."""
+"""Boxes tremble as many steps as they have kilograms; the one with 1000 falls."""
 
 SAME_PLACE_M = 1e-3
 """Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
@@ -39,15 +37,15 @@ SMALL_FORCE_N = 5.0
 
 
 @functools.cache
-def lanes() -> FakeEngine:
-    """One engine for all, since programs take long to compile; of each run the largest world has five boxes."""
-    return FakeEngine(16, capacities=(2, 5))
+def fake() -> FakeEngine:
+    """One engine for all, since programs take long to compile."""
+    return FakeEngine()
 
 
 @functools.cache
 def found() -> list[Outcome]:
     """All scenes, recorded."""
-    return run_all(lanes(), recorded([Job(scene) for scene in SCENES]), SIM)
+    return run_all(fake(), recorded([Job(scene) for scene in SCENES]), SIM)
 
 
 def recorded(jobs: list[Job]) -> list[Job]:
@@ -68,9 +66,9 @@ def assert_ends(outcome: Outcome) -> None:
 
 
 def test_a_recorded_batch_is_the_same_to_the_last_bit() -> None:
-    plain = run_all(lanes(), [Job(scene) for scene in SCENES], SIM)
+    plain = run_all(fake(), [Job(scene) for scene in SCENES], SIM)
     jobs = [Job(scene, record=RECORD if k != 1 else None) for k, scene in enumerate(SCENES)]
-    for some in (found(), run_all(lanes(), jobs, SIM)):
+    for some in (found(), run_all(fake(), jobs, SIM)):
         for one, other in zip(some, plain, strict=True):
             assert_same(one, other)
             assert one.flags == other.flags
@@ -79,7 +77,7 @@ def test_a_recorded_batch_is_the_same_to_the_last_bit() -> None:
     assert [outcome.history is None for outcome in some] == [False, True, False, False]
 
 
-def test_frames_come_in_time_also_when_worlds_are_handed_on() -> None:
+def test_frames_come_in_time() -> None:
     for scene, outcome in zip(SCENES, found(), strict=True):
         history, steps = history_of(outcome), frame_steps(outcome)
         placements = [steps[int(np.argmax(history.n_placed > box))] for box in range(outcome.n_placed)]
@@ -94,7 +92,7 @@ def test_frames_come_in_time_also_when_worlds_are_handed_on() -> None:
 
 
 def test_a_static_world_is_seen_from_its_beginning_on() -> None:
-    (outcome,) = run_all(lanes(), recorded([Job(SCENES[3])]), SIM.changed(check=Check.STATIC))
+    (outcome,) = run_all(fake(), recorded([Job(SCENES[3])]), SIM.changed(check=Check.STATIC))
     assert frame_steps(outcome)[:3] == [0, EVERY, 2 * EVERY]
     assert_ends(outcome)
 
@@ -102,10 +100,9 @@ def test_a_static_world_is_seen_from_its_beginning_on() -> None:
 def test_a_fork_goes_on_from_the_frames_of_its_placement() -> None:
     """The drive moves boxes along by as much as it pushes."""
     scene = SCENES[3]
-    (placed,) = run_all(lanes(), [Job(scene, keep_state=True, record=RECORD)], SIM)
+    (placed,) = run_all(fake(), [Job(scene, keep_state=True, record=RECORD)], SIM)
     fork, whole = (
-        run_all(lanes(), [Job(scene, start=start, drive=SHAKE, record=RECORD)], SIM)[0]
-        for start in (placed.state, None)
+        run_all(fake(), [Job(scene, start=start, drive=SHAKE, record=RECORD)], SIM)[0] for start in (placed.state, None)
     )
     began = history_of(fork)
     assert np.isnan(began.top_force_n[0]).all()
@@ -117,27 +114,6 @@ def test_a_fork_goes_on_from_the_frames_of_its_placement() -> None:
     np.testing.assert_allclose(joined.drive[pushed], np.tile(expected, (pushed.sum(), 1)))
     assert 0 < pushed.sum() < len(pushed)
     assert_ends(fork)
-
-
-class Overflowing(FakeEngine):
-    """Has no room for a third box that is older than 30 steps, until its buffers have grown."""
-
-    def make_stepper(self, capacity: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
-        stepper = FakeStepper(capacity, lanes, held=held)
-
-        def overflow(data: Any) -> jax.Array:
-            return jnp.where(stepper.ages(data)[:, 2] > 30, int(Flag.CONTACT_OVERFLOW), 0)
-
-        if capacity > 2 and growth == 1:
-            stepper.overflow = overflow  # type: ignore[method-assign]
-        return stepper
-
-
-@pytest.mark.slow
-def test_steps_that_are_taken_again_leave_no_frames() -> None:
-    (outcome,) = run_all(Overflowing(16, capacities=(2, 3)), recorded([Job(SCENES[0])]), SIM)
-    assert outcome.flags & Flag.RERUN_AFTER_OVERFLOW
-    assert_equal(history_of(outcome), history_of(found()[0]))
 
 
 # ---------------------------------------------------------------------- mjx-warp

@@ -16,8 +16,7 @@ import pytest
 
 from petmjx.config import Simulation
 from petmjx.engines.base import GrowingJobs
-from petmjx.engines.batch.capacities import GRANULE
-from petmjx.engines.batch.groups import MAX_GROWTH, MIN_LANES, Group
+from petmjx.engines.batch.upload import GRANULE
 from petmjx.errors import InputError
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
@@ -44,6 +43,7 @@ from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.group import Group
 from petmjx.engines.warp.march import March
 from petmjx.engines.warp.records import MAX_BOXES, lane_bytes
 from petmjx.engines.warp.rollout import Rollout
@@ -114,7 +114,7 @@ def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> 
     found = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (found.verdict, found.reason) == (Verdict.INVALID, Reason.OVERFLOW)
     (growth,) = small._room.values()
-    room, most = GRANULE + mjx_warp.MORE_BOXES, MAX_GROWTH * (SIZES[0].most_boxes + mjx_warp.MORE_BOXES)
+    room, most = GRANULE + mjx_warp.MORE_BOXES, mjx_warp.MAX_GROWTH * (SIZES[0].most_boxes + mjx_warp.MORE_BOXES)
     assert growth // 2 * room < most <= growth * room
 
 
@@ -210,7 +210,7 @@ def test_fewer_lanes_than_are_usually_worth_while_are_as_the_user_wants(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     tried = small_device(monkeypatch, lambda *_: True)
-    few = MIN_LANES // 4
+    few = mjx_warp.MIN_LANES // 4
     found = simulate(MjxWarpEngine(few, allow_cpu=True), tiny_scenes(("hand-one-box",)), SHORT)
     assert_equal_worlds(found, crowd)
     assert tried == [few]

@@ -184,12 +184,10 @@ def device_record(kind: Any, values: Any) -> Any:
 
 def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, top_force: jax.Array) -> State:
     """What the batched rules make of the same worlds: those that place boxes, and those that drive settled ones."""
-    timetable, none = build_timetable(sim, BOXES), jnp.zeros(WORLDS, jnp.int32)
+    timetable = build_timetable(sim, BOXES)
     with jax.numpy_rank_promotion("allow"):
         placing, driving = (
-            Rules(sim, timetable, BOXES, driven=driven).after_step(
-                after, worlds, before.pose, after.warm, top_force, none
-            )
+            Rules(sim, timetable, BOXES, driven=driven).after_step(after, worlds, before.pose, after.warm, top_force)
             for driven in (False, True)
         )
     is_driven = after.driven_from != NEVER

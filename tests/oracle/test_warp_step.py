@@ -23,8 +23,8 @@ from support.marching import OneStep
 from support.plans import Box, heap, on_boards
 from support.worlds import make_plan
 
-from petmjx.engines.batch.capacities import GRANULE
 from petmjx.engines.batch.setup import set_up_warp
+from petmjx.engines.batch.upload import GRANULE
 from petmjx.engines.warp import newton, shape
 from petmjx.engines.warp.records import MAX_BOXES, PANEL
 from petmjx.engines.warp.rollout import friction_damping

@@ -1,4 +1,4 @@
-"""A stepper without physics: worlds whose every event can be worked out by hand, for tests of stages and lanes.
+"""A stepper without physics: worlds whose every event can be worked out by hand, for tests of rules and batches.
 
 What a box does after it was placed is written into its mass:
 
@@ -13,16 +13,16 @@ A box's age is kept in its warm-start acceleration, so that it survives only if 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from petmjx.config import PHYSICS, Carrier, Simulation
-from petmjx.engines.base import Progress
-from petmjx.engines.batch.engine import StageEngine
-from petmjx.engines.batch.groups import GroupEngine
+from petmjx.engines.base import Engine, Progress
+from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+from petmjx.engines.batch.padded import PaddedModel, Stepped
 from petmjx.engines.batch.template import CARRIER_BODY, FIRST_BOX_BODY
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
@@ -47,21 +47,11 @@ class FakeModel(NamedTuple):
     body_quat: jax.Array
 
 
-class FakeData(NamedTuple):
-    """What a stage reads of the data, and each box's mass, by which tests mark boxes."""
+class FakeStepper(PaddedModel):
+    """Steps without MJX."""
 
-    qpos: jax.Array
-    qvel: jax.Array
-    qacc_warmstart: jax.Array
-    qacc: jax.Array
-    mass: jax.Array
-
-
-class FakeStepper:
-    """Implements ``petmjx.engines.batch.stage.Stepper``."""
-
-    def __init__(self, capacity: int, lanes: int, *, held: bool) -> None:
-        self.capacity, self.lanes, self.held = capacity, lanes, held
+    def __init__(self, capacity: int, *, held: bool) -> None:
+        self.capacity, self.held = capacity, held
         bodies = capacity + 2
         self.model = FakeModel(
             jnp.zeros((bodies, 3)),
@@ -71,56 +61,33 @@ class FakeStepper:
             jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (bodies, 1)),
         )
 
-    @property
-    def joints(self) -> int:
-        return self.capacity + (not self.held)
+    def no_forces(self, worlds: int) -> jax.Array:
+        return jnp.zeros((worlds, 1))
 
-    def scratch(self) -> FakeData:
-        n, k = self.lanes, self.joints
-        mass = jnp.zeros((n, self.capacity))
-        return FakeData(
-            jnp.zeros((n, 7 * k)), jnp.zeros((n, 6 * k)), jnp.zeros((n, 6 * k)), jnp.zeros((n, 6 * k)), mass
-        )
-
-    def ages(self, data: FakeData) -> jax.Array:
-        """(lane, box) steps since each box was placed."""
-        return data.qacc_warmstart.reshape(self.lanes, self.joints, 6)[:, -self.capacity :, 0]
-
-    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: FakeData) -> FakeData:
-        n, k, c = self.lanes, self.joints, self.capacity
-        mass = overrides["body_mass"][:, FIRST_BOX_BODY:]
+    def step(self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> Stepped:
+        n, c, k = len(inputs["qpos"]), self.capacity, self.capacity + (not self.held)
+        mass = fields["body_mass"][:, FIRST_BOX_BODY:]
         pose = inputs["qpos"].reshape(n, k, 7)
         warm = inputs["qacc_warmstart"].reshape(n, k, 6).at[:, -c:, 0].add(1.0)
-        trembles = warm[:, -c:, 0] < mass
-        vel = jnp.zeros((n, k, 6)).at[:, -c:, 0].set(jnp.where(trembles, TREMBLE_M_S, 0.0))
+        age = warm[:, -c:, 0]
+        vel = jnp.zeros((n, k, 6)).at[:, -c:, 0].set(jnp.where(age < mass, TREMBLE_M_S, 0.0))
         push = inputs["xfrc_applied"][:, CARRIER_BODY, :2]
         if self.held:
-            push = push - overrides["opt.gravity"][:, :2]
+            push = push - fields["opt.gravity"][:, :2]
         pose = pose.at[:, -c:, :2].add(CREEP_M * push[:, None])
         pose = pose.at[:, -c:, 2].add(jnp.where(mass >= FALLS_KG, -FALL_M, 0.0))
         flat = (n, -1)
-        return FakeData(pose.reshape(flat), vel.reshape(flat), warm.reshape(flat), jnp.zeros((n, 6 * k)), mass)
-
-    def top_force(self, overrides: dict[str, jax.Array], scratch: FakeData) -> jax.Array:
-        return self.ages(scratch)
-
-    def overflow(self, scratch: FakeData) -> jax.Array:
-        return jnp.zeros(self.lanes, jnp.int32)
-
-    def usage(self, scratch: FakeData) -> jax.Array:
-        return jnp.zeros(2, jnp.int32)
-
-    def iterations(self, scratch: FakeData) -> jax.Array:
-        return jnp.zeros(self.lanes, jnp.int32)
+        still = jnp.zeros((n, 6 * k))
+        return Stepped(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), forces, age)
 
 
-class FakeEngine(StageEngine):
-    """The MJX engines' lanes, stages and rules over the fake stepper."""
+class FakeEngine(MjxJaxEngine):
+    """The batches and rules of mjx-jax over the fake stepper."""
 
     name = "fake"
 
-    def make_stepper(self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int) -> Any:
-        return FakeStepper(capacity, lanes, held=held)
+    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
+        return FakeStepper(capacity, held=held)
 
 
 def fake_scene(*masses: float) -> Scene:
@@ -136,9 +103,7 @@ def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
     return listed
 
 
-def run_all(
-    engine: GroupEngine, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None
-) -> list[Outcome]:
+def run_all(engine: Engine, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> list[Outcome]:
     """Every job's outcome, in order."""
     outcomes = in_order(engine.run(jobs, sim, progress))
     assert len(outcomes) == len(jobs)

@@ -11,12 +11,12 @@ import numpy as np
 
 from petmjx.config import Check, Simulation
 from petmjx.engines.base import Progress
-from petmjx.engines.batch.groups import Group, Run
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
+from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape
+from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.units import FloatArray
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -44,7 +44,8 @@ class OneStep:
 
     def __init__(self, scene: Scene, physics: str) -> None:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
-        run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), {"": [scene.n_boxes]}, Progress())
+        widths = {size_for(scene.n_boxes).most_boxes: scene.n_boxes}
+        run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), widths, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         boards = len(scene.carrier.half_size)
         room, shape = scene.n_boxes + boards - 1 + MORE_BOXES, Shape.here(scene.n_boxes)

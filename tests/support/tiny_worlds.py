@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.groups import Run
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import shape
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.group import Run
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.records import most_panels
 from petmjx.engines.warp.rollout import Rollout

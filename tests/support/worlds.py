@@ -7,7 +7,7 @@ import functools
 import jax
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.groups import GroupEngine
+from petmjx.engines.base import Engine
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.samples.handmade import HANDMADE
@@ -18,8 +18,8 @@ from support.plans import Box, make_scene, stack
 from support.plans import make_plan as make_plan
 
 LANES = 8
-CAPACITIES = (2, 4)
-"""A step costs as lanes × capacity⁴ on a CPU (MJX multiplies dense matrices of all candidate contacts)."""
+MOST_BOXES = 4
+"""A step costs as lanes × boxes⁴ on a CPU (MJX multiplies dense matrices of all candidate contacts)."""
 
 MORE: dict[str, tuple[Box, ...]] = {
     "uneven pile": (
@@ -55,8 +55,8 @@ def _placed(entry: dict[str, object]) -> Box:
 
 
 def boxes_by_plan() -> dict[str, tuple[Box, ...]]:
-    """The hand-made samples that fit into the capacities, then those above."""
-    small = {p.plan_id: tuple(map(_placed, p.placements)) for p in HANDMADE if len(p.placements) <= CAPACITIES[-1]}
+    """The hand-made samples of few boxes, then those above."""
+    small = {p.plan_id: tuple(map(_placed, p.placements)) for p in HANDMADE if len(p.placements) <= MOST_BOXES}
     return small | MORE
 
 
@@ -66,7 +66,7 @@ def scenes(physics: str = "pallet") -> dict[str, Scene]:
     return {name: make_scene(boxes, sim) for name, boxes in boxes_by_plan().items()}
 
 
-def simulate(engine: GroupEngine | MujocoEngine, some: dict[str, Scene], sim: Simulation) -> dict[str, Outcome]:
+def simulate(engine: Engine, some: dict[str, Scene], sim: Simulation) -> dict[str, Outcome]:
     """Outcomes by name."""
     names = list(some)
     with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
@@ -76,12 +76,12 @@ def simulate(engine: GroupEngine | MujocoEngine, some: dict[str, Scene], sim: Si
 @functools.cache
 def jax_engine() -> MjxJaxEngine:
     """The one engine of the session: its programs take half a minute to compile."""
-    return MjxJaxEngine(LANES, capacities=CAPACITIES)
+    return MjxJaxEngine(LANES)
 
 
 @functools.cache
 def jax_outcomes() -> dict[str, Outcome]:
-    """More worlds than lanes, through two stages."""
+    """In several batches."""
     return simulate(jax_engine(), scenes(), Simulation())
 
 

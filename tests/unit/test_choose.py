@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import pytest
+from support.plans import make_scene
 
 from petmjx.config import Simulation
-from petmjx.engines.choose import ENGINES, Choice, choose, make_engine, resolve_engine
+from petmjx.engines.base import Progress
+from petmjx.engines.choose import ENGINES, Choice, choose, engine_for, make_engine, resolve_engine
 from petmjx.engines.cost import COST_SHARE, MEASURED, Work
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.run_options import RunOptions
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
 
 SIM = Simulation()
 STATIC = Simulation(check="static", schedule="fixed", duration_s=1.0)
@@ -46,6 +52,8 @@ def test_a_run_s_steps_and_cost_worked_out_by_hand() -> None:
     assert MEASURED.seconds(work, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 10 * 500 * 1600)
     fixed = Work(Simulation(schedule="fixed"), [9])
     assert fixed.fixed_steps.tolist() == [10 * 350]
+    # mjx-jax has all boxes in its model from the beginning
+    assert MEASURED.seconds(fixed, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 3500 * 9**2)
     # while boxes come one by one, the mean of k^1.25 is the last one's / 2.25, and the sum of k² a third of 9³
     assert cpu_s(fixed) == pytest.approx(3700 * (2.4e-6 * 9**1.25 / 2.25 + 2e-5) + 9**3 / 3 * 1e-5)
     # with the schedule adaptive a static check ends when the pallet is quiet, whatever its duration
@@ -202,10 +210,34 @@ def test_a_run_s_engine_and_why_it_was_taken() -> None:
     named, choice = resolve_engine(RunOptions(engine="mujoco", threads=1), work)
     assert named.name == "mujoco"
     assert choice == Choice("mujoco", "as asked for", seconds)
-    own = MujocoEngine(1)
-    found, choice = resolve_engine(RunOptions(engine=own), work)
-    assert found is own
+    found, choice = resolve_engine(RunOptions(engine=MujocoEngine(1)), work)
+    assert (found.name, found.takes_more) == ("mujoco", True)
+    assert found.device.endswith(", 1 thread")
     assert choice == Choice("mujoco", "given", None)
+
+
+def test_an_engine_of_the_user_s_own_needs_a_name_and_a_method_and_stays_open() -> None:
+    closed: list[str] = []
+
+    class Least:
+        name = "least"
+
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            yield from MujocoEngine(1).run(jobs, sim, progress)
+
+    class More(Least):
+        takes_more, device = True, "a tin can"
+
+        def close(self) -> None:
+            closed.append(self.name)
+
+    for own, takes_more, device in ((Least(), False, ", 3 threads"), (More(), True, "a tin can")):
+        with engine_for(RunOptions(engine=own, threads=3), Work(SIM, [1])) as (engine, _):
+            assert (engine.name, engine.takes_more) == ("least", takes_more)
+            assert engine.device.endswith(device)
+            (outcome,) = engine.run([Job(make_scene(1))], SIM)
+            assert outcome.n_boxes == 1
+    assert closed == []
 
 
 def test_an_engine_whose_packages_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:

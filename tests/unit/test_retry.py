@@ -11,7 +11,7 @@ from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
 from petmjx.config import PHYSICS, Simulation, Solver
-from petmjx.engines.base import Progress
+from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE, World, score_worlds
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
@@ -25,7 +25,7 @@ def outcome_of(job: int, verdict: Verdict) -> Outcome:
 
 
 @dataclass
-class FailingEngine:
+class FailingEngine(Engine):
     """Answers in reverse order; the world whose box weighs k kg is invalid in its first k − 1 attempts."""
 
     name: str = "failing"
@@ -65,7 +65,7 @@ def test_worlds_that_follow_from_results_are_simulated_too(takes_more: bool) -> 
                 index += 1
 
     engine = Taking() if takes_more else FailingEngine()
-    vars(engine)["takes_more"] = takes_more
+    engine.takes_more = takes_more
     first, second, third, fourth = worlds_failing(0, 9, 0, 0)
     follow = {"p0": [second, third], "p1": [fourth]}
     queue: list[World] = []
@@ -195,7 +195,7 @@ def test_second_attempts_change_what_the_c_engine_computes() -> None:
 
 
 @dataclass
-class AnsweringEngine:
+class AnsweringEngine(Engine):
     """Answers the k-th run with the k-th of some reasons ("" for stable)."""
 
     reasons: list[Reason]

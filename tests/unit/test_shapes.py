@@ -16,10 +16,10 @@ from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
 from support.fake_stepper import FakeEngine, FakeStepper, fake_scene, run_all
 
 import petmjx.engines.batch
-from petmjx.config import PHYSICS, Simulation
+from petmjx.config import Simulation
+from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import started_states
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.stage import Lanes, Queue, Stage
 from petmjx.engines.batch.state import (
     NEVER,
     Metrics,
@@ -36,7 +36,7 @@ from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.metrics import motion_jax as motion
 from petmjx.world.job import Job
 
-ROWS, WIDTH, LANES, CAPACITY = 8, 5, 16, 3
+ROWS, WIDTH = 8, 5
 SIM = Simulation()
 JOBS = [Job(fake_scene(*[1.0] * n)) for n in (1, 3, WIDTH, 2, 4)]
 
@@ -125,33 +125,21 @@ def test_a_table_is_as_annotated(worlds: Worlds, table: State) -> None:
 
 
 def test_states_that_start_from_a_kept_one_are_as_annotated(table: State) -> None:
-    (kept,) = run_all(FakeEngine(16, capacities=(2,)), [Job(fake_scene(1.0), keep_state=True)], SIM)
+    (kept,) = run_all(FakeEngine(), [Job(fake_scene(1.0), keep_state=True)], SIM)
     assert kept.state is not None
     assert len(kept.state.pose) == kept.n_boxes == 1, "of its own boxes, whatever its table had room for"
     forks = [Job(job.scene, start=kept.state) for job in JOBS]
     assert axis_sizes(started_states(forks, table)) == {"world": ROWS, "box": WIDTH}
 
 
-def test_lanes_and_queue_are_as_annotated_from_begin_to_end(worlds: Worlds, table: State) -> None:
-    stepper = FakeStepper(CAPACITY, LANES, held=False)
-    rules = Rules(SIM, build_timetable(SIM, WIDTH), CAPACITY, driven=False)
-    stage = Stage(rules, stepper, PHYSICS["pallet"], LANES, chunk_steps=1, held=False)
-    queue = Queue(jnp.arange(ROWS, dtype=jnp.int32), jnp.int32(len(JOBS)), jnp.int32(0))
-    lanes = stage.empty(worlds, table)
-
-    def consistent(lanes: Lanes, table: State, queue: Queue) -> None:
-        assert axis_sizes(lanes) == {"lane": LANES, **of_boxes(LANES, CAPACITY)}
-        assert axis_sizes(table) == {"world": ROWS, "box": WIDTH}
-        assert axis_sizes(queue) == {"world": ROWS}
-        assert {len(values) for values in lanes.overrides.values()} == {LANES}
-
-    consistent(lanes, table, queue)
-    lanes, table, queue, _ = stage.refill(lanes, table, worlds, queue)
-    consistent(lanes, table, queue)
-    lanes, trail = stage.run_chunk(lanes, jnp.zeros((1, 1, 3)))
-    consistent(lanes, table, queue)
-    assert axis_sizes(trail) == {"step": 1, "lane": LANES, "box": CAPACITY}
-    consistent(lanes, stage.unload(lanes, table), queue)
+@pytest.mark.parametrize("driven", [False, True])
+def test_a_chunk_of_steps_is_as_annotated(worlds: Worlds, table: State, driven: bool) -> None:
+    model = FakeStepper(WIDTH, held=driven)
+    lockstep = Lockstep(Rules(SIM, build_timetable(SIM, WIDTH), WIDTH, driven=driven), model)
+    after, forces, trail = jax.jit(lockstep.chunk)(table, model.no_forces(ROWS), worlds, jnp.zeros((1, 1, 3)))
+    assert axis_sizes(after) == {"world": ROWS, "box": WIDTH}
+    assert axis_sizes(trail) == {"step": CHUNK_STEPS, "world": ROWS, "box": WIDTH}
+    assert forces.shape == model.no_forces(ROWS).shape
 
 
 def test_a_field_of_the_wrong_kind_is_found(worlds: Worlds, table: State) -> None:

@@ -11,7 +11,7 @@ from support.plans import make_plan, make_world, stack
 
 from petmjx.config import Simulation, Solver
 from petmjx.engines import stand_in
-from petmjx.engines.base import Progress
+from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import ATTEMPTS, WorldResult, score_worlds
 from petmjx.errors import InputError
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
@@ -21,7 +21,7 @@ WORLDS = 3
 
 
 @dataclass
-class Scripted:
+class Scripted(Engine):
     """Raises in some of its runs, after it has answered one job; in the others answers with these reasons."""
 
     name: str

@@ -1,116 +1,196 @@
-"""Engine ``mjx-jax``: MJX in pure JAX. For tests and for machines where nothing else runs."""
+"""Engine ``mjx-jax``: batches of worlds side by side on padded MJX models, in pure JAX. The rules as array programs."""
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
-from jaxtyping import Array, Float, Int
+import numpy as np
 
-from petmjx.config import Cone, Physics, Simulation
-from petmjx.engines.base import Progress
-from petmjx.engines.batch.engine import StageEngine
-from petmjx.engines.batch.mjx import mjx
-from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
-from petmjx.metrics.force_jax import contact_force_z, pressed_box
-from petmjx.verdict import Outcome
-from petmjx.world.job import Job
-from petmjx.world.model import geom_bodies
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine, Progress, RunLock
+from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
+from petmjx.engines.batch.outcomes import outcomes, pick
+from petmjx.engines.batch.padded import PaddedModel
+from petmjx.engines.batch.rules import Rules
+from petmjx.engines.batch.setup import set_up_jax
+from petmjx.engines.batch.state import State, Status, uploaded
+from petmjx.engines.batch.timetable import build_timetable
+from petmjx.engines.batch.upload import GRANULE, Batch, is_out_of_memory, load, round_up
+from petmjx.verdict import Flag, Outcome
+from petmjx.world.job import ACCELERATION, Job
 
-LINE_SEARCH_ITERATIONS = 30
-"""Under ``vmap`` all iterations of a line search are computed, even those not needed. With 10, in 2.2 % of the steps of
-small piles a force on a box was more than 50 N from that of C: the solver had given up while boxes land. With 30 it is
-in 0.2 %."""
+MOST_WORLDS = 256
+"""Worlds of a batch, if the user gives no number of lanes."""
 
-
-class JaxStepper:
-    """Steps lanes with ``mjx.step`` under ``vmap``. Contacts have fixed slots, so nothing can overflow."""
-
-    def __init__(self, template: mujoco.MjModel, capacity: int, lanes: int, physics: Physics) -> None:
-        self.template, self.capacity, self.lanes, self.physics = template, capacity, lanes, physics
-        self.geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
-        self.model: Any = mjx.put_model(template, impl="jax")
-
-    def scratch(self) -> Any:
-        one = mjx.make_data(self.template, impl="jax")
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (self.lanes, *jnp.shape(leaf))), one)
-
-    def step(self, overrides: dict[str, jax.Array], inputs: dict[str, jax.Array], scratch: Any) -> Any:
-        def one_lane(fields: dict[str, jax.Array], data: Any) -> Any:
-            model = self.model.tree_replace(fields)
-            done = mjx.forward(model, data)
-            # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
-            # for contacts almost at rest (3.17: solver.py, _LSPoint). Then the accelerations and forces of the last
-            # step are used, from which the solver started.
-            lost = ~jnp.isfinite(done.qacc).all()
-            qacc = jnp.where(lost, data.qacc_warmstart, done.qacc)
-            done = done.replace(qacc=qacc, qacc_warmstart=qacc)
-            forces = jnp.where(lost, data._impl.efc_force, done._impl.efc_force)
-            return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
-
-        return jax.vmap(one_lane)(overrides, scratch.replace(**inputs))
-
-    def top_force(self, overrides: dict[str, jax.Array], scratch: Any) -> Float[Array, "lane box"]:
-        contact = scratch._impl.contact
-        pyramidal = self.physics.cone is Cone.PYRAMIDAL
-        rows_per_contact = 4 if pyramidal else 3
-        geom = contact.geom[0]
-        # A contact has the same rows in every lane; inactive ones have no force.
-        row = jnp.asarray(contact.efc_address)[:, None] + jnp.arange(rows_per_contact)
-        rows = scratch._impl.efc_force[:, row]
-        rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))
-        force = contact_force_z(rows, contact.frame[..., 2], contact.friction[..., :2], pyramidal=pyramidal)
-        geom_z = scratch.geom_xpos[..., 2][:, geom]
-        body = jnp.broadcast_to(self.geom_bodies[geom], geom_z.shape)
-        box, sign, counts = pressed_box(body, geom_z, contact.frame[..., 0, 2])
-        lane, capacity = jnp.arange(self.lanes)[:, None], self.capacity
-        return (
-            jnp.zeros((self.lanes, capacity))
-            .at[lane, jnp.where(counts, box, capacity)]
-            .add(jnp.where(counts, sign * force, 0.0), mode="drop")
-        )
-
-    def overflow(self, scratch: Any) -> Int[Array, " lane"]:
-        return jnp.zeros(self.lanes, jnp.int32)
-
-    def usage(self, scratch: Any) -> Int[Array, " 2"]:
-        return jnp.zeros(2, jnp.int32)
-
-    def iterations(self, scratch: Any) -> Int[Array, " lane"]:
-        return jnp.zeros(self.lanes, jnp.int32)
+FEWEST_WORLDS = 8
+"""A batch has room for so many worlds at least: each size is a program of its own, and compiles for a minute."""
 
 
-class MjxJaxEngine(StageEngine):
-    """Batched MJX in pure JAX, on any device of JAX.
+@dataclass(frozen=True)
+class ProgramKey:
+    """What a compiled program depends on.
+
+    Attributes:
+        capacity, worlds: room for boxes and worlds.
+        boards: shapes of each carrier.
+        drive: kind of the excitation; None: placement.
+        profiles: shape of the table of profiles.
+    """
+
+    sim: Simulation
+    capacity: int
+    worlds: int
+    boards: int
+    drive: str | None
+    profiles: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Program:
+    """``Lockstep.chunk``, compiled, with the model that it steps."""
+
+    model: PaddedModel
+    chunk: Any
+
+
+class MjxJaxEngine(Engine):
+    """Worlds of similar size side by side, each step for all of them, until the last one has ended.
+
+    Boxes that are not placed yet hang in the air. So a batch has one model from its first step to its last.
 
     Boxes have no skin: MJX's collider always prefers a face to an edge that is almost parallel to it. And it measures
     depths along the face's normal (3.17: ``collision_convex.py``), so that with a skin contacts of edges and corners
     would be deeper than they are.
+
+    Args:
+        lanes: most worlds of a batch; fewer if there are fewer worlds, or if memory runs out.
     """
 
     name = "mjx-jax"
 
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """As in the base class."""
-        physics = sim.physics.changed(skin_m=0.0)
-        return super().run(jobs, sim.changed(physics=physics), progress)
+    def __init__(self, lanes: int | None = None) -> None:
+        set_up_jax()
+        self.lanes = lanes or MOST_WORLDS
+        self.programs: dict[ProgramKey, Program] = {}
+        """What is compiled, and kept for later runs."""
+        self._running = RunLock(self.name)
 
-    def make_stepper(
-        self, capacity: int, boards: int, lanes: int, sim: Simulation, *, held: bool, growth: int
-    ) -> JaxStepper:
-        template = padded_template(
-            capacity,
-            boards,
-            sim.physics,
-            held=held,
-            solver=sim.solver,
-            tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
-            iterations=sim.solver_iterations or MAX_ITERATIONS,
-            line_search_iterations=LINE_SEARCH_ITERATIONS,
+    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
+        """The padded model for worlds of up to so many boxes."""
+        return PaddedModel(capacity, boards, sim, held=held)
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        """Simulate each job once. The outcomes of a batch come together. If memory runs out, batches are halved.
+
+        Raises:
+            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
+        """
+        if not jobs:
+            return
+        sim = sim.changed(physics=sim.physics.changed(skin_m=0.0))
+        progress = progress or Progress()
+        most = self.lanes
+        with self._running:
+            for alike in alike_jobs(jobs):
+                capacity = round_up(max(jobs[index].scene.n_boxes for index in alike))
+                while alike:
+                    # as many in each batch, so that one program serves all
+                    some = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
+                    room = min(max(1 << (len(some) - 1).bit_length(), FEWEST_WORLDS), most)
+                    rows, batch = np.arange(len(some)), _load(jobs, some, room, capacity, sim)
+                    if not self._simulate(batch, sim, progress):
+                        if most > 1:
+                            most = max(room // 2, 1)
+                            progress.message = f"out of device memory, again with {most} worlds at once"
+                            continue
+                        batch = _load(jobs, some, room, capacity, sim)
+                        batch.give_up(rows, Flag.OUT_OF_MEMORY)
+                    picked = pick(rows, batch.table, batch.worlds, sim)
+                    for outcome in outcomes(rows, picked, batch.jobs, 0, sim, batch.recorder):
+                        outcome.job = some[outcome.job]
+                        yield outcome
+                    alike = alike[len(some) :]
+
+    def _simulate(self, batch: Batch, sim: Simulation, progress: Progress) -> bool:
+        """Take a batch, whose worlds are alike, to its end: through the placement, then the drive.
+
+        Returns:
+            Whether there was memory for it. If not, what is compiled is let go.
+        """
+        job = batch.jobs[0]
+        try:
+            if not isinstance(job.start, State):
+                self._go_on(batch, sim, None, progress)
+            if job.drive is not None:
+                self._go_on(batch, sim, job.drive.excitation.kind, progress)
+        except Exception as error:
+            if not is_out_of_memory(error):
+                raise
+            self.programs.clear()
+            return False
+        return True
+
+    def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
+        """Steps until no world is left that is placed, or driven."""
+        # placement needs no profiles, whose table would make it compile again for each shape
+        profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
+        program = self._program(batch, sim, drive, profiles, progress)
+        worlds, capacity, _ = batch.worlds.half.shape
+        forces = program.model.no_forces(worlds)
+        going = (Status.RUNNING,) if drive is None else (Status.RUNNING, Status.SETTLED)
+        label = f"{'place' if drive is None else 'drive'} capacity {capacity}"
+        begin = time.perf_counter()
+        while running := int(np.isin(np.asarray(batch.table.status), going).sum()):
+            progress.message = f"{label}: {running} worlds running"
+            batch.table, forces, trail = program.chunk(batch.table, forces, batch.worlds, profiles)
+            if not batch.recorder.idle:
+                batch.recorder.add_trail(trail)
+            progress.world_steps += running * CHUNK_STEPS
+        spent = f"{label} seconds"
+        progress.extra[spent] = progress.extra.get(spent, 0) + time.perf_counter() - begin
+        progress.extra[f"{label} lanes"] = worlds
+
+    def _program(
+        self, batch: Batch, sim: Simulation, drive: str | None, profiles: jax.Array, progress: Progress
+    ) -> Program:
+        worlds, capacity, _ = batch.worlds.half.shape
+        key = ProgramKey(sim, capacity, worlds, batch.boards, drive, profiles.shape)
+        if key not in self.programs:
+            progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
+            begin = time.perf_counter()
+            model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION)
+            rules = Rules(sim, build_timetable(sim, capacity), capacity, driven=drive is not None)
+            chunk = Lockstep(rules, model).compiled(batch.table, model.no_forces(worlds), batch.worlds, profiles)
+            self.programs[key] = Program(model, chunk)
+            progress.compile_s += time.perf_counter() - begin
+        return self.programs[key]
+
+
+def alike_jobs(jobs: Sequence[Job]) -> list[list[int]]:
+    """Jobs that may share a batch, by index, those with the largest plans first: with the same kind of drive, all from
+    their beginning or all from a settled state, on carriers of as many boards, and of similar size: 1 to 4 boxes, 5 to
+    8, 9 to 16, …."""
+    found: dict[tuple[int, int, str | None, bool], list[int]] = {}
+    for index, job in enumerate(jobs):
+        size = ((job.scene.n_boxes - 1) // GRANULE).bit_length()
+        drive = job.drive.excitation.kind if job.drive is not None else None
+        found.setdefault((size, len(job.scene.carrier.half_size), drive, isinstance(job.start, State)), []).append(
+            index
         )
-        # Nothing is damped. With damping enabled, each step would compute its accelerations twice.
-        template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
-        return JaxStepper(template, capacity, lanes, sim.physics)
+    return [found[key] for key in sorted(found, key=lambda key: -key[0])]
+
+
+def _load(jobs: Sequence[Job], some: list[int], room: int, capacity: int, sim: Simulation) -> Batch:
+    """A batch with room for so many worlds and boxes. Its padding has ended already."""
+    timetable = build_timetable(sim, capacity)
+    batch = load([jobs[index] for index in some], room, capacity, sim, timetable)
+    status = np.array(batch.table.status)
+    status[len(some) :] = Status.FINISHED
+    batch.table = batch.table._replace(status=uploaded(status))
+    return batch

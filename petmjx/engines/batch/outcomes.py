@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
-from petmjx.engines.batch.state import State, Status, Worlds, narrow, take_rows, uploaded
+from petmjx.engines.batch.state import State, Worlds, narrow, take_rows, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
@@ -143,18 +143,18 @@ def _outcomes(
 
 
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
-    """A group's first states: fresh ones, and for jobs that start from a kept state that one.
+    """First states of jobs: fresh ones, and for jobs that start from a kept state that one.
 
     Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device
     only if a job needs them: rows behind the jobs', which never run, may have any state.
     """
-    starts: list[Any] = list({id(job.start): job.start for job in jobs if job.start is not None}.values())
+    starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:
         return fresh
     row_of = {id(start): row for row, start in enumerate(starts)}
     spare = len(fresh.step) - len(jobs)
     source = np.array([row_of.get(id(job.start), 0) for job in jobs] + [0] * spare)
-    forked = np.array([job.start is not None for job in jobs] + [True] * spare)
+    forked = np.array([isinstance(job.start, State) for job in jobs] + [True] * spare)
 
     def fork(new: jax.Array, *kept: Any) -> jax.Array:
         stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)
@@ -170,9 +170,3 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
 
     forked_states: State = jax.tree.map(fork, fresh, *starts)
     return forked_states._replace(steps_done=fresh.steps_done)
-
-
-def handed_on(status: NDArray[np.int32], driven: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which worlds are at their end for this run of jobs, by status, and not on the way to another stage or a drive."""
-    ended: NDArray[np.bool_] = (status == Status.FINISHED) | ((status == Status.SETTLED) & ~driven)
-    return ended

@@ -1,8 +1,8 @@
-"""Frames of the worlds of a group, as they come from the device, and the histories made of them."""
+"""Frames of worlds that are simulated together, as they come from the device, and the histories made of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,24 +15,22 @@ from petmjx.engines.frames import history_of
 from petmjx.history import History
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
-from petmjx.world.release import release_of
 
 
 class Trail(NamedTuple):
-    """What lanes went through in the steps of a chunk; all as it was after a step and what followed from it.
+    """What worlds went through in the steps of a chunk; all as it was after a step and what followed from it.
 
-    ``row``: the world of a lane; ``ran``: whether the step was taken; ``fresh``: a box has just been placed.
+    ``ran``: whether the step was taken; ``fresh``: a box has just been placed.
     """
 
-    row: Int[Array, "step lane"]
-    ran: Bool[Array, "step lane"]
-    fresh: Bool[Array, "step lane"]
-    number: Int[Array, "step lane"]
-    placed: Int[Array, "step lane"]
-    status: Int[Array, "step lane"]
-    pose: Float[Array, "step lane box 7"]
-    top_force: Float[Array, "step lane box"]
-    carrier_pose: Float[Array, "step lane 7"]
+    ran: Bool[Array, "step world"]
+    fresh: Bool[Array, "step world"]
+    number: Int[Array, "step world"]
+    placed: Int[Array, "step world"]
+    status: Int[Array, "step world"]
+    pose: Float[Array, "step world box 7"]
+    top_force: Float[Array, "step world box"]
+    carrier_pose: Float[Array, "step world 7"]
 
 
 class Frames(NamedTuple):
@@ -46,10 +44,10 @@ class Frames(NamedTuple):
 
 
 class Recorder:
-    """Frames of those worlds of a group whose jobs ask for a history.
+    """Frames of those worlds whose jobs ask for a history.
 
     Args:
-        jobs: of the group.
+        jobs: that are simulated together; job i has row i.
         sim: the run's options.
 
     Attributes:
@@ -70,57 +68,30 @@ class Recorder:
         return not self._found
 
     def add(self, row: int, frames: Frames) -> None:
-        """Frames of a world, later than those before; with as many boxes as they have, or more than the world."""
+        """Frames of a world, later than those before; with room for more boxes than it has."""
         n = self._jobs[row].scene.n_boxes
-        pose, force = frames.pose[:, :n], frames.top_force[:, :n]
-        missing = [(0, 0), (0, n - pose.shape[1])]
-        padded = frames._replace(pose=np.pad(pose, [*missing, (0, 0)]), top_force=np.pad(force, missing))
-        self._found[row].append(padded)
+        self._found[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
 
     def add_trail(self, trail: Trail) -> None:
-        """The frames among the steps of a chunk, of the lanes that have recorded worlds."""
-        rows = np.asarray(trail.row[0])
-        lanes = [lane for lane, row in enumerate(rows.tolist()) if row in self._found]
-        if not lanes:
-            return
-        taken: list[Any] = [np.asarray(values)[:, lanes] for values in trail]
+        """The frames among the steps of a chunk."""
+        rows = list(self._found)
+        taken: list[Any] = [np.asarray(values)[:, rows] for values in trail]
         some = Trail(*taken)
-        regular = (some.number >= 0) & (some.number % self.every[rows[lanes]] == 0) & (some.placed > 0)
+        regular = (some.number >= 0) & (some.number % self.every[rows] == 0) & (some.placed > 0)
         due = np.asarray(some.ran & (regular | some.fresh | (some.status != Status.RUNNING)))
-        for lane, row in enumerate(rows[lanes].tolist()):
-            (at,) = np.nonzero(due[:, lane])
+        for column, row in enumerate(rows):
+            (at,) = np.nonzero(due[:, column])
             if len(at):
-                passed: list[Any] = [values[at, lane] for values in some]
-                self.add(row, self._frames(row, Trail(*passed)))
+                passed: list[Any] = [values[at, column] for values in some]
+                self.add(row, self._frames(Trail(*passed)))
 
-    def _frames(self, row: int, steps: Any) -> Frames:
-        """Frames from some steps of one world, a ``Trail`` on the host without the axis of lanes. Nothing has acted yet
-        on a box that was just placed."""
+    @staticmethod
+    def _frames(steps: Any) -> Frames:
+        """Frames from some steps of one world, a ``Trail`` on the host without the axis of worlds. Nothing has acted
+        yet on a box that was just placed."""
         (fresh,) = np.nonzero(steps.fresh)
         steps.top_force[fresh, steps.placed[fresh] - 1] = 0.0
-        frames = Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
-        if steps.status[-1] != Status.READY:
-            return frames
-        # its next box is placed where it is handed on to, before the next step
-        box, scene = int(steps.placed[-1]), self._jobs[row].scene
-        wider = [(0, 0), (0, 1)]
-        pose, force = np.pad(frames.pose, [*wider, (0, 0)]), np.pad(frames.top_force, wider)
-        middles = scene.middles(pose[-1, :, :3].astype(float), pose[-1, :, 3:].astype(float))
-        place = scene.start_pos.copy()
-        place[box] = release_of(scene, self._sim).place_of(box, scene, middles[:, 2], steps.carrier_pose[-1, 2])
-        pose[-1, box] = np.concatenate((scene.frames(place, scene.start_quat)[box], scene.start_quat[box]))
-        force[-1, box] = 0.0
-        frames.placed[-1] += 1
-        return frames._replace(pose=pose, top_force=force)
-
-    def marks(self) -> Mapping[int, int]:
-        """How far each world's frames have come."""
-        return {row: len(found) for row, found in self._found.items()}
-
-    def go_back(self, marks: Mapping[int, int], rows: Sequence[int]) -> None:
-        """Forget what some worlds went through since: they go through it again."""
-        for row in self._found.keys() & set(rows):
-            del self._found[row][marks[row] :]
+        return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
 
     def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
         """The history of a world that has ended, whose frames are forgotten; None if it was not recorded.
@@ -133,7 +104,7 @@ class Recorder:
         if found is None:
             return None
         job = self._jobs[row]
-        if job.start is not None:
+        if isinstance(job.start, State):
             found.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not found or found[-1].step[-1] != last.step[0]:
@@ -157,7 +128,7 @@ class Recorder:
         )
 
 
-def _of_state(job: Job, state: Any) -> Frames:
+def _of_state(job: Job, state: State) -> Frames:
     """A frame of a state; what acted is not known."""
     n = job.scene.n_boxes
     pose = np.array(state.pose, np.float32)[None, :n]

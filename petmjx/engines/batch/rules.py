@@ -1,4 +1,4 @@
-"""The rules of a run, one step of all lanes at a time: sampling, placing, resting, ending (docs/rules.md).
+"""The rules of a run, one step of all worlds at a time: sampling, placing, resting, ending (docs/rules.md).
 
 Pure functions of states; nothing here knows how a step is taken. The C engine follows the same rules in its own
 words.
@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Schedule, Simulation
 from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
-from petmjx.engines.batch.template import parked_positions
+from petmjx.engines.batch.template import PARKING_HEIGHT_M, parked_positions
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.history import CARRIER
 from petmjx.metrics import motion_jax as motion
@@ -29,14 +29,15 @@ UNBELIEVABLE = 1e10
 class _Seen(NamedTuple):
     """What samples see: values at the beginning of a step. Shapes and units as in ``Rules.after_step``."""
 
-    pose: Float[Array, "lane box 7"]
-    acceleration: Float[Array, "lane box 6"]
-    top_force: Float[Array, "lane box"]
+    pose: Float[Array, "world box 7"]
+    acceleration: Float[Array, "world box 6"]
+    top_force: Float[Array, "world box"]
 
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """The rules with their numbers. ``driven``: this stage shakes settled worlds instead of placing boxes."""
+    """The rules with their numbers, for worlds with room for ``capacity`` boxes. ``driven``: settled worlds are shaken
+    instead of boxes placed."""
 
     sim: Simulation
     timetable: Timetable
@@ -48,21 +49,26 @@ class Rules:
         quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 
-    def standing(self, state: State) -> Bool[Array, "lane box"]:
+    def standing(self, state: State) -> Bool[Array, "world box"]:
         """Boxes in play: placed, in a world that runs."""
         placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
         return placed & state.running[:, None]
 
     def park(self, state: State) -> State:
-        """Put boxes that are not in play to the places where they wait, at rest."""
-        standing = self.standing(state)[..., None]
+        """Put boxes that are not in play to the places where they wait, at rest. Carriers of worlds that have ended go
+        into the air, too: where nothing touches the solver has nothing to find."""
+        standing, ended = self.standing(state)[..., None], ~state.running[:, None]
+        aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, *IDENTITY_QUAT]])
         return state._replace(
             pose=jnp.where(standing, state.pose, self.parked_pose()[None]),
             vel=jnp.where(standing, state.vel, 0.0),
             warm=jnp.where(standing, state.warm, 0.0),
+            carrier_pose=jnp.where(ended, aloft, state.carrier_pose),
+            carrier_vel=jnp.where(ended, 0.0, state.carrier_vel),
+            carrier_warm=jnp.where(ended, 0.0, state.carrier_warm),
         )
 
-    def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " lane"]) -> State:
+    def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
         """Release the next box: at its release pose, at rest."""
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
@@ -78,7 +84,7 @@ class Rules:
             quiet_steps=jnp.where(where, 0, state.quiet_steps),
         )
 
-    def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "lane box"]:
+    def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
         """How far the support of each box is from its planned height, m; 0 where it has none."""
         boxes = motion.middles(state.pose, worlds.middle)[..., 2] - worlds.target[..., 2]
         carrier = state.carrier_pose[:, 2] - worlds.carrier_pos[:, 2]
@@ -86,33 +92,30 @@ class Rules:
         moved = jnp.where(worlds.support == CARRIER, carrier[:, None], moved)
         return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -MOST_FOLLOWED_M, MOST_FOLLOWED_M))
 
-    def enter(self, state: State, worlds: Worlds) -> State:
-        """Take up worlds that an earlier stage handed on."""
-        if self.driven:
-            begins = state.status == Status.SETTLED
-            end = state.driven_from + worlds.drive_steps
-            metrics = self._without_rest(self._forget_transients(state, worlds, begins), begins)
-            middles = motion.middles(state.pose, worlds.middle)
-            anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
-            return state._replace(
-                status=jnp.where(begins, Status.RUNNING, state.status),
-                end=jnp.where(begins, end, state.end),
-                rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
-                still_pose=jnp.where(begins[:, None, None], state.pose, state.still_pose),
-                metrics=metrics._replace(sway_anchor=anchor),
-            )
-        waited = (state.status == Status.READY) & (state.placed < self.capacity)
-        return self.place_next(state._replace(status=jnp.where(waited, Status.RUNNING, state.status)), worlds, waited)
+    def begin_drives(self, state: State, worlds: Worlds) -> State:
+        """Begin the drives of worlds whose placement has settled."""
+        begins = (state.status == Status.SETTLED) & worlds.driven
+        end = state.driven_from + worlds.drive_steps
+        metrics = self._without_rest(self._forget_transients(state, worlds, begins), begins)
+        middles = motion.middles(state.pose, worlds.middle)
+        anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
+        return state._replace(
+            status=jnp.where(begins, Status.RUNNING, state.status),
+            end=jnp.where(begins, end, state.end),
+            rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
+            still_pose=jnp.where(begins[:, None, None], state.pose, state.still_pose),
+            metrics=metrics._replace(sway_anchor=anchor),
+        )
 
     @staticmethod
-    def _without_rest(metrics: Metrics, where: Bool[Array, " lane"]) -> Metrics:
+    def _without_rest(metrics: Metrics, where: Bool[Array, " world"]) -> Metrics:
         """Begin with another rest window."""
         return metrics._replace(
             rest_force_sum=jnp.where(where[:, None], 0.0, metrics.rest_force_sum),
             rest_samples=jnp.where(where, 0, metrics.rest_samples),
         )
 
-    def _forget_transients(self, state: State, worlds: Worlds, begins: Bool[Array, " lane"]) -> Metrics:
+    def _forget_transients(self, state: State, worlds: Worlds, begins: Bool[Array, " world"]) -> Metrics:
         """Forget signs from the placement (a hard landing) in worlds in which no box is over a threshold now."""
         m = state.metrics
         clean = begins & ~self._is_over(state, worlds)
@@ -121,7 +124,7 @@ class Rules:
             sign_step=jnp.where(clean, -1, m.sign_step),
         )
 
-    def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " lane"]:
+    def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
         """Whether a box is over a threshold now, or has dropped."""
         limits = self.sim.thresholds
         shift = motion.shift(motion.middles(state.pose, worlds.middle), worlds.target, limits.shift_floor_m)
@@ -134,10 +137,9 @@ class Rules:
         self,
         state: State,
         worlds: Worlds,
-        seen_pose: Float[Array, "lane box 7"],
-        acceleration: Float[Array, "lane box 6"],
-        top_force: Float[Array, "lane box"],
-        overflow: Int[Array, " lane"],
+        seen_pose: Float[Array, "world box 7"],
+        acceleration: Float[Array, "world box 6"],
+        top_force: Float[Array, "world box"],
     ) -> State:
         """Everything that happens between two steps.
 
@@ -146,27 +148,24 @@ class Rules:
             seen_pose: poses at the beginning of the step, to which contacts and accelerations belong.
             acceleration: linear (m/s²) and angular (rad/s²) of each box in that step.
             top_force: N.
-            overflow: non-zero where a buffer was too small for the step to be right.
         """
         before = state.running
         moving = (state.pose, state.vel, state.carrier_pose, state.carrier_vel)
         values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
         state = self._sample(state, worlds, _Seen(seen_pose, acceleration, top_force), nonfinite)
-        overflowed = before & (overflow != 0)
         state = state._replace(
             steps_done=state.steps_done + (before & (state.step > 0)),
-            flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0) | jnp.where(overflowed, overflow, 0),
+            flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
             status=jnp.where(nonfinite, Status.FINISHED, state.status),
         )
-        state = state._replace(status=jnp.where(overflowed, Status.OVERFLOWED, state.status))
         state = self._look_at_the_end(self._proceed(state, worlds), worlds)
         still_from = state.end - self.timetable.still_steps
         still_from = jnp.maximum(still_from, state.driven_from if self.driven else 0)
         here = state.running & (state.step == still_from)
         return state._replace(still_pose=jnp.where(here[:, None, None], state.pose, state.still_pose))
 
-    def _sample(self, state: State, worlds: Worlds, seen: _Seen, nonfinite: Bool[Array, " lane"]) -> State:
+    def _sample(self, state: State, worlds: Worlds, seen: _Seen, nonfinite: Bool[Array, " world"]) -> State:
         limits, m = self.sim.thresholds, state.metrics
         counted = state.running & (state.step > 0) & ~nonfinite
         sample = counted & (state.step % self.timetable.sample_every == 0)
@@ -226,9 +225,9 @@ class Rules:
         )
 
     def count_quiet(
-        self, state: State, worlds: Worlds, poll: Bool[Array, " lane"]
-    ) -> tuple[State, Bool[Array, " lane"]]:
-        """In lanes with ``poll``, count the steps for which all boxes were quiet. If one creeps, start again.
+        self, state: State, worlds: Worlds, poll: Bool[Array, " world"]
+    ) -> tuple[State, Bool[Array, " world"]]:
+        """In worlds with ``poll``, count the steps for which all boxes were quiet. If one creeps, start again.
 
         A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps.
         """
@@ -252,7 +251,7 @@ class Rules:
         return counted, enough & ~anew
 
     def _proceed(self, state: State, worlds: Worlds) -> State:
-        """Place the next box, hand the world on, or let it come to rest."""
+        """Place the next box, let the world settle, or let it come to rest."""
         quiet, table = self.sim.quiet, self.timetable
         more = (state.placed < worlds.n_boxes) & (not self.driven)
         waits = state.running & (state.step > 0) & (more | (state.end == NEVER))
@@ -262,20 +261,18 @@ class Rules:
         rested = state.step - state.waits_since >= quiet.min_steps
         no_sign = state.metrics.culprit < 0
         go = waits & ((state.step >= self._deadline(state, worlds, more, adapts)) | (still & adapts & rested))
-        full = state.placed >= self.capacity
         # with a drive to come, and no look whether the pallet rests
         settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~more & ~settles
         moves = (settles | (go & more)) & no_sign & (state.quiet_steps < quiet.steps)
-        status = jnp.where(settles, Status.SETTLED, state.status)
         state = state._replace(
             rest_from=jnp.where(rests, state.step, state.rest_from),
             end=jnp.where(rests, state.step + table.rest_steps, state.end),
             driven_from=jnp.where(settles, state.step, state.driven_from),
             flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0),
-            status=jnp.where(go & more & full, Status.READY, status),
+            status=jnp.where(settles, Status.SETTLED, state.status),
         )
-        return self.place_next(state, worlds, go & more & ~full)
+        return self.place_next(state, worlds, go & more)
 
     @property
     def _adaptive(self) -> bool:
@@ -287,8 +284,8 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _deadline(
-        self, state: State, worlds: Worlds, more: Bool[Array, " lane"], adapts: Bool[Array, " lane"]
-    ) -> Int[Array, " lane"]:
+        self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
+    ) -> Int[Array, " world"]:
         """The latest step for the event that is waited for. A sign of failure ends patience, counted from it."""
         sim, table = self.sim, self.timetable
         no_sign = state.metrics.culprit < 0
@@ -305,7 +302,7 @@ class Rules:
         due = jnp.where(~more & worlds.settles, settled, due)
         return jnp.where(patient & no_sign, self._longest_wait(state, worlds), due)
 
-    def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " lane"]:
+    def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
         """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
         if self.driven:
             return state.driven_from + worlds.drive_steps + self.timetable.longest_steps

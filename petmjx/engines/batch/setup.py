@@ -21,7 +21,7 @@ MIN_COMPILE_S = 0.0
 """Programs that compile faster than this are not kept. A run has about a hundred small ones, together some seconds."""
 
 CPU_COMPILER_OPTIONS = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
-"""With XLA's CPU scheduler that is optimised for concurrency, programs of stages hang in XLA's thread pool (jaxlib
+"""With XLA's CPU scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool (jaxlib
 0.10.2, two cores: 7 runs of 7; without it 0 of 4)."""
 
 

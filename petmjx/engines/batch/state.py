@@ -1,7 +1,6 @@
-"""Worlds on the device: what is constant about them, and the state that stages take and hand on.
+"""Worlds on the device: what is constant about them, and their states from step to step.
 
-Rows are worlds; box columns are padded to the largest capacity of the group. A stage holds the same records with
-one world a lane and as many box columns as its capacity. Axes are named in ``petmjx.engines.batch``.
+Rows are worlds; box columns are padded to the same number. Axes are named in ``petmjx.engines.batch``.
 """
 
 from __future__ import annotations
@@ -35,13 +34,11 @@ class Status:
     """Where a world is. Plain integers, because they live in device arrays."""
 
     RUNNING = 0
-    READY = 1
-    """All boxes of this capacity stand; the next box waits for a larger one."""
     SETTLED = 2
     """Placement is over, and the pallet has come to rest. A drive may follow."""
     FINISHED = 3
     OVERFLOWED = 4
-    """A buffer was too small: the stage must run again from the state with which the world entered it."""
+    """On mjx-warp: a buffer is too small for the next step."""
     PAUSED = 5
     """All boxes of an open world are placed and rest, and more may come."""
 
@@ -103,7 +100,7 @@ class Metrics(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of worlds between stages. Steps are counted from the end of the soft start."""
+    """The state of worlds between two steps. Steps are counted from the end of the soft start."""
 
     # Positions and velocities as MuJoCo's qpos and qvel of free bodies; the accelerations of the last step; and those
     # from which mjx-warp's solver starts in the next one. Other solvers start from the last step's.
@@ -174,26 +171,13 @@ def narrow(record: Record, capacity: int) -> Record:
     return record._replace(**columns)
 
 
-def put_rows(table: Record, rows: Int[Array, " lane"], lanes: Record) -> Record:
-    """Write lanes' records into rows of a wider table. Rows beyond its end are dropped."""
-
-    def put(wide: jax.Array, narrow_values: jax.Array) -> jax.Array:
-        if wide.ndim > 1 and narrow_values.shape[1] < wide.shape[1]:
-            columns = narrow_values.shape[1]
-            return wide.at[rows, :columns].set(narrow_values, mode="drop")
-        return wide.at[rows].set(narrow_values, mode="drop")
-
-    written: Record = jax.tree.map(put, table, lanes)
+def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
+    """Write records into rows of a table. Rows beyond its end are dropped."""
+    written: Record = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), table, values)
     return written
 
 
-def choose_rows(where: Bool[Array, " world"], new: Record, old: Record) -> Record:
-    """Rows of the new record where it says so, of the old one elsewhere."""
-    chosen: Record = jax.tree.map(lambda a, b: jnp.where(where.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
-    return chosen
-
-
-def take_rows(record: Record, rows: Int[Array, " lane"]) -> Record:
+def take_rows(record: Record, rows: Int[Array, " row"]) -> Record:
     """Rows of a record, in order; out-of-range rows give some valid row."""
     taken: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
     return taken

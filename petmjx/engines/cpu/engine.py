@@ -7,19 +7,19 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 from petmjx.config import Simulation
-from petmjx.engines.base import Progress
+from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_worlds import MujocoWorlds
 from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.engines.failing import failed_outcome
-from petmjx.machine import cpu_threads
+from petmjx.machine import cpu_threads, device_name
 from petmjx.text import one_line
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 
-class MujocoEngine:
+class MujocoEngine(Engine):
     """Simulates each world alone, on its exact model: the oracle, and the fastest engine without a GPU.
 
     ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
@@ -45,6 +45,10 @@ class MujocoEngine:
     def open(self, scenes: Sequence[Scene], sim: Simulation) -> MujocoWorlds:
         """Worlds that stay open (petmjx/engines/open.py), on this engine's threads."""
         return MujocoWorlds(scenes, sim, self.threads)
+
+    @property
+    def device(self) -> str:
+        return device_name(self.name, self.threads)
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
@@ -10,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Simulation
-from petmjx.engines.base import GROUP_WORLDS, GrowingJobs
-from petmjx.engines.batch.capacities import round_up
-from petmjx.engines.batch.groups import MAX_GROWTH, MIN_LANES, Group, GroupEngine, Run, is_out_of_memory
+from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, RunLock
 from petmjx.engines.batch.outcomes import outcomes, pick
-from petmjx.engines.batch.setup import set_up_warp
+from petmjx.engines.batch.setup import set_up_jax, set_up_warp
 from petmjx.engines.batch.state import Status
+from petmjx.engines.batch.timetable import build_timetable
+from petmjx.engines.batch.upload import is_out_of_memory, load, round_up, tables
 from petmjx.engines.warp.frames import hand_over, pick_frames
+from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
 from petmjx.engines.warp.march import SLICE_NS, Fleet
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
@@ -46,6 +48,9 @@ MORE_AT_ONCE = 64
 MORE_BOXES = 2
 """The carrier, and one that small plans need more."""
 
+MIN_LANES = 16
+"""With fewer lanes than this, no useful amount of memory is saved."""
+
 Waiting = Callable[[int], Sequence[Job]]
 """The next jobs of a run, at most so many, which may be appended to those of a group."""
 
@@ -64,20 +69,35 @@ class RolloutKey:
     table_boxes: int
 
 
-def _kind(job: Job) -> str:
-    """The size of the lanes for a job, as a key of ``Run.capacities``: the most boxes that they have room for."""
-    return str(size_for(job.scene.n_boxes).most_boxes)
+def _size(job: Job) -> int:
+    """The size of the lanes for a job: the most boxes of their worlds."""
+    return size_for(job.scene.n_boxes).most_boxes
 
 
-def _most_room(kind: str) -> int:
+def _most_room(size: int) -> int:
     """Boxes for which a world of a size may have contacts and pairs at most: the same in all runs, so that the largest
     plan of a run has no say in which of its worlds are given up."""
-    return MAX_GROWTH * (int(kind) + MORE_BOXES)
+    return MAX_GROWTH * (size + MORE_BOXES)
 
 
-def _kinds(run: Run) -> list[str]:
+def _sizes(run: Run) -> list[int]:
     """The sizes of a run's lanes, those for the largest worlds first."""
-    return sorted(run.capacities, key=int, reverse=True)
+    return sorted(run.widths, reverse=True)
+
+
+def _widths(jobs: Sequence[Job]) -> dict[int, int]:
+    """``Run.widths`` for some jobs."""
+    largest = max(job.scene.n_boxes for job in jobs)
+    if largest > MAX_BOXES:
+        raise InputError(
+            f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
+            "choose the engine mujoco"
+        )
+    widest: dict[int, int] = {}
+    for job in jobs:
+        size = _size(job)
+        widest[size] = max(widest.get(size, 0), round_up(job.scene.n_boxes))
+    return widest
 
 
 def _halved(fleet: Fleet) -> Fleet:
@@ -85,7 +105,7 @@ def _halved(fleet: Fleet) -> Fleet:
     return replace(fleet, lanes=min(fleet.lanes, max(fleet.lanes // 2, MIN_LANES)))
 
 
-class MjxWarpEngine(GroupEngine):
+class MjxWarpEngine(Engine):
     """Worlds on Warp's kernels, each at its own pace, in a thread block of its own (petmjx/engines/warp/march.py).
 
     With Newton's method only: C MuJoCo simulates what needs another one (petmjx/engines/stand_in.py).
@@ -93,6 +113,7 @@ class MjxWarpEngine(GroupEngine):
     Args:
         lanes: most worlds of a size at the same time; None: as many as the device has room for.
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device: slow, for tests.
+        group_size: worlds whose states are on the device at the same time; it bounds memory for any number of jobs.
         slice_ns: time between two looks at which worlds have ended, ns.
 
     Raises:
@@ -114,10 +135,11 @@ class MjxWarpEngine(GroupEngine):
         if problem:
             raise EngineUnavailable(f"engine mjx-warp cannot run here: {problem}")
         set_up_warp()
-        super().__init__(lanes, group_size)
-        self.slice_ns = slice_ns
+        set_up_jax()
+        self.lanes, self.group_size, self.slice_ns = lanes, group_size, slice_ns
+        self._running = RunLock(self.name)
         self._kept: dict[tuple[Shape, ...], tuple[RolloutKey, Rollout]] = {}
-        self._room: dict[tuple[Cone, str], int] = {}
+        self._room: dict[tuple[Cone, int], int] = {}
         """How much larger than usual buffers have to be, by size of lanes."""
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = SIZES[0].most_boxes) -> WarpWorlds:
@@ -134,20 +156,37 @@ class MjxWarpEngine(GroupEngine):
             _, (_, rollout) = self._kept.popitem()
             rollout.close()
 
-    def _choose_capacities(self, jobs: Sequence[Job], sim: Simulation) -> dict[str, list[int]]:
-        largest = max(job.scene.n_boxes for job in jobs)
-        if largest > MAX_BOXES:
-            raise InputError(
-                f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
-                "choose the engine mujoco"
-            )
-        widest: dict[str, int] = {}
-        for job in jobs:
-            kind = _kind(job)
-            widest[kind] = max(widest.get(kind, 0), round_up(job.scene.n_boxes))
-        return {kind: [width] for kind, width in widest.items()}
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        """Simulate each job once. Outcomes come as worlds reach their end.
+
+        Raises:
+            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
+        """
+        if not jobs:
+            return
+        progress = progress or Progress()
+        first = 0
+        with self._running:
+            while first < len(jobs):  # more may have been appended
+                rest = jobs[first:]
+                timetable = build_timetable(sim, max(job.scene.n_boxes for job in rest))
+                run = Run(sim, timetable, _widths(rest), progress, jobs)
+                size = math.ceil(len(rest) / math.ceil(len(rest) / self.group_size))
+                end = len(jobs)
+                while first < end:
+                    group = list(jobs[first : min(first + size, end)])
+                    yield from self._run_group(run, group, first)
+                    first += len(group)  # a group may have taken more
+
+    def _load_group(self, run: Run, jobs: list[Job], most: int = 0) -> Group:
+        """The tables of a group. ``most``: rows for as many jobs, if there are fewer now."""
+        rows = 1 << (max(len(jobs), most) - 1).bit_length()
+        batch = load(jobs, rows, max(run.widths.values()), run.sim, run.timetable)
+        return Group(**vars(batch), run=run)
 
     def _run_group(self, run: Run, jobs: list[Job], first_job: int) -> Iterator[Outcome]:
+        """Outcomes of a group of jobs, which may take more of the run's jobs behind them; these are appended to it."""
+
         def waiting(most: int) -> Sequence[Job]:
             begin = first_job + len(jobs)
             return run.jobs[begin : begin + most] if isinstance(run.jobs, GrowingJobs) else ()
@@ -170,8 +209,8 @@ class MjxWarpEngine(GroupEngine):
         # if memory ran out, the states of all worlds are lost with it: the others again, one size or half of them at a
         # time
         left = np.array([row for row in range(len(jobs)) if row not in answered], int)
-        kinds = np.array([_kind(jobs[row]) for row in left.tolist()])
-        apart = [left[kinds == kind] for kind in sorted(set(kinds), key=int)]
+        sizes = np.array([_size(jobs[row]) for row in left.tolist()])
+        apart = [left[sizes == size] for size in np.unique(sizes)]
         for part in apart if len(apart) > 1 else np.array_split(left, 2):
             if len(jobs) == len(part) == 1:
                 yield from self._march(run, jobs, _none_waiting, simulate=False)
@@ -187,9 +226,9 @@ class MjxWarpEngine(GroupEngine):
         recorded, the next slice is under way already, so that the device does not wait for the host. With ``simulate``
         off all worlds are given up, since memory has run out."""
         rows = min(SPARE_ROWS * len(jobs), self.group_size) if isinstance(run.jobs, GrowingJobs) else 0
-        run = replace(run, capacities={kind: run.capacities[kind] for kind in {_kind(job) for job in jobs}})
+        run = replace(run, widths={size: run.widths[size] for size in {_size(job) for job in jobs}})
         group = self._load_group(run, jobs, rows)
-        queues = Queues(_kinds(run), _kind, len(group.table.status))
+        queues = Queues(_sizes(run), _size, len(group.table.status))
         queues.add(jobs, 0, run.sim)
         emitted = np.zeros(len(group.table.status), bool)
         rollout = self._rollout(group) if simulate else None
@@ -233,7 +272,7 @@ class MjxWarpEngine(GroupEngine):
 
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            has_lanes = job.scene.n_boxes <= max(group.run.capacities.get(_kind(job), [0]))
+            has_lanes = job.scene.n_boxes <= group.run.widths.get(_size(job), 0)
             has_lanes = has_lanes and len(job.scene.carrier.half_size) <= group.boards
             has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
             return known and has_lanes and has_times and job.record is None and group.recorder.idle
@@ -245,21 +284,21 @@ class MjxWarpEngine(GroupEngine):
         queues.add(taken, len(group.jobs), group.run.sim)
         for first in range(0, len(taken), MORE_AT_ONCE):
             some = taken[first : first + MORE_AT_ONCE]
-            width = group.table.pose.shape[1]
-            group.add(some, *self._tables(group.run, some, MORE_AT_ONCE, width, group.profile_rows))
+            width, run = group.table.pose.shape[1], group.run
+            group.add(some, *tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable))
         return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
         """Larger buffers for worlds that are stopped since they need them; at ``_most_room`` they are given up."""
         cone = group.run.sim.physics.cone
-        kinds = np.array([_kind(group.jobs[row]) for row in rows.tolist()])
-        for kind in sorted(set(kinds)):
-            some = rows[kinds == kind]
-            growth = self._room.get((cone, kind), 1)
-            if self._boxes_of_room(group.run, kind) == _most_room(kind):
+        sizes = np.array([_size(group.jobs[row]) for row in rows.tolist()])
+        for size in np.unique(sizes).tolist():
+            some = rows[sizes == size]
+            growth = self._room.get((cone, size), 1)
+            if self._boxes_of_room(group.run, size) == _most_room(size):
                 group.give_up(some, Flag.NONE)
                 continue
-            self._room[cone, kind] = growth = 2 * growth
+            self._room[cone, size] = growth = 2 * growth
             group.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
             group.retry(some)
             group.table = group.table._replace(status=group.table.status.at[some].set(Status.RUNNING))
@@ -272,7 +311,7 @@ class MjxWarpEngine(GroupEngine):
         """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit. What says
         that memory is short is raised if these are lanes of two sizes."""
         run = group.run
-        fleets = tuple(self._fleet(run, kind, group.boards) for kind in _kinds(run))
+        fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
         shapes = tuple(fleet.shape for fleet in fleets)
         key = RolloutKey(run.sim, fleets, len(run.timetable.clock), len(run.timetable.settled_nominally))
         if shapes in self._kept and self._kept[shapes][0] == key:
@@ -298,15 +337,15 @@ class MjxWarpEngine(GroupEngine):
                 self._kept[shapes] = (key, rollout)
                 return rollout
 
-    def _boxes_of_room(self, run: Run, kind: str) -> int:
+    def _boxes_of_room(self, run: Run, size: int) -> int:
         """Boxes for which a world of a size has contacts and pairs, as far as buffers have grown."""
-        (n_boxes,) = run.capacities[kind]
-        return min(self._room.get((run.sim.physics.cone, kind), 1) * (n_boxes + MORE_BOXES), _most_room(kind))
+        growth = self._room.get((run.sim.physics.cone, size), 1)
+        return min(growth * (run.widths[size] + MORE_BOXES), _most_room(size))
 
-    def _fleet(self, run: Run, kind: str, boards: int) -> Fleet:
+    def _fleet(self, run: Run, size: int, boards: int) -> Fleet:
         """Lanes of a size, as many as there can be, for carriers of so many shapes."""
-        (n_boxes,) = run.capacities[kind]
+        n_boxes = run.widths[size]
         shape = Shape.here(n_boxes)
-        shapes = self._boxes_of_room(run, kind) + boards - 1
+        shapes = self._boxes_of_room(run, size) + boards - 1
         lanes = min(self.lanes or shape.lanes, shape.lanes)
         return Fleet(shape, lanes, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 import warp as wp
 
-from petmjx.engines.batch.groups import Group
 from petmjx.engines.batch.recorder import Frames as FramesOfWorld
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.warp import records
+from petmjx.engines.warp.group import Group
 from petmjx.engines.warp.records import Frames
 
 MOST_BYTES: Final = 64 << 20

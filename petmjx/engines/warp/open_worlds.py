@@ -16,8 +16,6 @@ import warp as wp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Check, Schedule, Simulation
-from petmjx.engines.batch.capacities import round_up
-from petmjx.engines.batch.groups import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.rules import Rules
@@ -27,7 +25,6 @@ from petmjx.engines.batch.state import (
     State,
     Status,
     Worlds,
-    choose_rows,
     fresh_state,
     put_rows,
     take_rows,
@@ -35,9 +32,11 @@ from petmjx.engines.batch.state import (
     uploaded,
 )
 from petmjx.engines.batch.timetable import Timetable, build_timetable
+from petmjx.engines.batch.upload import round_up
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import Reading
 from petmjx.engines.warp import records
+from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.engines.warp.march import SLICE_NS, Fleet, March
 from petmjx.engines.warp.rollout import constants
 from petmjx.engines.warp.shape import Shape
@@ -120,8 +119,7 @@ class Simulator:
             return (state.running | ((state.status == Status.SETTLED) & worlds.driven)).any()
 
         def slice_of_time(state: State) -> State:
-            begins = (state.status == Status.SETTLED) & worlds.driven
-            state = choose_rows(begins, self._driving.enter(state, worlds), state)
+            state = self._driving.begin_drives(state, worlds)
             flat = state._asdict()
             flat |= flat.pop("metrics")._asdict()
             frames = {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name])) for name, shape in shapes.items()}

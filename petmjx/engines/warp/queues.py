@@ -19,22 +19,22 @@ class Queues:
     ones to end are short.
 
     Args:
-        kinds: the sizes of lanes, in the order of their queues.
-        kind_of: the size of the lanes for a job.
+        sizes: most boxes of each size of lanes, in the order of their queues.
+        size_of: the size of the lanes for a job.
         rows: of the tables.
     """
 
-    def __init__(self, kinds: Sequence[str], kind_of: Callable[[Job], str], rows: int) -> None:
-        self._kinds, self._kind_of = kinds, kind_of
-        self._host = np.full((len(kinds), rows), -1, np.int32)
+    def __init__(self, sizes: Sequence[int], size_of: Callable[[Job], int], rows: int) -> None:
+        self._sizes, self._size_of = sizes, size_of
+        self._host = np.full((len(sizes), rows), -1, np.int32)
         self.order: Int[jax.Array, "queue world"] = uploaded(self._host.copy())
 
     def add(self, jobs: Sequence[Job], first_row: int, sim: Simulation) -> None:
         """Put jobs, which have the rows from this one on, at the ends of their queues."""
-        kinds = np.array([self._kind_of(job) for job in jobs])
+        sizes = np.array([self._size_of(job) for job in jobs])
         by_cost = np.argsort(-MEASURED.of_jobs(jobs, sim), kind="stable")
-        for queue, kind in enumerate(self._kinds):
-            rows = first_row + by_cost[kinds[by_cost] == kind]
+        for queue, size in enumerate(self._sizes):
+            rows = first_row + by_cost[sizes[by_cost] == size]
             begin = np.count_nonzero(self._host[queue] >= 0)
             self._host[queue, begin : begin + len(rows)] = rows
         self.order = uploaded(self._host.copy())

@@ -15,12 +15,12 @@ from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
 from petmjx.config import SOFT_START_STEPS, Check, Cone, Physics, Schedule, Simulation
-from petmjx.engines.batch.groups import Group, Run
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds, choose_rows
+from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.warp.frames import room_for
+from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.march import SLICE_NS, Fleet, March
 from petmjx.world.contact import MOST_IMPEDANCE
 from petmjx.world.release import MOST_FOLLOWED_M
@@ -192,7 +192,7 @@ class Rollout:
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
         """A slice of time. Returns states, workspace, a copy of the statuses, frames, and counts."""
-        table = self._begin_drives(table, worlds)
+        table = self.rules.begin_drives(table, worlds)
         flat = table._asdict()
         flat |= flat.pop("metrics")._asdict()
         tables = worlds._asdict() | {"profiles": profiles, "order": order}
@@ -200,9 +200,3 @@ class Rollout:
         metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
         table = State(**after, metrics=metrics)
         return table, workspace, table.status + 0, frames, counts
-
-    def _begin_drives(self, table: State, worlds: Worlds) -> State:
-        """Drives begin in worlds whose placement has settled."""
-        begins = (table.status == Status.SETTLED) & worlds.driven
-        entered = self.rules.enter(table, worlds)
-        return choose_rows(begins, entered, table)

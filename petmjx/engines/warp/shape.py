@@ -48,7 +48,7 @@ class Size:
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
-"""By size; sizes are multiples of ``batch.capacities.GRANULE``, as those of tables. Measured: docs/performance.md."""
+"""By size; sizes are multiples of ``batch.upload.GRANULE``, as those of tables. Measured: docs/performance.md."""
 
 
 def size_for(n_boxes: int) -> Size:

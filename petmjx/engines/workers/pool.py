@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from petmjx.config import Simulation
-from petmjx.engines.base import GROUP_WORLDS, Progress, RunLock
+from petmjx.engines.base import GROUP_WORLDS, Engine, Progress, RunLock
 from petmjx.engines.cost import MEASURED
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
@@ -40,7 +40,7 @@ LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 """Fewer jobs than this are not divided among the workers of these engines: a device takes as long for a few worlds as
 for many."""
 
-_HIGHEST = (" lanes", " contacts", " rows")
+_HIGHEST = (" lanes", " contacts")
 """Ends of the names in ``Progress.extra`` whose values are not sums."""
 
 
@@ -81,7 +81,7 @@ class _Hand:
         return len(self.streams) < self.place.slots * (2 if plenty else 1)
 
 
-class WorkerPool:
+class WorkerPool(Engine):
     """The engine ``recipe.name`` in many processes. Outcomes are those of the engine itself.
 
     A worker that dies is replaced, and its unanswered jobs are dealt again (``Deal``). Workers stay between runs, until

@@ -1,4 +1,4 @@
-"""Stages, lanes and rules of the batched engines against a plain loop over one world, on a stepper without physics."""
+"""Rules and batches of mjx-jax against a plain loop over one world, on a stepper without physics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from support.fake_stepper import CARRIER_KG, CREEP_M, FALLS_KG, FakeEngine, assert_same, fake_scene, run_all
 
 from petmjx.config import Check, Schedule, Simulation
-from petmjx.engines.base import Progress
+from petmjx.engines.batch.mjx_jax import FEWEST_WORLDS, alike_jobs
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 
@@ -70,8 +70,8 @@ def placements(outcome: Outcome, sim: Simulation) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def engine() -> FakeEngine:
-    """Two stages of 16 lanes, so that 40 worlds make refills, hand-over and a drained stage."""
-    return FakeEngine(16, capacities=(2, 5), chunk_steps=10)
+    """One for all, since programs take long to compile. The 40 worlds make three batches of two sizes."""
+    return FakeEngine(16)
 
 
 MASSES = [
@@ -96,7 +96,7 @@ def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule:
 def test_fixed_intervals_are_whole_steps_of_the_running_clock() -> None:
     sim = Simulation(schedule=Schedule.FIXED, interval_s=0.5)
     masses = [1.0] * 5
-    (outcome,) = run_all(FakeEngine(16, capacities=(5,)), [Job(fake_scene(*masses))], sim)
+    (outcome,) = run_all(FakeEngine(), [Job(fake_scene(*masses))], sim)
     expected = plainly(masses, sim)
     assert outcome.n_steps == expected.end == int(6 * 0.5 / DT)
     np.testing.assert_allclose(placements(outcome, sim), expected.placed_at, rtol=FORCE_RELATIVE, atol=0.01)
@@ -106,34 +106,29 @@ def test_fixed_intervals_are_whole_steps_of_the_running_clock() -> None:
 def test_a_static_world_stands_from_the_soft_start_on(schedule: Schedule) -> None:
     sim = SHORT.changed(check=Check.STATIC, schedule=schedule)
     worlds = [(1.0, 1.0), (300.0, 1.0), (900.0, 1.0, 1.0), (1.0,)]
-    outcomes = run_all(FakeEngine(16, capacities=(4,)), [Job(fake_scene(*masses)) for masses in worlds], sim)
+    outcomes = run_all(FakeEngine(), [Job(fake_scene(*masses)) for masses in worlds], sim)
     for masses, outcome in zip(worlds, outcomes, strict=True):
         assert outcome.n_steps == plainly(masses, sim).end
         # 200 steps of soft start count for age, not for time
         np.testing.assert_allclose(placements(outcome, sim), -200, rtol=FORCE_RELATIVE, atol=0.01)
 
 
-def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine) -> None:
     jobs = [Job(fake_scene(*masses)) for masses in MASSES]
-    expected = run_all(FakeEngine(64, capacities=(5,)), jobs, SHORT)
-    for drain_share, group_size in ((0.25, 100), (0.9, 100), (0.0, 17)):
-        monkeypatch.setattr(engine, "drain_share", drain_share)
-        monkeypatch.setattr(engine, "group_size", group_size)
-        for found, alone in zip(run_all(engine, jobs, SHORT), expected, strict=True):
-            assert_same(found, alone)
+    expected = run_all(engine, jobs, SHORT)
+    for jobs_there, lanes in ((jobs, 64), (jobs[:7], 3), (jobs[4:5], 1)):
+        first = jobs.index(jobs_there[0])
+        for k, found in enumerate(run_all(FakeEngine(lanes), jobs_there, SHORT)):
+            assert_same(found, expected[first + k])
 
 
-def test_a_drained_stage_hands_running_worlds_on(engine: FakeEngine, monkeypatch: pytest.MonkeyPatch) -> None:
-    # One world trembles until the interval is over while fifteen are through quickly: it moves on while it waits.
-    jobs = [Job(fake_scene(1.0, 1.0, 1.0))] * 15 + [Job(fake_scene(400.0, 400.0, 1.0))]
-    progress, patient = Progress(), Progress()
-    monkeypatch.setattr(engine, "drain_share", 0.0)
-    patient_ones = run_all(engine, jobs, SHORT, patient)
-    monkeypatch.setattr(engine, "drain_share", 0.5)
-    outcomes = run_all(engine, jobs, SHORT, progress)
-    assert progress.extra["place capacity 2 chunks"] < patient.extra["place capacity 2 chunks"]
-    for found, expected in zip(outcomes, patient_ones, strict=True):
-        assert_same(found, expected)
+def test_a_batch_has_worlds_that_are_alike() -> None:
+    """Of similar size, with the same kind of drive, and none of them placed already if not all are."""
+    drives = {kind: pushes(kind, 1, 0.1) for kind in ("force", "acceleration")}
+    (kept,) = run_all(FakeEngine(), [Job(fake_scene(1.0), keep_state=True)], SHORT)
+    jobs = [Job(fake_scene(*[1.0] * n)) for n in (1, 9, 4, 5, 8, 16)]
+    jobs += [Job(jobs[0].scene, drive, start=start) for drive in drives.values() for start in (None, kept.state)]
+    assert alike_jobs(jobs) == [[1, 5], [3, 4], [0, 2], [6], [7], [8], [9]]
 
 
 def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine) -> None:
@@ -211,17 +206,16 @@ def test_a_world_that_fell_skips_its_drive(engine: FakeEngine) -> None:
 
 
 def test_one_program_a_shape() -> None:
-    """Other jobs, another number of them, another run: the same programs."""
-    fresh = FakeEngine(16, capacities=(5,))
+    """Other jobs, another number of them, another run: the same program."""
+    fresh = FakeEngine(16)
     for masses in (MASSES[:32], [m[::-1] for m in MASSES[:25]]):
         run_all(fresh, [Job(fake_scene(*m)) for m in masses], SHORT)
-    (stage,) = fresh.stages.values()
-    assert stage.compiled == {"refill": 1, "run_chunk": 1, "unload": 1}
+    shapes = [(key.capacity, key.worlds, key.drive) for key in fresh.programs]
+    assert sorted(shapes) == [(4, 16, None), (8, FEWEST_WORLDS, None)]
 
 
 def test_one_placement_program_whatever_drives_follow() -> None:
-    fresh = FakeEngine(16, capacities=(2,))
+    fresh = FakeEngine()
     for steps in (30, 61):
         run_all(fresh, [Job(fake_scene(1.0), pushes("force", steps, 0.01))], SHORT)
-    (stage,) = [stage for key, stage in fresh.stages.items() if not key.drive]
-    assert stage.compiled["run_chunk"] == 1
+    assert [key.drive for key in fresh.programs] == [None, "force", "force"]

@@ -1,0 +1,157 @@
+"""Worlds side by side: each takes a step, then the rules say what follows from it; many such steps are one program."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from petmjx.config import SOFT_START_STEPS
+from petmjx.engines.batch.padded import PaddedModel
+from petmjx.engines.batch.recorder import Trail
+from petmjx.engines.batch.rules import Rules
+from petmjx.engines.batch.setup import compiler_options
+from petmjx.engines.batch.state import State, Worlds
+from petmjx.engines.batch.template import override_fields
+
+CHUNK_STEPS = 25
+"""Steps of one call of a program. Between two calls the host looks whether any world still runs."""
+
+
+class Lockstep:
+    """A chunk of steps of a batch: of placements, or of drives (``rules.driven``). Worlds that have ended stay as they
+    are until all have."""
+
+    def __init__(self, rules: Rules, model: PaddedModel) -> None:
+        self.rules, self.model = rules, model
+
+    def compiled(
+        self,
+        state: State,
+        forces: Float[Array, "world constraint"],
+        worlds: Worlds,
+        profiles: Float[Array, "profile step 3"],
+    ) -> Any:
+        """The program ``chunk`` for arguments of these shapes."""
+        program = jax.jit(self.chunk, compiler_options=compiler_options())
+        return program.lower(state, forces, worlds, profiles).compile()
+
+    def chunk(
+        self,
+        state: State,
+        forces: Float[Array, "world constraint"],
+        worlds: Worlds,
+        profiles: Float[Array, "profile step 3"],
+    ) -> tuple[State, Float[Array, "world constraint"], Trail]:
+        """States and constraint forces after a chunk, and what worlds went through. That is always kept: with and
+        without a recorder it must be the same program, since another one might round differently."""
+        fields = override_fields(worlds, self.model.model, held=self.model.held, physics=self.rules.sim.physics)
+        if self.rules.driven:
+            state = self.rules.begin_drives(state, worlds)
+
+        def body(
+            carry: tuple[State, Float[Array, "world constraint"]], _: None
+        ) -> tuple[tuple[State, Float[Array, "world constraint"]], Trail]:
+            before, forces = carry
+            after, forces, top_force = self._advance(before, forces, worlds, fields, profiles)
+            passed = Trail(
+                ran=before.running,
+                fresh=(after.last_placed_at == after.step) & (after.placed > before.placed),
+                number=after.step,
+                placed=after.placed,
+                status=after.status,
+                pose=after.pose,
+                top_force=top_force,
+                carrier_pose=after.carrier_pose,
+            )
+            return (after, forces), passed
+
+        (state, forces), trail = jax.lax.scan(body, (state, forces), None, length=CHUNK_STEPS)
+        return state, forces, trail
+
+    def _advance(
+        self,
+        state: State,
+        forces: Float[Array, "world constraint"],
+        worlds: Worlds,
+        fields: dict[str, Float[Array, "world ..."]],
+        profiles: Float[Array, "profile step 3"],
+    ) -> tuple[State, Float[Array, "world constraint"], Float[Array, "world box"]]:
+        """One step of every world and all that follows from it; constraint forces, and forces on tops during it."""
+        rules, held = self.rules, self.model.held
+        gravity, push = self._excitation(state, worlds, profiles)
+        shown = rules.park(state)
+        # Boxes in the air fall freely during the step. With that as its start, the solver has nothing to find for
+        # them. From zero, each would add ½·m·g² to the cost, and float32 would lose the contacts in that sum.
+        standing = rules.standing(state)[..., None]
+        warm = shown.warm.at[..., :3].set(jnp.where(standing, shown.warm[..., :3], gravity[:, None]))
+        inputs = {
+            "qpos": self._join(shown.carrier_pose, shown.pose),
+            "qvel": self._join(shown.carrier_vel, shown.vel),
+            "qacc_warmstart": self._join(shown.carrier_warm, warm),
+            "xfrc_applied": jnp.zeros((len(push), self.model.bodies, 6)).at[:, self.model.carrier, :3].set(push),
+        }
+        if held:
+            inputs["mocap_pos"] = state.carrier_pose[:, None, :3]
+            inputs["mocap_quat"] = state.carrier_pose[:, None, 3:]
+        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces)
+        running = state.running[:, None]
+
+        def moved(
+            row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
+        ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
+            """What a step changed, for worlds that run and boxes in play; all else stays as it was."""
+            new_carrier, new_boxes = self._split(row, carrier)
+            return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
+
+        seen_pose = state.pose
+        carrier_pose, pose = moved(done.qpos, state.carrier_pose, state.pose)
+        carrier_vel, vel = moved(done.qvel, state.carrier_vel, state.vel)
+        carrier_warm, warm = moved(done.warm, state.carrier_warm, state.warm)
+        _, acceleration = self._split(done.qacc, state.carrier_vel)
+        state = state._replace(
+            pose=pose,
+            vel=vel,
+            warm=warm,
+            ahead=warm,
+            carrier_pose=carrier_pose,
+            carrier_vel=carrier_vel,
+            carrier_warm=carrier_warm,
+            carrier_ahead=carrier_warm,
+            step=state.step + state.running,
+        )
+        return rules.after_step(state, worlds, seen_pose, acceleration, done.top_force), done.forces, done.top_force
+
+    def _excitation(
+        self, state: State, worlds: Worlds, profiles: Float[Array, "profile step 3"]
+    ) -> tuple[Float[Array, "world 3"], Float[Array, "world 3"]]:
+        """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
+        ramp = jnp.clip((state.step + SOFT_START_STEPS) / SOFT_START_STEPS, 0.0, 1.0)
+        gravity = ramp[:, None] * jnp.array([[0.0, 0.0, -self.rules.sim.physics.gravity_m_s2]])
+        if not self.rules.driven:
+            return gravity, jnp.zeros_like(gravity)
+        at = state.step - state.driven_from
+        inside = (at >= 0) & (at < profiles.shape[1])
+        sample = profiles[worlds.profile, jnp.clip(at, 0, profiles.shape[1] - 1)]
+        x, y, z = (jnp.where(inside[:, None], sample, 0.0) * worlds.drive_scale[:, None]).T
+        cos, sin = worlds.drive_yaw[:, 0], worlds.drive_yaw[:, 1]
+        turned = jnp.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+        return (gravity - turned, jnp.zeros_like(gravity)) if self.model.held else (gravity, turned)
+
+    def _join(
+        self, carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
+    ) -> Float[Array, "world coordinate"]:
+        """Generalized coordinates: the carrier's, unless it is held, then the boxes'."""
+        flat = boxes.reshape(len(boxes), -1)
+        return flat if self.model.held else jnp.concatenate([carrier, flat], axis=-1)
+
+    def _split(
+        self, row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"]
+    ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
+        """The reverse of ``_join``; a held carrier keeps what it has."""
+        width = carrier.shape[-1]
+        if not self.model.held:
+            carrier, row = row[:, :width], row[:, width:]
+        return carrier, row.reshape(len(row), self.rules.capacity, width)

@@ -1,0 +1,78 @@
+"""A group of worlds that mjx-warp has on its device at the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.batch.state import State, Status, Worlds, put_rows, uploaded
+from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.batch.upload import Batch
+from petmjx.verdict import Flag
+from petmjx.world.job import Job
+
+MAX_GROWTH = 8
+"""Largest factor for buffers that overflow; they are doubled each time. A world that needs more is invalid."""
+
+OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
+
+_put = jax.jit(put_rows)
+
+
+@dataclass
+class Run:
+    """What the groups of a run have in common.
+
+    Attributes:
+        widths: most boxes of a size of lanes (``shape.Size``) → boxes for which such lanes have room in this run.
+        jobs: all of the run, to which more may be appended: ``GrowingJobs``.
+    """
+
+    sim: Simulation
+    timetable: Timetable
+    widths: dict[int, int]
+    progress: Progress
+    jobs: Sequence[Job] = ()
+
+
+@dataclass
+class Group(Batch):
+    """Worlds of all sizes, and room for their frames on the device."""
+
+    run: Run
+    frames: dict[str, jax.Array] | None = None
+
+    def status(self) -> NDArray[np.int32]:
+        """Statuses of the jobs' rows, on the host."""
+        return np.asarray(self.table.status)[: len(self.jobs)]
+
+    def handed_on(self, status: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Which jobs are at their end, by the statuses of their rows, and not on the way to a drive."""
+        ended: NDArray[np.bool_] = (status == Status.FINISHED) | ((status == Status.SETTLED) & ~self.driven)
+        return ended
+
+    @cached_property
+    def driven(self) -> NDArray[np.bool_]:
+        """Jobs with a drive."""
+        return np.array([job.drive is not None for job in self.jobs], bool)
+
+    def add(self, jobs: Sequence[Job], worlds: Worlds, table: State) -> None:
+        """Put more jobs into the rows behind those that are taken. Tables have a row for each of them at least."""
+        first, rows = len(self.jobs), np.full(len(table.status), len(self.table.status), np.int32)
+        rows[: len(jobs)] = np.arange(first, first + len(jobs))
+        self.worlds = _put(self.worlds, uploaded(rows), worlds)
+        self.table = _put(self.table, uploaded(rows), table)
+        self.jobs += jobs
+        self.__dict__.pop("driven", None)  # is worked out anew
+
+    def retry(self, rows: NDArray[np.int64]) -> None:
+        """Clear the overflow bits and set the bit for a re-run: in larger buffers the result is valid."""
+        flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
+        self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
