@@ -52,7 +52,8 @@ class FakeStepper(PaddedModel):
 
     def __init__(self, capacity: int, *, held: bool) -> None:
         self.capacity, self.held = capacity, held
-        bodies = capacity + 2
+        self.carrier, self.bodies = CARRIER_BODY, FIRST_BOX_BODY + capacity
+        bodies = self.bodies
         self.model = FakeModel(
             jnp.zeros((bodies, 3)),
             jnp.zeros(bodies),
