@@ -12,8 +12,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import petmjx
 from petmjx.text import counted
+from petmjx.version import __version__
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
 """Packages whose versions are written beside every result, after petmjx's own."""
@@ -90,7 +90,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 def package_versions() -> dict[str, str]:
     """Package → version, of the packages that results depend on and that are installed."""
     # petmjx's own from the code: an editable installation has the metadata of the day it was installed
-    versions = {"petmjx": petmjx.__version__}
+    versions = {"petmjx": __version__}
     for package in PACKAGES:
         try:
             versions[package] = importlib.metadata.version(package)

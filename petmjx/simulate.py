@@ -14,11 +14,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.choose import Choice, engine_for
+from petmjx.engines.choose import Choice
+from petmjx.engines.resolve import engine_for
 from petmjx.machine import device_name, package_versions
 from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.schema import summary_table

@@ -1,18 +1,15 @@
-"""Which engine a run uses: the one that the user names, or for ``auto`` the one that should finish first."""
+"""Engines by name, and the one that ``auto`` stands for: the one that should finish first."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from petmjx.checked import got
 from petmjx.engines.base import Engine
-from petmjx.engines.cost import MEASURED, Costs, Work
 from petmjx.errors import EngineUnavailable, InputError
-from petmjx.machine import cpu_threads, why_no_warp
+from petmjx.machine import why_no_warp
 from petmjx.run_options import AUTO, RunOptions
 from petmjx.text import counted
 
@@ -35,42 +32,6 @@ class Choice:
     name: str
     reason: str
     seconds: float | None = None
-
-
-@contextmanager
-def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice]]:
-    """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
-    engine, choice = resolve_engine(options, work)
-    try:
-        yield engine, choice
-    finally:
-        if engine is not options.engine and hasattr(engine, "close"):
-            engine.close()
-
-
-def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> tuple[Engine, Choice]:
-    """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
-    engine does not have.
-
-    Raises:
-        InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
-    """
-    asked = options.engine
-    if not isinstance(asked, str):
-        if isinstance(asked, type) or not isinstance(asked, Engine):
-            raise InputError(f"engine must be a name or an object with a name and a method run, {got(asked)}")
-        if options.asked_workers is not None:
-            raise InputError("workers need an engine by name: each of them builds its own")
-        return asked, Choice(asked.name, "given")
-    if options.asked_workers is not None:
-        # imported only here: Ray is an extra
-        from petmjx.engines.workers.resolve import resolve_workers
-
-        return resolve_workers(options, work, costs)
-    threads = options.threads or cpu_threads()
-    seconds = costs.seconds(work, threads)
-    name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
-    return make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
 
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:

@@ -19,7 +19,8 @@ from petmjx.plans.conventions import find_conventions, warn
 from petmjx.plans.fields import LONGEST_NAME, Unread
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
 from petmjx.plans.given import Given
-from petmjx.plans.plan import Plan, PlanSet, Skipped
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.scan import Damage, describe, scan_plans
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.plans.validate import PlanError, parse_plan
@@ -239,7 +240,7 @@ class _Loading:
                 if isinstance(plan, Refused):
                     self._skip(source, plan.plan_id, plan.message)
                 else:
-                    self._keep(plan)
+                    self._keep(Plan(**plan))
                 if self.full:
                     break
 

@@ -18,7 +18,8 @@ import pyarrow as pa
 
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import OrderCheck
-from petmjx.plans.plan import Plan, Skipped
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import Skipped
 from petmjx.results.counts import COUNTED
 from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy, write_text
 from petmjx.results.given import Given

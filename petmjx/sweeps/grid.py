@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from petmjx.config import Check, Schedule
 from petmjx.engines.cost import Work
 from petmjx.errors import InputError
-from petmjx.plans.plan import Plan, Skipped
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import Skipped
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
 from petmjx.text import counted, duration, rounded, shown

@@ -13,7 +13,7 @@ import pyarrow as pa
 from petmjx.arguments import list_of, path_of
 from petmjx.errors import InputError
 from petmjx.plans.ordered import OrderCheck
-from petmjx.plans.plan import Skipped
+from petmjx.plans.plan_set import Skipped
 from petmjx.results.manifest import Manifest
 from petmjx.results.ordered import joined, read_check
 from petmjx.results.reader import RunResults, load_run, told_apart

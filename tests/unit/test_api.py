@@ -21,7 +21,7 @@ from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
 from petmjx.plans.gather import find_plan, gather_plans, usable_plans
-from petmjx.plans.plan import PlanSet, Skipped
+from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.run_options import RunOptions
 from petmjx.sweeps.swept import SweptWorld
 from petmjx.verdict import Outcome

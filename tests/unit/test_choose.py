@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from petmjx.config import Simulation
-from petmjx.engines.choose import ENGINES, Choice, choose, make_engine, resolve_engine
+from petmjx.engines.choose import ENGINES, Choice, choose, make_engine
 from petmjx.engines.cost import COST_SHARE, MEASURED, Work
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.resolve import resolve_engine
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.run_options import RunOptions
 

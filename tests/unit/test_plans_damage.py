@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from support.plan_files import placement
 
 from petmjx.errors import InputError
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.read import load_plans
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # boxes at random places look like anything
