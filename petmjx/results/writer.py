@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import platform
 import threading
 import time
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -19,21 +16,20 @@ import pyarrow as pa
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_set import Skipped
 from petmjx.results.counts import COUNTED
 from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy, write_text
 from petmjx.results.given import Given
+from petmjx.results.info import RunInfo, now
 from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
-from petmjx.results.ordered import counts_block, orders_block
 from petmjx.results.parts import Part, Row
 from petmjx.results.pending import Pending
 from petmjx.results.plain import plain
 from petmjx.results.reader import read_info, told_apart
 from petmjx.results.recorded import Recorded
 from petmjx.results.run_file import run_digest
-from petmjx.results.schema import SCHEMA_VERSION, Param, schemas
+from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
 from petmjx.results.tables import Tables
@@ -51,7 +47,7 @@ SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this time, even if worlds finish slowly."""
 
 
-class RunWriter:
+class RunWriter(RunInfo):
     """Writes one run's results as its worlds finish. A context manager.
 
     At the end of the body, also after Ctrl-C or an error, the collected worlds are written as a last part, and
@@ -75,7 +71,6 @@ class RunWriter:
 
     Attributes:
         recorded: the worlds of a resumed run that are there already.
-        earlier_s: seconds to which this run's timings are added.
 
     Raises:
         InputError: the folder has a run already (another one, with ``resume``), or cannot be written.
@@ -99,37 +94,18 @@ class RunWriter:
         worlds_per_part: int = WORLDS_PER_PART,
         seconds_per_part: float = SECONDS_PER_PART,
     ) -> None:
+        identity = manifest.identity if manifest else None
+        super().__init__(config, identity, orders, params, versions or {}, device, expected_worlds)
         self.out_dir = Path(out_dir)
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
         self._tables = Tables(self.out_dir)
         self.recorded = Recorded()
-        self.skipped: list[Skipped] = []
-        self.warnings: dict[str, None] = {}
-        """About the whole run, each once."""
-        self.odd_plans: list[str] = []
-        """A line for each plan with overlapping, floating or outside boxes."""
-        self.timings: dict[str, float] = {}
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
-        self._orders = orders
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
         self._pending = Pending(Part(0))
-        self._status = "running"
-        self._error: str | None = None
-        self._started = time.monotonic()
-        self.earlier_s: dict[str, float] = {}
-        self._head: dict[str, Any] = {
-            "started": _now(),
-            "resumed": [],
-            "config": dict(config),
-            **({"identity": manifest.identity} if manifest else {}),
-            "versions": {"python": platform.python_version(), **(versions or {})},
-            "device": device,
-            "expected_worlds": expected_worlds,
-            "params": [{"name": p.name, "unit": p.unit, "description": p.description} for p in self.params],
-        }
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as until_exit:
@@ -163,7 +139,7 @@ class RunWriter:
         if differs:
             raise InputError(f"{self.out_dir}: cannot be resumed, it is another run ({differs})")
         self.warnings |= dict.fromkeys(told_apart(info)[0])  # of worlds that are not simulated again
-        for name, version in self._head["versions"].items():
+        for name, version in self.head["versions"].items():
             before = info["versions"].get(name)
             if before != version:
                 self.warn(f"resumed with {name} {version}; worlds before were simulated with {before or 'none'}")
@@ -173,7 +149,7 @@ class RunWriter:
         self._tables = Tables(self.out_dir, parts.without("summary"))
         self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self.recorded.counts())
         self.earlier_s = dict(info["timings"])
-        self._head |= {"started": info["started"], "resumed": [*info["resumed"], _now()]}
+        self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._write_info()  # before files go that it listed, and after a kill the run must not look finished
         self._tables.drop_others()
         if self._write_plans():
@@ -187,23 +163,23 @@ class RunWriter:
         with shielded(afterwards=error is None), self._until_exit:
             self._timer.cancel()
             if error is None:
-                self._status = "finished"
+                self.status = "finished"
             elif isinstance(error, KeyboardInterrupt | SystemExit):
-                self._status = "interrupted"
+                self.status = "interrupted"
             else:
-                self._status, self._error = "failed", one_line(error)
+                self.status, self.error = "failed", one_line(error)
             try:
                 with self._lock:
                     self._write_part(last=True)
             except PetmjxError as trouble:
                 if error is None:
-                    self._status, self._error = "failed", one_line(trouble)
+                    self.status, self.error = "failed", one_line(trouble)
                     with contextlib.suppress(PetmjxError):
                         self._write_info()
                     raise
                 # the error that ended the body is the one to tell; this one is kept beside it, until the run goes on
                 also = f"the last part could not be written: {one_line(trouble)}"
-                self._error = f"{self._error}; {also}" if self._error else also
+                self.error = f"{self.error}; {also}" if self.error else also
             try:
                 self._write_info()
             except PetmjxError:
@@ -219,31 +195,12 @@ class RunWriter:
         """Write the table ``plans`` if there is none that says the same; returns whether it did."""
         if self._manifest is None:
             return False
-        return self._tables.write_plans(self._manifest.table(self._orders.of_plan if self._orders else None))
+        return self._tables.write_plans(self._manifest.table(self.orders.of_plan if self.orders else None))
 
     @property
     def info(self) -> dict[str, Any]:
         """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
-        seconds = Counter(self.earlier_s)
-        seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})
-        return {
-            "schema_version": SCHEMA_VERSION,
-            "status": self._status,
-            **({"error": self._error} if self._error else {}),
-            **self._head,
-            "updated": _now(),
-            "counts": {
-                **self._pending.counts.as_json(),
-                "skipped_plans": len(self.skipped),
-                "odd_plans": len(self.odd_plans),
-                **({"orders": counts_block(self._orders)} if self._orders else {}),
-            },
-            "timings": dict(seconds),
-            "skipped": [_as_json(skipped) for skipped in self.skipped],
-            "warnings": [*self.warnings, *self.odd_plans],
-            **({"orders": orders_block(self._orders)} if self._orders else {}),
-            LISTED: self.parts.digests,
-        }
+        return {**self.entries(self._pending.counts), LISTED: self.parts.digests}
 
     def add(
         self,
@@ -350,20 +307,12 @@ class RunWriter:
         with self._writing():
             self._tables.write_first("summary", answers)
 
-    def skip(self, skipped: Skipped) -> None:
-        """Record a plan or a file that is not simulated, and why."""
-        self.skipped.append(skipped)
-
-    def warn(self, message: str) -> None:
-        """Record a warning about the whole run for ``run.json``."""
-        self.warnings[message] = None
-
     def _time_is_up(self) -> None:
         """In the timer's thread: write the part though it is not full, since no world may finish for long."""
         # a failure is met again, and told, with the next world or in the end
         with self._lock, contextlib.suppress(PetmjxError):
             old = time.monotonic() - self._pending.since_s >= self._seconds_per_part
-            if self._status == "running" and self._pending.part.rows and old:
+            if self.status == "running" and self._pending.part.rows and old:
                 self._write_part()
 
     def _write_part(self, last: bool = False) -> None:
@@ -392,12 +341,3 @@ class RunWriter:
         text = json.dumps(info, indent=2, ensure_ascii=False, allow_nan=False)
         with self._writing():
             write_text(text + "\n", self.out_dir / RUN_FILE)
-
-
-def _as_json(skipped: Skipped) -> dict[str, Any]:
-    entry = {"plan_id": skipped.plan_id or "", "source": skipped.source, "error": skipped.message}
-    return entry if skipped.number is None else {**entry, "number": skipped.number}
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
