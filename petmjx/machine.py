@@ -31,6 +31,7 @@ def cpu_threads() -> int:
     return os.cpu_count() or 1
 
 
+@functools.cache
 def cpu_name() -> str:
     """The name of the processor, or its architecture if the system does not tell the name."""
     try:
@@ -89,6 +90,11 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 def package_versions() -> dict[str, str]:
     """Package → version, of the packages that results depend on and that are installed."""
+    return dict(_package_versions())
+
+
+@functools.cache
+def _package_versions() -> dict[str, str]:
     # petmjx's own from the code: an editable installation has the metadata of the day it was installed
     versions = {"petmjx": __version__}
     for package in PACKAGES:

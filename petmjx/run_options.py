@@ -174,7 +174,7 @@ class RunOptions(Checked):
     )
     out: Annotated[File | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
-        description="folder for the results; in Python by default a temporary one that goes with what is returned",
+        description="folder for the results; in Python by default none, and they go with what is returned",
     )
     overwrite: Annotated[bool, Flag("--overwrite")] = Field(
         False, description="replace the results that the folder holds"

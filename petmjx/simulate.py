@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
-import weakref
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,7 +19,7 @@ from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.manifest import Manifest
-from petmjx.results.reader import RunResults, load_run
+from petmjx.results.reader import RunResults
 from petmjx.results.schema import summary_table
 from petmjx.results.writer import RunWriter
 from petmjx.run_options import RunOptions
@@ -115,17 +112,7 @@ def simulate(
         recording = recording_of(options, choice.name, everything)
         held = {} if are_files(plans) else {each.plan_id: each for each in everything}
         run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording, held)
-        if options.out is not None:
-            return run.into(options.out, watcher, batching or Batching())
-        # a folder that is deleted together with the returned results, or when the run fails
-        temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
-        try:
-            results = run.into(Path(temporary.name), watcher, batching or Batching())
-        except BaseException:
-            temporary.cleanup()
-            raise
-        weakref.finalize(results, temporary.cleanup)
-        return results
+        return run.results(watcher, batching or Batching())
 
 
 @dataclass(eq=False)
@@ -199,11 +186,11 @@ class _Run:
             "engine_reason": self.choice.reason,
         }
 
-    def into(self, folder: Path, watcher: Watcher | None, batching: Batching) -> RunResults:
-        """Simulate what is missing, and write everything into a folder."""
+    def results(self, watcher: Watcher | None, batching: Batching) -> RunResults:
+        """Simulate what is missing, and write everything where the options say."""
         columns, options = self.columns, self.options
         with RunWriter(
-            folder,
+            options.out,
             self.config(),
             manifest=Manifest.of(self.identity(), self.everything, self.found.numbers),
             orders=self.orders,
@@ -240,7 +227,7 @@ class _Run:
             writer.put_in_order()
             if self.plan.plans:  # a shard may have none
                 self._summarise(writer)
-        return load_run(folder, self.held)
+        return writer.results(self.held)
 
     def _note_input(self, writer: RunWriter) -> None:
         """Write skipped plans and warnings into ``run.json``."""

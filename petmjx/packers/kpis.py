@@ -54,7 +54,7 @@ def kpis_of_runs(runs: Mapping[str, RunResults], file: Path) -> tuple[pd.DataFra
 
 def _rows(run: RunResults, wanted: set[str], orders: Mapping[str, Order]) -> list[dict[str, object]]:
     try:
-        records = Manifest.read(run.path, run.info).plans
+        records = Manifest.read(run.parts, run.info).plans
     except InputError:  # of petmjx before 0.2, which did not keep what a run was of
         return []
     plans = find_plans(run.info, records, wanted & orders.keys()).plans

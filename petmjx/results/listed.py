@@ -131,10 +131,19 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
     with opened(file) as parquet:
         table = parquet.read(None if columns is None else list(columns))
     check_version(file, schema_version_of(table.schema.metadata))
+    return with_columns(table, file, columns)
+
+
+def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:
+    """Some columns of a part; None: all.
+
+    Raises:
+        InputError: it lacks one.
+    """
     for name in columns or ():
         if name not in table.column_names:
             raise InputError(f"{file}: damaged part, it has no column {name}")
-    return table
+    return table if columns is None else table.select(list(columns))
 
 
 @contextlib.contextmanager

@@ -131,7 +131,7 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
         InputError: one is not there, or is another one.
     """
     # a run that was written by petmjx before 0.2 does not say what it was of
-    records = {} if results.plans.empty else Manifest.read(results.path, results.info).plans
+    records = {} if results.plans.empty else Manifest.read(results.parts, results.info).plans
     if plans is None and results.held:
         plans = list(results.held.values())
     found = find_plans(results.info, records, set(results.worlds["plan_id"]), plans)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
@@ -119,14 +118,13 @@ class Manifest:
         return pa.Table.from_arrays(arrays, schema=schema)
 
     @classmethod
-    def read(cls, folder: Path, info: Mapping[str, Any]) -> Manifest:
-        """The manifest of the run in a folder.
+    def read(cls, parts: Parts, info: Mapping[str, Any]) -> Manifest:
+        """The manifest of a run, from its tables and its ``run.json``.
 
         Raises:
             InputError: it has none (of petmjx before 0.2), or it is damaged.
         """
-        parts = Parts.of(folder, info)
-        files = parts.files("plans")
+        folder, files = parts.folder, parts.files("plans")
         if "identity" not in info or not files:
             raise InputError(f"{folder}: the run does not say what it is of (written by petmjx before 0.2)")
         check_whole(info, folder / RUN_FILE)

@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from petmjx.checked import describe
 from petmjx.errors import InputError
 from petmjx.plans.ordered import OrderCounts
-from petmjx.results.files import DIGEST_BYTES, TABLES
+from petmjx.results.files import DIGEST_BYTES, RUN_FILE, TABLES, write_text
+from petmjx.results.plain import plain
 
 TableName = Annotated[str, Field(pattern=rf"^({'|'.join(TABLES)})$")]
 PartName = Annotated[str, Field(pattern=r"^part-[0-9]{5,12}\.parquet$")]
@@ -96,6 +97,13 @@ def run_digest(info: Mapping[str, Any]) -> str:
     rest = {name: value for name, value in info.items() if name != "digest"}
     text = json.dumps(rest, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
+
+
+def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
+    """Write a run's entries and their digest into ``run.json``. Raises OSError."""
+    entries = plain(info)
+    entries["digest"] = run_digest(entries)
+    write_text(json.dumps(entries, indent=2, ensure_ascii=False, allow_nan=False) + "\n", folder / RUN_FILE)
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import json
+import tempfile
 import threading
 import time
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -17,18 +18,19 @@ from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.counts import COUNTED
-from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy, write_text
+from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
 from petmjx.results.given import Given
 from petmjx.results.info import RunInfo, now
 from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
+from petmjx.results.memory import MemoryParts, MemoryTables
 from petmjx.results.parts import Part, Row
 from petmjx.results.pending import Pending
 from petmjx.results.plain import plain
-from petmjx.results.reader import read_info, told_apart
+from petmjx.results.reader import FINISHED, RunResults, load_run, read_info, told_apart
 from petmjx.results.recorded import Recorded
-from petmjx.results.run_file import run_digest
+from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
@@ -55,7 +57,8 @@ class RunWriter(RunInfo):
     time.
 
     Args:
-        out_dir: the run's folder; made if it is not there.
+        out_dir: the run's folder; made if it is not there. None: the run stays in memory if it is no more than a part;
+            a larger one is written to a temporary folder, which goes with :meth:`results`.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
         dynamic, force_intervals: as of ``petmjx.results.schema.schemas``: columns of ``boxes`` that not all runs have.
@@ -78,7 +81,7 @@ class RunWriter(RunInfo):
 
     def __init__(
         self,
-        out_dir: str | Path,
+        out_dir: str | Path | None,
         config: Mapping[str, Any],
         *,
         manifest: Manifest | None = None,
@@ -96,18 +99,33 @@ class RunWriter(RunInfo):
     ) -> None:
         identity = manifest.identity if manifest else None
         super().__init__(config, identity, orders, params, versions or {}, device, expected_worlds)
-        self.out_dir = Path(out_dir)
+        self._in_memory = out_dir is None
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self.out_dir = Path(out_dir or "")
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
-        self._tables = Tables(self.out_dir)
+        self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
         self.recorded = Recorded()
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
         self._pending = Pending(Part(0))
+        self._until_exit = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
+        if self._in_memory:
+            self._write_plans()
+        else:
+            self._open()
+        return self
+
+    def _open(self) -> None:
+        """Take the folder, and write what is known before the first world.
+
+        Raises:
+            InputError: it cannot be written, or has a run that is not to be replaced or resumed.
+        """
         with contextlib.ExitStack() as until_exit:
             try:
                 self.out_dir.mkdir(parents=True, exist_ok=True)
@@ -124,7 +142,20 @@ class RunWriter(RunInfo):
             except OSError as error:
                 raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
             self._until_exit = until_exit.pop_all()
-        return self
+
+    def _leave_memory(self) -> None:
+        """Go on in a temporary folder.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        before = self.parts
+        assert isinstance(before, MemoryParts)
+        self._temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
+        self.out_dir, self._in_memory = Path(self._temporary.name), False
+        self._tables = Tables(self.out_dir)
+        self._open()
+        self.parts.add(before.write(self.out_dir))
 
     def _go_on(self) -> None:
         """Take up the run that is in the folder.
@@ -135,7 +166,8 @@ class RunWriter(RunInfo):
         info = read_info(self.out_dir)
         if self._manifest is None:
             raise ValueError("a run without a manifest cannot be resumed")
-        differs = self._manifest.difference_from(Manifest.read(self.out_dir, info))
+        parts = Parts.of(self.out_dir, info)
+        differs = self._manifest.difference_from(Manifest.read(parts, info))
         if differs:
             raise InputError(f"{self.out_dir}: cannot be resumed, it is another run ({differs})")
         self.warnings |= dict.fromkeys(told_apart(info)[0])  # of worlds that are not simulated again
@@ -143,7 +175,7 @@ class RunWriter(RunInfo):
             before = info["versions"].get(name)
             if before != version:
                 self.warn(f"resumed with {name} {version}; worlds before were simulated with {before or 'none'}")
-        parts = Parts.of(self.out_dir, info).with_worlds()
+        parts = parts.with_worlds()
         self.recorded = Recorded(parts, [param.name for param in self.params])
         parts.check_tables(SORTED)
         self._tables = Tables(self.out_dir, parts.without("summary"))
@@ -160,10 +192,10 @@ class RunWriter(RunInfo):
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         # of several Ctrl-C in a row the first one ends the run; the others must not cost what it has gathered
-        with shielded(afterwards=error is None), self._until_exit:
+        with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit:
             self._timer.cancel()
             if error is None:
-                self.status = "finished"
+                self.status = FINISHED
             elif isinstance(error, KeyboardInterrupt | SystemExit):
                 self.status = "interrupted"
             else:
@@ -185,6 +217,28 @@ class RunWriter(RunInfo):
             except PetmjxError:
                 if error is None:
                     raise
+
+    @contextlib.contextmanager
+    def _unless_temporary(self) -> Iterator[None]:
+        """Take away a temporary folder if the run has not come to its end."""
+        try:
+            yield
+        finally:
+            if self._temporary is not None and self.status != FINISHED:
+                self._temporary.cleanup()
+
+    def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
+        """What was written, after the end.
+
+        Args:
+            held: the run's plans by id, if they are in no file.
+        """
+        if self._in_memory:
+            return RunResults(self.parts, plain(self.info), held or {})
+        results = load_run(self.out_dir, held)
+        if self._temporary is not None:
+            weakref.finalize(results, self._temporary.cleanup)
+        return results
 
     @property
     def parts(self) -> Parts:
@@ -235,12 +289,14 @@ class RunWriter(RunInfo):
             pending, rows = self._pending, self._pending.part.rows
             if not rows:
                 pending.since_s = time.monotonic()
-                self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
-                self._timer.daemon = True
-                self._timer.start()
+                if not self._in_memory:
+                    self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
+                    self._timer.daemon = True
+                    self._timer.start()
             pending.part.add(row)
             enough = len(rows) >= self._worlds_per_part or pending.part.history_bytes >= HISTORY_BYTES_PER_PART
-            if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
+            late = time.monotonic() - pending.since_s >= self._seconds_per_part and not self._in_memory
+            if enough or late:
                 self._write_part()
 
     def flush(self) -> None:
@@ -323,7 +379,9 @@ class RunWriter(RunInfo):
             return
         self._timer.cancel()
         with self._writing():
-            self.parts.add(part.write(self.out_dir, self.schemas))
+            if self._in_memory and not last:
+                self._leave_memory()
+            self._tables.write_part(part.number, part.tables(self.schemas))
         # one assignment: after an interrupt before it the same part is written again, after it the next part begins
         self._pending = self._pending.following()
         self._write_info()
@@ -336,8 +394,6 @@ class RunWriter(RunInfo):
             raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
 
     def _write_info(self) -> None:
-        info = plain(self.info)
-        info["digest"] = run_digest(info)
-        text = json.dumps(info, indent=2, ensure_ascii=False, allow_nan=False)
-        with self._writing():
-            write_text(text + "\n", self.out_dir / RUN_FILE)
+        if not self._in_memory:
+            with self._writing():
+                write_run_file(self.info, self.out_dir)

@@ -44,7 +44,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
     if any(folder.resolve() == out.resolve() for folder in folders):
         raise InputError(f"{out}: is one of the shards; name another folder with --out")
     runs = _in_order([load_run(folder) for folder in folders])
-    manifests = [Manifest.read(run.path, run.info) for run in runs]
+    manifests = [Manifest.read(run.parts, run.info) for run in runs]
     for run, manifest in zip(runs, manifests, strict=True):
         differs = manifest.difference_from(manifests[0], without=("shard",))
         if differs:
