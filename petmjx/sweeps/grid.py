@@ -40,6 +40,11 @@ class PlacementGroup:
     placement: Variant
     variants: tuple[Variant, ...] = ()
 
+    @property
+    def driven(self) -> bool:
+        """Whether its worlds have drives. All worlds of a group have one, or none has. True for a search."""
+        return all(variant.drive is not None for variant in self.variants)
+
 
 @dataclass(eq=False)
 class SweepPlan(Design):
