@@ -19,10 +19,9 @@ from petmjx.bounded import read_regular
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
-from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import RUN_FILE
 from petmjx.results.given import Given
-from petmjx.results.listed import LISTED, Parts, opened
+from petmjx.results.listed import LISTED, Parts
 from petmjx.results.memory import MemoryParts
 from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.schema import check_version, plans_schema, schemas
@@ -137,8 +136,8 @@ class RunResults:
 
     @cached_property
     def plans(self) -> pd.DataFrame:
-        """One row per plan, also those of other shards, in the order in which they were given; empty in runs of petmjx
-        before 0.2. Missing counts are null."""
+        """One row per plan, also those of other shards, in the order in which they were given. Missing counts are
+        null."""
         parts = self.parts.table("plans")
         frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
         return frame.astype({name: "Int32" for name in frame.columns if name in ("number", *Ordered._fields)})
@@ -183,18 +182,7 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
     """
     folder = path_of(path, "path")
     info = read_info(folder)
-    run = RunResults(Parts.of(folder, info), info, held or {})
-    expected = info.get("counts", {}).get("worlds")
-    if run.parts.digests is None and isinstance(expected, int):
-        found = sum(_rows(file) for file in run.parts.files("worlds"))
-        if found != expected and info.get("status") == FINISHED:
-            raise InputError(
-                f"{folder}: {counted(found, 'world')} on disk, though the run finished with {expected:,}: parts were "
-                "taken away or added"
-            )
-        if found != expected:  # killed after a part was written, before run.json was
-            info["counts"] |= _counted(run.parts).as_json()
-    return run
+    return RunResults(Parts.of(folder, info), info, held or {})
 
 
 def read_info(folder: Path) -> dict[str, Any]:
@@ -215,6 +203,8 @@ def read_info(folder: Path) -> dict[str, Any]:
     if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     check_version(file, info["schema_version"])
+    if LISTED not in info:
+        raise InputError(f"{file}: written by petmjx before 0.2, which did not list a run's files: simulate it again")
     check_run_file(info, file)
     return info
 
@@ -224,18 +214,3 @@ def told_apart(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     warnings = list(info.get("warnings", []))
     first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
     return warnings[:first_odd], warnings[first_odd:]
-
-
-def _counted(parts: Parts) -> Counts:
-    """The counts of the worlds on disk."""
-    counts = Counts()
-    for part in parts.table("worlds", COUNTED):
-        counts.add_worlds(part)
-    return counts
-
-
-def _rows(file: Path) -> int:
-    """How many worlds a part has, without reading them."""
-    with opened(file) as parquet:
-        rows: int = parquet.metadata.num_rows
-    return rows

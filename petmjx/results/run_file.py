@@ -66,7 +66,7 @@ class _Orders(_Read):
 
 
 class RunFile(_Read):
-    """The entries that petmjx itself reads. All but the last are there since 0.2; runs of before lack some."""
+    """The entries that petmjx itself reads."""
 
     status: str = ""
     started: str = ""
@@ -83,13 +83,13 @@ class RunFile(_Read):
     warnings: list[str] = []
     orders: _Orders | None = None
     """Of runs that were compared with orders, as ``counts.orders``."""
-    parts: dict[TableName, dict[PartName, Digest]] | None = None
-    """The files that count; runs that were begun before there were digests have none."""
+    parts: dict[TableName, dict[PartName, Digest]]
+    """The files that count."""
     digest: Digest | None = None
     """Of all other entries."""
 
 
-_OPTIONAL: Final = ("orders", "parts", "digest")
+_OPTIONAL: Final = ("orders", "digest")
 
 
 def run_digest(info: Mapping[str, Any]) -> str:
