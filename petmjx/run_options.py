@@ -71,6 +71,8 @@ def _named(value: Any) -> Any:
     """A path that names something, which the empty one does not."""
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
         raise ValueError(f"must be a path, {got(value)}")
+    if "\0" in str(value):
+        raise ValueError(f"must be a path that a file can have, {got(value)}")
     return value
 
 

@@ -82,6 +82,12 @@ def test_options_of_a_sweep_replace_those_of_its_file(tmp_path: Path) -> None:
     assert sim["duration_s"] == 0.1
 
 
+def test_a_path_that_no_file_can_have_is_refused() -> None:
+    for name in ("out", "orders"):
+        with pytest.raises(InputError, match=rf"{name} must be a path that a file can have, got 'a\\x00b'"):
+            petmjx.score(PLANS, **STATIC, **{name: "a\0b"})
+
+
 def test_given_engines_and_physics_are_used(tmp_path: Path) -> None:
     fine = {"name": "reference", "timestep_s": 0.001}
     results = petmjx.score([STANDS], engine=MujocoEngine(1), physics=fine, out=tmp_path / "out")
