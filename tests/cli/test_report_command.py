@@ -52,10 +52,10 @@ def test_a_damaged_part_takes_one_line(folder: Path, capsys: pytest.CaptureFixtu
 def test_a_full_disk_is_one_line_as_of_kpis(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def full(descriptor: int) -> None:
+    def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(os, "replace", full)
     assert run("report", str(folder), "-o", "page.html") == 2
     assert only_line(capsys.readouterr().err) == "petmjx: page.html: cannot be written: No space left on device"
     assert not Path("page.html").exists()
