@@ -23,7 +23,6 @@ from petmjx.results.reader import RunResults
 from petmjx.results.schema import summary_table
 from petmjx.results.writer import RunWriter
 from petmjx.run_options import RunOptions
-from petmjx.statics.intervals import force_intervals, need_scipy
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
 from petmjx.sweeps.grid import SweepPlan
@@ -97,6 +96,8 @@ def simulate(
         EngineUnavailable: the engine asked for cannot run here.
     """
     if options.force_intervals:
+        from petmjx.statics.intervals import need_scipy  # beside the way of most runs
+
         need_scipy()
     found = usable_plans(plans, asked.simulation, options)
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
@@ -271,6 +272,8 @@ class _Run:
         at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
         if world.driven or not np.isfinite(at_rest).all():
             return None
+        from petmjx.statics.intervals import force_intervals
+
         start = time.perf_counter()
         found = force_intervals(world.scene, self.asked.simulation.physics, boxes.pos, boxes.quat)
         self.intervals_s += time.perf_counter() - start
