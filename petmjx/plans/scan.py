@@ -127,7 +127,7 @@ def _decoded(data: bytes | bytearray, begin: int, window: int, where: str) -> tu
             if whole or end < len(text):
                 return value, begin + _n_bytes(text, end)
         if window >= LONGEST_VALUE:
-            raise _not_json(data, begin, f"longer than {size(LONGEST_VALUE)}", where)
+            raise NotPlans(f"{where}longer than {size(LONGEST_VALUE)}; nothing of this file is read")
         window = min(4 * window, LONGEST_VALUE)
 
 

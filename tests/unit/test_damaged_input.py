@@ -204,7 +204,7 @@ def test_long_names_are_refused_in_a_short_line() -> None:
 
 def test_a_plan_whose_text_is_endless_is_refused() -> None:
     (skipped,) = load_plans(write(Path("p.json"), {"A": [[0] * 2_000_000], "B": 1})).skipped
-    assert str(skipped).startswith("p.json: plan A: not JSON at line 1, column 7 (longer than 4 MiB); nothing of ")
+    assert str(skipped) == "p.json: plan A: longer than 4 MiB; nothing of this file is read"
 
 
 def test_of_very_many_unusable_entries_the_rest_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
