@@ -43,7 +43,7 @@ class JointRun(RunResults):
 def joint_run(folders: Sequence[Path]) -> JointRun:
     """The runs in these folders as one, with the path and the options of the first one."""
     runs = tuple(load_run(folder) for folder in folders)
-    return JointRun(runs[0].path, runs[0].info, runs=runs)
+    return JointRun(runs[0].parts, runs[0].info, runs=runs)
 
 
 def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:

@@ -77,6 +77,10 @@ _COLUMNS = {
     "run": "run_s|.1f| s",
     "wall time": "wall_s|.2f| s",
     "× 1 thread": "times 1|.2f",
+    "a call": "call_s|.3f| s",
+    "its steps alone": "steps_s|.3f| s",
+    "call / steps": "ratio|.2f",
+    "call / steps before": "ratio_before|.2f",
     "compile": "compile_s|.1f| s",
     "host memory": "rss_gb|.2f| GB",
     "stable / unstable / invalid": "verdicts",
@@ -101,6 +105,7 @@ SECTIONS = {
     "plain": ("Plain Python loop", "plans; boxes a plan; plans/s; steps/s; note"),
     "one-plan": ("One plan on one thread", "CPU time; × loop, waiting in the air; × loop, waiting on the floor"),
     "threads": ("Threads of the engine mujoco", "plans; wall time; × 1 thread"),
+    "warm-call": ("A call in a warm process", "plans; a call; its steps alone; call / steps; call / steps before"),
     "sweeps": ("Sweeps, from settled states", "plans; worlds driven; worlds/s; wall time; compile; note"),
     "shares": ("How often plans stand", "against; each share in the other's 95 % interval; overlap"),
 }

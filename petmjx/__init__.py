@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from petmjx.version import __version__
+
 if TYPE_CHECKING:
     from petmjx.api import score, sweep
     from petmjx.config import (
@@ -27,7 +29,8 @@ if TYPE_CHECKING:
     from petmjx.packers.compare import compare_packers
     from petmjx.pages.report.make import report
     from petmjx.pictures.save import draw
-    from petmjx.plans.plan import Plan, PlanSet
+    from petmjx.plans.plan import Plan
+    from petmjx.plans.plan_set import PlanSet
     from petmjx.plans.read import load_plans
     from petmjx.plans.write import save_plans
     from petmjx.rating.kpis import kpis
@@ -39,8 +42,6 @@ if TYPE_CHECKING:
     from petmjx.statics.run import criteria
     from petmjx.story import Story, tell
     from petmjx.sweeps.merge import merge_runs
-
-__version__ = "0.2.0.dev0"
 
 _HOME = {
     "score": "petmjx.api",
@@ -66,7 +67,7 @@ _HOME = {
     "draw": "petmjx.pictures.save",
     "report": "petmjx.pages.report.make",
     "Plan": "petmjx.plans.plan",
-    "PlanSet": "petmjx.plans.plan",
+    "PlanSet": "petmjx.plans.plan_set",
     "load_plans": "petmjx.plans.read",
     "compare_packers": "petmjx.packers.compare",
     "compare_runs": "petmjx.results.compare",

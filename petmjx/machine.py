@@ -12,8 +12,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import petmjx
 from petmjx.text import counted
+from petmjx.version import __version__
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
 """Packages whose versions are written beside every result, after petmjx's own."""
@@ -31,6 +31,7 @@ def cpu_threads() -> int:
     return os.cpu_count() or 1
 
 
+@functools.cache
 def cpu_name() -> str:
     """The name of the processor, or its architecture if the system does not tell the name."""
     try:
@@ -89,8 +90,13 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 def package_versions() -> dict[str, str]:
     """Package → version, of the packages that results depend on and that are installed."""
+    return dict(_package_versions())
+
+
+@functools.cache
+def _package_versions() -> dict[str, str]:
     # petmjx's own from the code: an editable installation has the metadata of the day it was installed
-    versions = {"petmjx": petmjx.__version__}
+    versions = {"petmjx": __version__}
     for package in PACKAGES:
         try:
             versions[package] = importlib.metadata.version(package)

@@ -71,6 +71,8 @@ def _named(value: Any) -> Any:
     """A path that names something, which the empty one does not."""
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
         raise ValueError(f"must be a path, {got(value)}")
+    if "\0" in str(value):
+        raise ValueError(f"must be a path that a file can have, {got(value)}")
     return value
 
 
@@ -177,7 +179,7 @@ class RunOptions(Checked):
     )
     out: Annotated[File | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
-        description="folder for the results; in Python by default a temporary one that goes with what is returned",
+        description="folder for the results; in Python by default none, and they go with what is returned",
     )
     overwrite: Annotated[bool, Flag("--overwrite")] = Field(
         False, description="replace the results that the folder holds"

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
-import weakref
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.choose import Choice, engine_for
+from petmjx.engines.choose import Choice
+from petmjx.engines.resolve import engine_for
 from petmjx.machine import package_versions
 from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
 from petmjx.results.manifest import Manifest
-from petmjx.results.reader import RunResults, load_run
+from petmjx.results.reader import RunResults
 from petmjx.results.schema import summary_table
 from petmjx.results.writer import RunWriter
 from petmjx.run_options import RunOptions
-from petmjx.statics.intervals import force_intervals, need_scipy
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
 from petmjx.sweeps.grid import SweepPlan
@@ -98,6 +96,8 @@ def simulate(
         EngineUnavailable: the engine asked for cannot run here.
     """
     if options.force_intervals:
+        from petmjx.statics.intervals import need_scipy  # beside the way of most runs
+
         need_scipy()
     found = usable_plans(plans, asked.simulation, options)
     plan = SweepPlan(asked, found.plans, options.allow_large, options.strict)
@@ -113,17 +113,7 @@ def simulate(
         recording = recording_of(options, choice.name, everything)
         held = {} if are_files(plans) else {each.plan_id: each for each in everything}
         run = _Run(command, options, plan, everything, found, orders, confidence, engine, choice, recording, held)
-        if options.out is not None:
-            return run.into(options.out, watcher, batching or Batching())
-        # a folder that is deleted together with the returned results, or when the run fails
-        temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
-        try:
-            results = run.into(Path(temporary.name), watcher, batching or Batching())
-        except BaseException:
-            temporary.cleanup()
-            raise
-        weakref.finalize(results, temporary.cleanup)
-        return results
+        return run.results(watcher, batching or Batching())
 
 
 @dataclass(eq=False)
@@ -197,11 +187,11 @@ class _Run:
             "engine_reason": self.choice.reason,
         }
 
-    def into(self, folder: Path, watcher: Watcher | None, batching: Batching) -> RunResults:
-        """Simulate what is missing, and write everything into a folder."""
+    def results(self, watcher: Watcher | None, batching: Batching) -> RunResults:
+        """Simulate what is missing, and write everything where the options say."""
         columns, options = self.columns, self.options
         with RunWriter(
-            folder,
+            options.out,
             self.config(),
             manifest=Manifest.of(self.identity(), self.everything, self.found.numbers),
             orders=self.orders,
@@ -238,7 +228,7 @@ class _Run:
             writer.put_in_order()
             if self.plan.plans:  # a shard may have none
                 self._summarise(writer)
-        return load_run(folder, self.held)
+        return writer.results(self.held)
 
     def _note_input(self, writer: RunWriter) -> None:
         """Write skipped plans and warnings into ``run.json``."""
@@ -282,6 +272,8 @@ class _Run:
         at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
         if world.driven or not np.isfinite(at_rest).all():
             return None
+        from petmjx.statics.intervals import force_intervals
+
         start = time.perf_counter()
         found = force_intervals(world.scene, self.asked.simulation.physics, boxes.pos, boxes.quat)
         self.intervals_s += time.perf_counter() - start

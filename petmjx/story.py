@@ -11,7 +11,8 @@ from typing import Any
 from petmjx.arguments import flag_of, number_of, text_of, whole_of
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine
-from petmjx.engines.choose import ENGINES, engine_for, make_engine
+from petmjx.engines.choose import ENGINES, make_engine
+from petmjx.engines.resolve import engine_for
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.history import History, Record
 from petmjx.plans.gather import PlanSource, find_plan, usable_plans

@@ -14,7 +14,6 @@ from typing import Annotated
 
 import typer
 
-from petmjx import __version__
 from petmjx.cli import (
     compare,
     convert,
@@ -35,6 +34,7 @@ from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.text import one_line, printable
+from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):

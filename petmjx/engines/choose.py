@@ -1,23 +1,17 @@
-"""Which engine a run uses: the one that the user names, or for ``auto`` the one that should finish first."""
+"""Engines by name, and the one that ``auto`` stands for: the one that should finish first."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from petmjx.checked import got
-from petmjx.config import Simulation
-from petmjx.engines.base import Engine, Progress, Simulates
-from petmjx.engines.cost import MEASURED, Costs, Work
+from petmjx.engines.base import Engine
 from petmjx.errors import EngineUnavailable, InputError
-from petmjx.machine import cpu_threads, device_name, why_no_warp
+from petmjx.machine import why_no_warp
 from petmjx.run_options import AUTO, RunOptions
 from petmjx.text import counted
-from petmjx.verdict import Outcome
-from petmjx.world.job import Job
 
 ENGINES: dict[str, tuple[str, str]] = {
     "mujoco": ("petmjx.engines.cpu.engine", "MujocoEngine"),
@@ -38,60 +32,6 @@ class Choice:
     name: str
     reason: str
     seconds: float | None = None
-
-
-class Lent(Engine):
-    """An engine of the user's own, with what it leaves out of ``Engine``. It is not closed: it stays the user's.
-
-    Args:
-        threads: that the run was given, for the name of a device that the engine does not tell.
-    """
-
-    def __init__(self, own: Simulates, threads: int | None) -> None:
-        self.name, self._own, self._threads = own.name, own, threads
-        self.takes_more = bool(getattr(own, "takes_more", False))
-
-    @property
-    def device(self) -> str:
-        return getattr(self._own, "device", "") or device_name(self.name, self._threads)
-
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        return self._own.run(jobs, sim, progress)
-
-
-@contextmanager
-def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice]]:
-    """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
-    engine, choice = resolve_engine(options, work)
-    try:
-        yield engine, choice
-    finally:
-        engine.close()
-
-
-def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> tuple[Engine, Choice]:
-    """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
-    engine does not have.
-
-    Raises:
-        InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
-    """
-    asked = options.engine
-    if not isinstance(asked, str):
-        if isinstance(asked, type) or not isinstance(asked, Simulates):
-            raise InputError(f"engine must be a name or an object with a name and a method run, {got(asked)}")
-        if options.asked_workers is not None:
-            raise InputError("workers need an engine by name: each of them builds its own")
-        return Lent(asked, options.threads), Choice(asked.name, "given")
-    if options.asked_workers is not None:
-        # imported only here: Ray is an extra
-        from petmjx.engines.workers.resolve import resolve_workers
-
-        return resolve_workers(options, work, costs)
-    threads = options.threads or cpu_threads()
-    seconds = costs.seconds(work, threads)
-    name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
-    return make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
 
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Engines:
         foreign = isinstance(job.start, KeptState) and job.start.engine != self.own.name
         if (again or foreign or sim.solver is Solver.CG) and self.stand_in is not None:
             if again:
-                self.note(f"worlds that were invalid on {self.own.name} were simulated again on {self.stand_in.name}")
+                self.note(f"worlds were simulated again on {self.stand_in.name}: further attempts are its")
             elif sim.solver is Solver.CG:
                 self.note(f"worlds were simulated on {self.stand_in.name}: the solver cg is its")
             return self.stand_in

@@ -8,7 +8,6 @@ from typing import Final
 
 import pandas as pd
 
-from petmjx.errors import InputError
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Order
 from petmjx.rating.kpis import kpis_of
@@ -53,10 +52,7 @@ def kpis_of_runs(runs: Mapping[str, RunResults], file: Path) -> tuple[pd.DataFra
 
 
 def _rows(run: RunResults, wanted: set[str], orders: Mapping[str, Order]) -> list[dict[str, object]]:
-    try:
-        records = Manifest.read(run.path, run.info).plans
-    except InputError:  # of petmjx before 0.2, which did not keep what a run was of
-        return []
+    records = Manifest.read(run.parts, run.info).plans
     plans = find_plans(run.info, records, wanted & orders.keys()).plans
     each = (kpis_of(plan, orders[plan_id]) for plan_id, plan in plans.items())
     return [{name: row[name] for name in ("plan_id", *KPIS)} for row in each]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from petmjx.plans.plan import Plan, PlanSet, Skipped
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.read import DEFAULT_MAX_BOXES, load_plans
 
 __all__ = ["DEFAULT_MAX_BOXES", "Plan", "PlanSet", "Skipped", "load_plans"]

@@ -1,4 +1,4 @@
-"""Plans from plain Python values and NumPy arrays, checked as those of files are."""
+"""The fields of plans from plain Python values and NumPy arrays, checked as those of files are."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from petmjx.errors import InputError
 from petmjx.plans.columns import as_column
 from petmjx.plans.fields import plan_id_fault
 from petmjx.plans.given import Given
-from petmjx.plans.plan import Plan
-from petmjx.plans.table import Refused, Table, sorted_columns, table_plans
+from petmjx.plans.table import PlanFields, Refused, Table, sorted_columns, table_plans
 from petmjx.text import shown
 
 SOURCE: Final = "python"
@@ -27,13 +26,13 @@ _ARRAYS: Final = {
 """Arguments of ``Plan.from_boxes`` → the columns that they are."""
 
 
-def plan_from_boxes(
+def fields_from_boxes(
     plan_id: str,
     boxes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None,
     arrays: Mapping[str, Any],
     more: Mapping[str, Any],
     given: Given,
-) -> Plan:
+) -> PlanFields:
     """See ``Plan.from_boxes``.
 
     Raises:
@@ -65,10 +64,10 @@ def plan_from_boxes(
     if unread:
         raise InputError(f"{where}: unknown field {shown(unread[0])}")
     table = Table({name: as_column(columns[names[index]]) for name, index in positions.items()}, (), np.arange(n_boxes))
-    (found_plan,) = table_plans(table, SOURCE, n_boxes, [], given)
-    if isinstance(found_plan, Refused):
-        raise InputError(found_plan.message.removeprefix(f"{SOURCE}: ").replace(", row ", ", box ", 1))
-    return found_plan
+    (plan,) = table_plans(table, SOURCE, n_boxes, [], given)
+    if isinstance(plan, Refused):
+        raise InputError(plan.message.removeprefix(f"{SOURCE}: ").replace(", row ", ", box ", 1))
+    return plan
 
 
 def _columns_of(boxes: Any, where: str) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from petmjx.errors import InputError
 from petmjx.plans.conventions import warn
 from petmjx.plans.forms import SupportsArrow
 from petmjx.plans.given import USUAL, Given
-from petmjx.plans.plan import Plan, PlanSet, Skipped
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.read import read_plans, with_conventions
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions

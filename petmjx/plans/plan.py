@@ -1,23 +1,20 @@
-"""A packing plan in memory, and a set of them with what was skipped."""
+"""A packing plan in memory."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.arguments import array_of, instance_of, list_of, text_of
+from petmjx.arguments import array_of, list_of, text_of
 from petmjx.errors import InputError
-from petmjx.plans.warnings import PlanWarnings
+from petmjx.plans.given import Given
 from petmjx.run_options import Anchor
 from petmjx.text import counted, shown
 from petmjx.units import PLAN_UNITS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -117,11 +114,10 @@ class Plan:
         Raises:
             InputError: a field is missing, unknown or unusable; the line names the box and the field.
         """
-        from petmjx.plans.boxes import plan_from_boxes
-        from petmjx.plans.given import Given
+        from petmjx.plans.boxes import fields_from_boxes  # what reads tables loads Arrow
 
         arrays = {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}
-        return plan_from_boxes(plan_id, boxes, arrays, columns, Given.checked(units, anchor))
+        return cls(**fields_from_boxes(plan_id, boxes, arrays, columns, Given.checked(units, anchor)))
 
     @property
     def n_boxes(self) -> int:
@@ -149,83 +145,3 @@ def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
     if (array % 1).any():
         raise InputError(f"{name} must be whole numbers")
     return np.asarray(values).astype(np.int64)
-
-
-@dataclass(frozen=True, slots=True)
-class Skipped:
-    """Something that was not used. ``message`` is the whole line, with file and plan.
-
-    ``plan_id`` is None if it is not about one plan (a file, or damage between plans). ``number`` is that of the plan
-    among those given, from 0.
-    """
-
-    source: str
-    plan_id: str | None
-    message: str
-    number: int | None = None
-
-    @classmethod
-    def plan(cls, plan: Plan, why: str, strict: bool) -> Skipped:
-        """A plan that was read but cannot be simulated.
-
-        Args:
-            why: goes on after the plan's id, as in ": repeated plan id".
-
-        Raises:
-            InputError: with ``strict``.
-        """
-        message = f"{plan.source}: plan {shown(plan.plan_id)}{why}"
-        if strict:
-            raise InputError(message)
-        return cls(plan.source, plan.plan_id, message)
-
-    def __str__(self) -> str:
-        return self.message
-
-
-@dataclass(frozen=True, repr=False)
-class PlanSet:
-    """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
-
-    ``numbers`` says of each plan id which of the plans that were read it is, from 0, also counting those that were
-    skipped; empty: they are as in ``plans``. ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a
-    box outside or a floating box; ``conventions`` a line for each convention that plans seem to follow instead of
-    petmjx's; ``notes`` lines about all that was read, such as which fields nobody reads.
-    """
-
-    plans: list[Plan] = field(default_factory=list)
-    skipped: list[Skipped] = field(default_factory=list)
-    warnings: list[PlanWarnings] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    conventions: list[str] = field(default_factory=list)
-    numbers: dict[str, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Raises InputError: ``plans`` is no list of plans."""
-        if not isinstance(self.plans, list) or not all(type(plan) is Plan for plan in self.plans):
-            object.__setattr__(self, "plans", list_of(self.plans, "plans", Plan, "Plan objects"))
-        for name in ("skipped", "warnings", "notes", "conventions"):
-            instance_of(getattr(self, name), name, list, "a list")
-
-    def __len__(self) -> int:
-        return len(self.plans)
-
-    def __iter__(self) -> Iterator[Plan]:
-        return iter(self.plans)
-
-    def to_frame(self) -> pd.DataFrame:
-        """The plans as a table with a row a placement, which ``petmjx.score`` takes in turn.
-
-        Raises:
-            ValueError: there is no plan.
-        """
-        from petmjx.plans.write import plans_table
-
-        if not self.plans:
-            raise ValueError("there is no plan")
-        frame: pd.DataFrame = plans_table(self.plans).to_pandas()
-        return frame
-
-    def __repr__(self) -> str:
-        plans = counted(len(self.plans), "plan")
-        return f"PlanSet({plans}, {len(self.skipped):,} skipped, {len(self.warnings):,} odd)"

@@ -19,8 +19,9 @@ from petmjx.plans.conventions import find_conventions, warn
 from petmjx.plans.fields import LONGEST_NAME, Unread
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
 from petmjx.plans.given import Given
-from petmjx.plans.plan import Plan, PlanSet, Skipped
-from petmjx.plans.scan import Damage, describe, scan_plans
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet, Skipped
+from petmjx.plans.scan import NotPlans, scan_plans
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.plans.validate import PlanError, parse_plan
 from petmjx.plans.warnings import check_layout
@@ -221,7 +222,7 @@ class _Loading:
 
             self._read_table(source, lambda: parse_csv(data, cut_off=fault is not None))
         else:
-            self._read_json(source, data)
+            self._read_json(source, data, damaged=fault is not None)
 
     def _read_table(self, source: str, read: Callable[[], Table]) -> None:
         from petmjx.plans.table import Refused, TableError, table_plans
@@ -239,25 +240,37 @@ class _Loading:
                 if isinstance(plan, Refused):
                     self._skip(source, plan.plan_id, plan.message)
                 else:
-                    self._keep(plan)
+                    self._keep(Plan(**plan))
                 if self.full:
                     break
 
-    def _read_json(self, source: str, data: bytearray) -> None:
+    def _read_json(self, source: str, data: bytearray, damaged: bool) -> None:
+        """Read the plans of a text. If that proves to be no JSON, what was read of it is taken back; where it is known
+        to be ``damaged``, the plans before that stay.
+        """
+        kept, skipped = len(self.found.plans), len(self.found.skipped)
+        n_plans, unread = self.n_plans, self.unread.copy()
         n_entries = n_orders = 0
         first_order = ""
-        for entry in scan_plans(data):
-            n_entries += 1
-            if isinstance(entry, Damage):
-                self._skip(source, entry.plan_id, describe(source, entry))
-            elif isinstance(entry.value, dict) and "item_sequence" in entry.value:
-                first_order = first_order or shown(entry.plan_id)
-                n_orders += 1
-            else:
-                self._take(source, entry.plan_id, entry.value)
-            if self.full:
-                break
-        if n_entries == 0:
+        try:
+            for entry in scan_plans(data):
+                n_entries += 1
+                if isinstance(entry.value, dict) and "item_sequence" in entry.value:
+                    first_order = first_order or shown(entry.plan_id)
+                    n_orders += 1
+                else:
+                    self._take(source, entry.plan_id, entry.value)
+                if self.full:
+                    break
+        except NotPlans as error:
+            if not damaged:
+                for plan in self.found.plans[kept:]:
+                    del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
+                del self.found.plans[kept:], self.found.skipped[skipped:]
+                self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
+                self._skip(source, None, f"{source}: {error}", error)
+                return
+        if n_entries == 0 and not damaged:
             self._skip(source, None, f"{source}: holds no plan")
         if n_orders:
             self._skip(source, None, _orders_message(source, first_order, n_orders))

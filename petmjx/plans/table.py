@@ -1,4 +1,4 @@
-"""A table with a row a placement: from columns to validated plans, with one line about each unusable part.
+"""A table with a row a placement: from columns to the checked fields of plans, with one line about each unusable part.
 
 ``sequence`` is the packing order, so rows may come in any order. All rows are checked at once; Python looks at single
 rows only where something is wrong.
@@ -28,7 +28,6 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given, Limits
-from petmjx.plans.plan import Plan
 from petmjx.text import counted, first_names, shown
 from petmjx.units import FloatArray
 
@@ -45,6 +44,10 @@ _MAY_LACK: Final = ("item_id", "product_group")
 """Columns that may have no value in a row."""
 _ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg")}
 """BED-BPP's own spelling of sizes and weights."""
+
+
+PlanFields = dict[str, Any]
+"""The arguments of ``Plan``."""
 
 
 class TableError(InputError):
@@ -114,7 +117,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
 
 def table_plans(
     table: Table, source: str, max_boxes: int, notes: list[str], given: Given = USUAL
-) -> Generator[Plan | Refused, None, None]:
+) -> Generator[PlanFields | Refused, None, None]:
     """The plans of a table in the order in which they appear, and what is refused.
 
     Args:
@@ -137,7 +140,7 @@ class _Reading:
     given: Given
     gaps: list[str] = field(default_factory=list)
 
-    def plans(self) -> Generator[Plan | Refused, None, None]:
+    def plans(self) -> Generator[PlanFields | Refused, None, None]:
         yield from self._rows_of_no_plan()
         try:
             if self._plan_ids:
@@ -147,7 +150,7 @@ class _Reading:
                 plans = f"{counted(len(self.gaps), 'plan')} ({first_names(self.gaps)})"
                 self.notes.append(f"{self.source}: sequence has gaps in {plans}; are rows missing?")
 
-    def _rows_of_plans(self) -> Iterator[Plan | Refused]:
+    def _rows_of_plans(self) -> Iterator[PlanFields | Refused]:
         refused = self._refused_before()
         bad_rows = self._bad[self._order]
         begins = np.flatnonzero(np.diff(self._codes[self._order], prepend=-2))
@@ -251,25 +254,25 @@ class _Reading:
 
     # One plan.
 
-    def _plan(self, plan_id: str, begin: int, end: int) -> Plan:
+    def _plan(self, plan_id: str, begin: int, end: int) -> PlanFields:
         sorted_, rows = self._sorted, slice(begin, end)
         numbers = sorted_["number"][rows]
         if numbers[0] not in (0, 1) or numbers[-1] - numbers[0] != len(numbers) - 1:
             self.gaps.append(plan_id)
         names = {name: tuple(sorted_[name][rows].tolist()) for name in _TEXTS if name in sorted_}
         groups = names.get("product_group", ())
-        return Plan(
-            plan_id=plan_id,
-            source=self.source,
-            size_mm=sorted_["size"][rows].copy(),
-            corner_mm=sorted_["corner"][rows].copy(),
-            mass_kg=sorted_["mass"][rows].copy(),
-            item_ids=names.get("item_id", ("",) * len(numbers)),
-            articles=names["article"],
-            sequence=sorted_["sequence"][rows].copy(),
-            orientation=sorted_["orientation"][rows].copy() if "orientation" in sorted_ else None,
-            product_groups=groups if any(groups) else (),
-        )
+        return {
+            "plan_id": plan_id,
+            "source": self.source,
+            "size_mm": sorted_["size"][rows].copy(),
+            "corner_mm": sorted_["corner"][rows].copy(),
+            "mass_kg": sorted_["mass"][rows].copy(),
+            "item_ids": names.get("item_id", ("",) * len(numbers)),
+            "articles": names["article"],
+            "sequence": sorted_["sequence"][rows].copy(),
+            "orientation": sorted_["orientation"][rows].copy() if "orientation" in sorted_ else None,
+            "product_groups": groups if any(groups) else (),
+        }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
         """Why a plan is refused; begins with ", row" where a row is to blame."""

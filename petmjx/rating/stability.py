@@ -84,8 +84,6 @@ def _check(run: RunResults) -> Any:
 def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
     if run.info["config"]["command"] == "sweep":
         raise InputError(f"{run.path}: is a sweep; KPIs need a run of petmjx score")
-    if run.plans.empty:  # written by petmjx before 0.2
-        return
     digests = dict(zip(run.plans["plan_id"], run.plans["digest"], strict=True))
     for plan in plans:
         if digests.get(plan.plan_id, digest := plan_digest(plan)) != digest:

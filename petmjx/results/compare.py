@@ -54,7 +54,7 @@ class Comparison:
         confusion: (3, 3) number of worlds by verdict in a (rows) and in b (columns).
         flips: worlds with different verdicts: verdict, reason and culprit in both runs, and their margins to the
             thresholds of shift, tilt and acceleration (positive: over the threshold); ``margin``, the column of
-            ``worlds``, has the other sign. Null in runs of before it.
+            ``worlds``, has the other sign.
         worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
             ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of
             |b - a|; and where the largest one is: ``plan_id``, ``variant`` (``box``), with the two values ``a`` and
@@ -171,8 +171,6 @@ def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.Data
         flips[f"tilt_margin_deg_{side}"] = flips[f"max_tilt_deg_{side}"] - limits.tilt_deg
         flips[f"lin_acc_margin_m_s2_{side}"] = flips[f"max_lin_acc_{side}"] - limits.lin_acc_m_s2
         flips[f"ang_acc_margin_rad_s2_{side}"] = flips[f"max_ang_acc_{side}"] - limits.ang_acc_rad_s2
-        if f"margin_{side}" not in flips:
-            flips[f"margin_{side}"] = np.nan
         names = ("verdict", "reason", "margin", "culprit", "first_sign_s", "n_dropped", "flags")
         margins = ("shift_margin_m", "tilt_margin_deg", "lin_acc_margin_m_s2", "ang_acc_margin_rad_s2")
         columns += [f"{name}_{side}" for name in (*names, *margins)]
@@ -230,7 +228,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
 def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
     """Ids of common plans that are not the same in both runs, sorted.
 
-    Their digests tell. Runs of before 0.2 have none: of them the number of boxes and the items tell.
+    Their digests tell. Runs that were written without plans have none: of them the number of boxes and the items tell.
     """
     digests = [run.plans.set_index("plan_id")["digest"] for run in (run_a, run_b)]
     plans = pd.DataFrame(index=pd.Index(both["plan_id"].unique(), dtype=object))

@@ -39,10 +39,9 @@ class Given:
         """
         plan_ids: list[str] = []
         numbers: list[int | None] = []
-        for part in parts.table("plans"):
+        for part in parts.table("plans", ("plan_id", "number")):
             plan_ids += part["plan_id"].to_pylist()
-            known = "number" in part.column_names
-            numbers += part["number"].to_pylist() if known else [None] * len(part)
+            numbers += part["number"].to_pylist()
         return cls(plan_ids, [at if number is None else number for at, number in enumerate(numbers)])
 
     @cached_property

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from petmjx.bounded import open_regular
 from petmjx.errors import InputError
-from petmjx.results.files import OF_SOME_WORLDS, OF_WORLDS, TABLES, digest_of, part_files, part_number
+from petmjx.results.files import OF_WORLDS, digest_of, part_number
 from petmjx.results.schema import check_version, schema_version_of
 
 LISTED: Final = "parts"
@@ -26,27 +26,21 @@ class Parts:
 
     Attributes:
         folder: the run's.
-        digests: table → file name → digest; None: the run was written before they were kept. Then all parts that are
-            there count, and what belongs to worlds does if its worlds are there.
+        digests: table → file name → digest.
     """
 
     folder: Path
-    digests: dict[str, dict[str, str]] | None
+    digests: dict[str, dict[str, str]]
     _checked: set[Path] = field(default_factory=set, repr=False)
 
     @classmethod
     def of(cls, folder: Path, info: Mapping[str, Any]) -> Self:
         """The files of the run in a folder, with its ``run.json``."""
-        return cls(folder, info.get(LISTED))
+        return cls(folder, info[LISTED])
 
     def files(self, table: str) -> list[Path]:
         """The files of a table, in order; they need not be there."""
-        if self.digests is not None:
-            return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
-        if table == "worlds" or table not in OF_WORLDS:
-            return part_files(self.folder, table)
-        found = [self.folder / table / file.name for file in part_files(self.folder, "worlds")]
-        return [file for file in found if table not in OF_SOME_WORLDS or file.exists()]
+        return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
         """One of these files, or some of its columns.
@@ -68,26 +62,19 @@ class Parts:
 
     def add(self, digests: Mapping[Path, str]) -> None:
         """More files, which were just written, with their digests."""
-        if self.digests is not None:
-            for file, digest in digests.items():
-                self.digests.setdefault(file.parent.name, {})[file.name] = digest
-            self._checked.update(digests)
+        for file, digest in digests.items():
+            self.digests.setdefault(file.parent.name, {})[file.name] = digest
+        self._checked.update(digests)
 
     def without(self, *tables: str) -> Parts:
-        """The files of all other tables, with digests of what is there now where the run has none."""
-        if self.digests is not None:
-            kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
-            return Parts(self.folder, kept, set(self._checked))
-        parts = Parts(self.folder, {})
-        for file in (file for table in TABLES if table not in tables for file in self.files(table)):
-            with open_regular(file) as stream:
-                parts.add({file: digest_of(stream)})
-        return parts
+        """The files of all other tables."""
+        kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
+        return Parts(self.folder, kept, set(self._checked))
 
     def with_worlds(self) -> Parts:
         """The files without those whose part of ``worlds`` was taken away: who does that wants these worlds again."""
         gone = {file.name for file in self.files("worlds") if not file.exists()}
-        if self.digests is None or not gone or self.files("frames"):  # which histories these worlds have is not known
+        if not gone or self.files("frames"):  # which histories these worlds have is not known
             return self
         kept = {
             table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
@@ -100,12 +87,12 @@ class Parts:
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:
-        """Check that a file is what the run wrote, as far as the run says.
+        """Check that a file is what the run wrote.
 
         Raises:
             InputError: it is not.
         """
-        if self.digests is None or file in self._checked:
+        if file in self._checked:
             return
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: the run's folder is gone")
@@ -114,12 +101,22 @@ class Parts:
             with open_regular(file) as stream:
                 found = digest_of(stream)
         except FileNotFoundError:
-            raise InputError(f"{file}: missing, though the run wrote it") from None
+            raise InputError(f"{file}: missing, though the run wrote it; {self._cure(file)}") from None
         except OSError as error:
             raise InputError(f"{file}: damaged part, it cannot be read: {error.strerror or error}") from error
         if found != expected:
-            raise InputError(f"{file}: damaged part, it is not what the run wrote")
+            raise InputError(f"{file}: damaged part, it is not what the run wrote; {self._cure(file)}")
         self._checked.add(file)
+
+    def _cure(self, file: Path) -> str:
+        """What makes a run whole again that lacks a file."""
+        if file.parent.name == "summary":
+            return "go on with --resume, which makes it again"
+        if file.parent.name not in OF_WORLDS or self.files("frames"):
+            return "simulate the run again, with --overwrite"
+        worlds = self.folder / "worlds" / file.name
+        delete = f"delete {worlds} and " if file != worlds or file.exists() else ""
+        return f"{delete}go on with --resume, which simulates its worlds again"
 
 
 def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -131,10 +128,19 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
     with opened(file) as parquet:
         table = parquet.read(None if columns is None else list(columns))
     check_version(file, schema_version_of(table.schema.metadata))
+    return with_columns(table, file, columns)
+
+
+def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:
+    """Some columns of a part; None: all.
+
+    Raises:
+        InputError: it lacks one.
+    """
     for name in columns or ():
         if name not in table.column_names:
             raise InputError(f"{file}: damaged part, it has no column {name}")
-    return table
+    return table if columns is None else table.select(list(columns))
 
 
 @contextlib.contextmanager

@@ -130,14 +130,13 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     Raises:
         InputError: one is not there, or is another one.
     """
-    # a run that was written by petmjx before 0.2 does not say what it was of
-    records = {} if results.plans.empty else Manifest.read(results.path, results.info).plans
+    records = Manifest.read(results.parts, results.info).plans
     if plans is None and results.held:
         plans = list(results.held.values())
     found = find_plans(results.info, records, set(results.worlds["plan_id"]), plans)
-    if plans is None and (found.gone or not records):
-        what = f"{printable(found.gone[0])} is not there" if found.gone else "the run does not say which"
-        raise InputError(f"{results.path}: needs the plans of the run, and {what}: name them")
+    if plans is None and found.gone:
+        gone = printable(found.gone[0])
+        raise InputError(f"{results.path}: needs the plans of the run, and {gone} is not there: name them")
     for plan_ids, what in (
         (found.missing, "is not among the plans that were read"),
         (found.changed, "differs from the one that was simulated there"),

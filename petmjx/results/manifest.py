@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
@@ -27,9 +26,6 @@ DIGEST_BYTES: Final = 8
 MOST_NAMED: Final = 4
 """Differences that a message names; of more it says how many there are."""
 
-_ALWAYS: Final = ("plan_id", "digest", "source")
-"""Columns of ``plans`` that every run has."""
-
 
 def plan_digest(plan: Plan) -> str:
     """Hexadecimal digest (BLAKE2b) of everything in a plan that reaches the results."""
@@ -41,7 +37,7 @@ def plan_digest(plan: Plan) -> str:
 
 
 class PlanRecord(NamedTuple):
-    """What a run says of a plan; None: it was begun before these columns were there.
+    """What a run says of a plan.
 
     Attributes:
         digest: of everything in it that reaches the results.
@@ -49,15 +45,15 @@ class PlanRecord(NamedTuple):
         volume_m3: of its boxes.
         extent_x_m, extent_y_m: of its bounding box.
         height_m: its highest top above the carrier.
-        number: which of the plans given it is, counting those that were skipped.
+        number: which of the plans given it is, counting those that were skipped; None: not known.
     """
 
     digest: str
     source: str
-    volume_m3: float | None = None
-    extent_x_m: float | None = None
-    extent_y_m: float | None = None
-    height_m: float | None = None
+    volume_m3: float
+    extent_x_m: float
+    extent_y_m: float
+    height_m: float
     number: int | None = None
 
     @classmethod
@@ -119,24 +115,21 @@ class Manifest:
         return pa.Table.from_arrays(arrays, schema=schema)
 
     @classmethod
-    def read(cls, folder: Path, info: Mapping[str, Any]) -> Manifest:
-        """The manifest of the run in a folder.
+    def read(cls, parts: Parts, info: Mapping[str, Any]) -> Manifest:
+        """The manifest of a run, from its tables and its ``run.json``.
 
         Raises:
-            InputError: it has none (of petmjx before 0.2), or it is damaged.
+            InputError: it has none, or it is damaged.
         """
-        parts = Parts.of(folder, info)
-        files = parts.files("plans")
+        folder, files = parts.folder, parts.files("plans")
         if "identity" not in info or not files:
-            raise InputError(f"{folder}: the run does not say what it is of (written by petmjx before 0.2)")
+            raise InputError(f"{folder}: the run does not say what it is of")
         check_whole(info, folder / RUN_FILE)
         plans: dict[str, PlanRecord] = {}
         for file in files:
-            parts.read(file, _ALWAYS)  # refused without them
-            table = parts.read(file).to_pydict()
-            there = [name for name in PlanRecord._fields if name in table]
-            for row, plan_id in enumerate(table["plan_id"]):
-                plans[plan_id] = PlanRecord(**{name: table[name][row] for name in there})
+            table = parts.read(file, ("plan_id", *PlanRecord._fields)).to_pydict()
+            records = zip(*(table[name] for name in PlanRecord._fields), strict=True)
+            plans |= zip(table["plan_id"], map(PlanRecord._make, records), strict=True)
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
@@ -167,7 +160,9 @@ _NOTHING: Final = object()
 
 
 def _as_asked(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings with the names of the command: the sweep of a score is its number of worlds and its errors."""
+    """Settings with the names of the command: the sweep of a score is its number of worlds and its errors. What stands
+    there only if it is asked for is false otherwise."""
+    settings = {"force_intervals": False, **settings}
     sweep = settings.get("sweep")
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 from petmjx.metrics.spec import FORCE_INTERVAL, Column, box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.plans.plan import Plan
 from petmjx.results import histories
-from petmjx.results.files import part_name, write_table
 from petmjx.results.schema import filled
 from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
@@ -94,21 +92,17 @@ class Part:
         self.rows.append(row)
         self.history_bytes += row.recorded.size if row.recorded is not None else 0
 
-    def write(self, directory: Path, schemas: Mapping[str, pa.Schema]) -> dict[Path, str]:
-        """Write the tables, ``worlds`` last; returns the digest of each file."""
-        digests: dict[Path, str] = {}
+    def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
+        """The names of its tables and what they hold; ``worlds`` comes last."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in histories.TABLES.items():
             columns = columns_of(recorded)
             if len(columns["plan_id"]):
-                file = directory / name / part_name(self.number)
-                digests[file] = write_table(filled(columns, schemas[name]), file)
-        for name, make in (("boxes", self.boxes), ("attempts", self.attempts), ("worlds", self.worlds)):
-            table = make(schemas[name])
-            if len(table) or name != "attempts":
-                file = directory / name / part_name(self.number)
-                digests[file] = write_table(table, file)
-        return digests
+                yield name, filled(columns, schemas[name])
+        yield "boxes", self.boxes(schemas["boxes"])
+        if len(attempts := self.attempts(schemas["attempts"])):
+            yield "attempts", attempts
+        yield "worlds", self.worlds(schemas["worlds"])
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
         """The ``worlds`` table, with reductions over boxes, for the whole part at once."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tempfile
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,14 +16,14 @@ import pyarrow as pa
 
 from petmjx.arguments import path_of
 from petmjx.bounded import read_regular
-from petmjx.errors import InputError
+from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
-from petmjx.results.counts import COUNTED, Counts
 from petmjx.results.files import RUN_FILE
 from petmjx.results.given import Given
-from petmjx.results.listed import Parts, opened
-from petmjx.results.run_file import check_run_file
+from petmjx.results.listed import LISTED, Parts
+from petmjx.results.memory import MemoryParts
+from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.schema import check_version, plans_schema, schemas
 from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
@@ -38,12 +40,12 @@ class RunResults:
     """The results of a run. Tables are read when they are first used.
 
     Attributes:
-        path: the run's folder.
+        parts: the files of the tables, for whoever reads some columns only.
         info: ``run.json``.
         held: the plans by id, of a run that was given them as objects and has just ended: no file has them.
     """
 
-    path: Path
+    parts: Parts
     info: dict[str, Any]
     held: Mapping[str, Plan] = field(default_factory=dict)
 
@@ -52,7 +54,8 @@ class RunResults:
         what = "world" if self._varied else "plan"
         verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
         status = self.unfinished or FINISHED
-        return f"RunResults({self.path}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
+        where = "in memory" if isinstance(self.parts, MemoryParts) else self.path
+        return f"RunResults({where}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
 
     @property
     def unfinished(self) -> str | None:
@@ -65,9 +68,24 @@ class RunResults:
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
-    def parts(self) -> Parts:
-        """The files of the tables, for whoever reads some columns only."""
-        return Parts.of(self.path, self.info)
+    def path(self) -> Path:
+        """The run's folder. What is in memory is written to a temporary one first, which goes with these results.
+
+        Raises:
+            PetmjxError: that one cannot be written.
+        """
+        if not isinstance(self.parts, MemoryParts):
+            return self.parts.folder
+        try:
+            temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
+            weakref.finalize(self, temporary.cleanup)
+            written = Parts(Path(temporary.name), {})
+            written.add(self.parts.write(written.folder))
+            write_run_file(self.info | {LISTED: written.digests}, written.folder)
+        except OSError as error:
+            raise PetmjxError(f"{tempfile.gettempdir()}: cannot write results: {error.strerror or error}") from error
+        self.info.update(read_info(written.folder))
+        return written.folder
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
@@ -118,8 +136,8 @@ class RunResults:
 
     @cached_property
     def plans(self) -> pd.DataFrame:
-        """One row per plan, also those of other shards, in the order in which they were given; empty in runs of petmjx
-        before 0.2. Missing counts are null."""
+        """One row per plan, also those of other shards, in the order in which they were given. Missing counts are
+        null."""
         parts = self.parts.table("plans")
         frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
         return frame.astype({name: "Int32" for name in frame.columns if name in ("number", *Ordered._fields)})
@@ -164,18 +182,7 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
     """
     folder = path_of(path, "path")
     info = read_info(folder)
-    run = RunResults(folder, info, held or {})
-    expected = info.get("counts", {}).get("worlds")
-    if run.parts.digests is None and isinstance(expected, int):
-        found = sum(_rows(file) for file in run.parts.files("worlds"))
-        if found != expected and info.get("status") == FINISHED:
-            raise InputError(
-                f"{folder}: {counted(found, 'world')} on disk, though the run finished with {expected:,}: parts were "
-                "taken away or added"
-            )
-        if found != expected:  # killed after a part was written, before run.json was
-            info["counts"] |= _counted(run.parts).as_json()
-    return run
+    return RunResults(Parts.of(folder, info), info, held or {})
 
 
 def read_info(folder: Path) -> dict[str, Any]:
@@ -196,6 +203,8 @@ def read_info(folder: Path) -> dict[str, Any]:
     if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     check_version(file, info["schema_version"])
+    if LISTED not in info:
+        raise InputError(f"{file}: written by petmjx before 0.2, which did not list a run's files: simulate it again")
     check_run_file(info, file)
     return info
 
@@ -205,18 +214,3 @@ def told_apart(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     warnings = list(info.get("warnings", []))
     first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
     return warnings[:first_odd], warnings[first_odd:]
-
-
-def _counted(parts: Parts) -> Counts:
-    """The counts of the worlds on disk."""
-    counts = Counts()
-    for part in parts.table("worlds", COUNTED):
-        counts.add_worlds(part)
-    return counts
-
-
-def _rows(file: Path) -> int:
-    """How many worlds a part has, without reading them."""
-    with opened(file) as parquet:
-        rows: int = parquet.metadata.num_rows
-    return rows

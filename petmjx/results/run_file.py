@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from petmjx.checked import describe
 from petmjx.errors import InputError
 from petmjx.plans.ordered import OrderCounts
-from petmjx.results.files import DIGEST_BYTES, TABLES
+from petmjx.results.files import DIGEST_BYTES, RUN_FILE, TABLES, write_text
+from petmjx.results.plain import plain
 
 TableName = Annotated[str, Field(pattern=rf"^({'|'.join(TABLES)})$")]
 PartName = Annotated[str, Field(pattern=r"^part-[0-9]{5,12}\.parquet$")]
@@ -65,7 +66,7 @@ class _Orders(_Read):
 
 
 class RunFile(_Read):
-    """The entries that petmjx itself reads. All but the last are there since 0.2; runs of before lack some."""
+    """The entries that petmjx itself reads."""
 
     status: str = ""
     started: str = ""
@@ -82,13 +83,13 @@ class RunFile(_Read):
     warnings: list[str] = []
     orders: _Orders | None = None
     """Of runs that were compared with orders, as ``counts.orders``."""
-    parts: dict[TableName, dict[PartName, Digest]] | None = None
-    """The files that count; runs that were begun before there were digests have none."""
+    parts: dict[TableName, dict[PartName, Digest]]
+    """The files that count."""
     digest: Digest | None = None
     """Of all other entries."""
 
 
-_OPTIONAL: Final = ("orders", "parts", "digest")
+_OPTIONAL: Final = ("orders", "digest")
 
 
 def run_digest(info: Mapping[str, Any]) -> str:
@@ -96,6 +97,13 @@ def run_digest(info: Mapping[str, Any]) -> str:
     rest = {name: value for name, value in info.items() if name != "digest"}
     text = json.dumps(rest, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
+
+
+def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
+    """Write a run's entries and their digest into ``run.json``. Raises OSError."""
+    entries = plain(info)
+    entries["digest"] = run_digest(entries)
+    write_text(json.dumps(entries, indent=2, ensure_ascii=False, allow_nan=False) + "\n", folder / RUN_FILE)
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:

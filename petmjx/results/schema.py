@@ -151,7 +151,7 @@ _CONTACT_COLUMNS = (
 
 
 _NUMBER = _counts(number="which of the plans given it is, from 0, counting those that were skipped")
-"""Column of ``plans``, whose rows are in that order; null in runs that were begun before it was there."""
+"""Column of ``plans``, whose rows are in that order."""
 
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
@@ -159,7 +159,7 @@ _EXTENT_COLUMNS = (
     _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
     _column("height_m", pa.float64(), "m", "its highest top above the carrier"),
 )
-"""Columns of ``plans``; null in runs that were begun before there were these columns."""
+"""Columns of ``plans``."""
 
 _ORDER_COLUMNS = _counts(
     ordered_boxes="boxes of the plan's order; null where it has none",

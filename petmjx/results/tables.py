@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import pyarrow as pa
@@ -31,16 +32,20 @@ class Tables:
             return False
         number = self.parts.next_number("plans")
         self.parts = self.parts.without("plans")
-        self._write(plans, "plans", number)
+        self.write_part(number, [("plans", plans)])
         return True
+
+    def write_part(self, number: int, tables: Iterable[tuple[str, pa.Table]]) -> None:
+        """Write the tables of a part, by name. None counts before all are there."""
+        digests: dict[Path, str] = {}
+        for table, content in tables:
+            place = self._folder / table / part_name(number)
+            digests[place] = write_table(content, place)
+        self.parts.add(digests)
 
     def write_first(self, table: str, content: pa.Table) -> None:
         """Write the only part of a table; one that is there is replaced."""
-        self._write(content, table, 0)
-
-    def _write(self, content: pa.Table, table: str, number: int) -> None:
-        place = self._folder / table / part_name(number)
-        self.parts.add({place: write_table(content, place)})
+        self.write_part(0, [(table, content)])
 
     def adopt(self, others: Parts) -> None:
         """Copy the worlds of another run.

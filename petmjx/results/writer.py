@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import platform
+import tempfile
 import threading
 import time
-from collections import Counter
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -18,21 +16,22 @@ import pyarrow as pa
 
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import OrderCheck
-from petmjx.plans.plan import Plan, Skipped
+from petmjx.plans.plan import Plan
 from petmjx.results.counts import COUNTED
-from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy, write_text
+from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
 from petmjx.results.given import Given
+from petmjx.results.info import RunInfo, now
 from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
-from petmjx.results.ordered import counts_block, orders_block
+from petmjx.results.memory import MemoryParts, MemoryTables
 from petmjx.results.parts import Part, Row
 from petmjx.results.pending import Pending
 from petmjx.results.plain import plain
-from petmjx.results.reader import read_info, told_apart
+from petmjx.results.reader import FINISHED, RunResults, load_run, read_info, told_apart
 from petmjx.results.recorded import Recorded
-from petmjx.results.run_file import run_digest
-from petmjx.results.schema import SCHEMA_VERSION, Param, schemas
+from petmjx.results.run_file import write_run_file
+from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
 from petmjx.results.tables import Tables
@@ -50,7 +49,7 @@ SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this time, even if worlds finish slowly."""
 
 
-class RunWriter:
+class RunWriter(RunInfo):
     """Writes one run's results as its worlds finish. A context manager.
 
     At the end of the body, also after Ctrl-C or an error, the collected worlds are written as a last part, and
@@ -58,7 +57,8 @@ class RunWriter:
     time.
 
     Args:
-        out_dir: the run's folder; made if it is not there.
+        out_dir: the run's folder; made if it is not there. None: the run stays in memory if it is no more than a part;
+            a larger one is written to a temporary folder, which goes with :meth:`results`.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
         dynamic, force_intervals: as of ``petmjx.results.schema.schemas``: columns of ``boxes`` that not all runs have.
@@ -74,7 +74,6 @@ class RunWriter:
 
     Attributes:
         recorded: the worlds of a resumed run that are there already.
-        earlier_s: seconds to which this run's timings are added.
 
     Raises:
         InputError: the folder has a run already (another one, with ``resume``), or cannot be written.
@@ -82,7 +81,7 @@ class RunWriter:
 
     def __init__(
         self,
-        out_dir: str | Path,
+        out_dir: str | Path | None,
         config: Mapping[str, Any],
         *,
         manifest: Manifest | None = None,
@@ -98,39 +97,35 @@ class RunWriter:
         worlds_per_part: int = WORLDS_PER_PART,
         seconds_per_part: float = SECONDS_PER_PART,
     ) -> None:
-        self.out_dir = Path(out_dir)
+        identity = manifest.identity if manifest else None
+        super().__init__(config, identity, orders, params, versions or {}, device, expected_worlds)
+        self._in_memory = out_dir is None
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self.out_dir = Path(out_dir or "")
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
-        self._tables = Tables(self.out_dir)
+        self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
         self.recorded = Recorded()
-        self.skipped: list[Skipped] = []
-        self.warnings: dict[str, None] = {}
-        """About the whole run, each once."""
-        self.odd_plans: list[str] = []
-        """A line for each plan with overlapping, floating or outside boxes."""
-        self.timings: dict[str, float] = {}
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
-        self._orders = orders
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
         self._pending = Pending(Part(0))
-        self._status = "running"
-        self._error: str | None = None
-        self._started = time.monotonic()
-        self.earlier_s: dict[str, float] = {}
-        self._head: dict[str, Any] = {
-            "started": _now(),
-            "resumed": [],
-            "config": dict(config),
-            **({"identity": manifest.identity} if manifest else {}),
-            "versions": {"python": platform.python_version(), **(versions or {})},
-            "device": device,
-            "expected_worlds": expected_worlds,
-            "params": [{"name": p.name, "unit": p.unit, "description": p.description} for p in self.params],
-        }
+        self._until_exit = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
+        if self._in_memory:
+            self._write_plans()
+        else:
+            self._open()
+        return self
+
+    def _open(self) -> None:
+        """Take the folder, and write what is known before the first world.
+
+        Raises:
+            InputError: it cannot be written, or has a run that is not to be replaced or resumed.
+        """
         with contextlib.ExitStack() as until_exit:
             try:
                 self.out_dir.mkdir(parents=True, exist_ok=True)
@@ -147,7 +142,20 @@ class RunWriter:
             except OSError as error:
                 raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
             self._until_exit = until_exit.pop_all()
-        return self
+
+    def _leave_memory(self) -> None:
+        """Go on in a temporary folder.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        before = self.parts
+        assert isinstance(before, MemoryParts)
+        self._temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
+        self.out_dir, self._in_memory = Path(self._temporary.name), False
+        self._tables = Tables(self.out_dir)
+        self._open()
+        self.parts.add(before.write(self.out_dir))
 
     def _go_on(self) -> None:
         """Take up the run that is in the folder.
@@ -158,21 +166,22 @@ class RunWriter:
         info = read_info(self.out_dir)
         if self._manifest is None:
             raise ValueError("a run without a manifest cannot be resumed")
-        differs = self._manifest.difference_from(Manifest.read(self.out_dir, info))
+        parts = Parts.of(self.out_dir, info)
+        differs = self._manifest.difference_from(Manifest.read(parts, info))
         if differs:
             raise InputError(f"{self.out_dir}: cannot be resumed, it is another run ({differs})")
         self.warnings |= dict.fromkeys(told_apart(info)[0])  # of worlds that are not simulated again
-        for name, version in self._head["versions"].items():
+        for name, version in self.head["versions"].items():
             before = info["versions"].get(name)
             if before != version:
                 self.warn(f"resumed with {name} {version}; worlds before were simulated with {before or 'none'}")
-        parts = Parts.of(self.out_dir, info).with_worlds()
+        parts = parts.with_worlds()
         self.recorded = Recorded(parts, [param.name for param in self.params])
         parts.check_tables(SORTED)
         self._tables = Tables(self.out_dir, parts.without("summary"))
         self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self.recorded.counts())
         self.earlier_s = dict(info["timings"])
-        self._head |= {"started": info["started"], "resumed": [*info["resumed"], _now()]}
+        self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._write_info()  # before files go that it listed, and after a kill the run must not look finished
         self._tables.drop_others()
         if self._write_plans():
@@ -183,31 +192,53 @@ class RunWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         # of several Ctrl-C in a row the first one ends the run; the others must not cost what it has gathered
-        with shielded(afterwards=error is None), self._until_exit:
+        with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit:
             self._timer.cancel()
             if error is None:
-                self._status = "finished"
+                self.status = FINISHED
             elif isinstance(error, KeyboardInterrupt | SystemExit):
-                self._status = "interrupted"
+                self.status = "interrupted"
             else:
-                self._status, self._error = "failed", one_line(error)
+                self.status, self.error = "failed", one_line(error)
             try:
                 with self._lock:
                     self._write_part(last=True)
             except PetmjxError as trouble:
                 if error is None:
-                    self._status, self._error = "failed", one_line(trouble)
+                    self.status, self.error = "failed", one_line(trouble)
                     with contextlib.suppress(PetmjxError):
                         self._write_info()
                     raise
                 # the error that ended the body is the one to tell; this one is kept beside it, until the run goes on
                 also = f"the last part could not be written: {one_line(trouble)}"
-                self._error = f"{self._error}; {also}" if self._error else also
+                self.error = f"{self.error}; {also}" if self.error else also
             try:
                 self._write_info()
             except PetmjxError:
                 if error is None:
                     raise
+
+    @contextlib.contextmanager
+    def _unless_temporary(self) -> Iterator[None]:
+        """Take away a temporary folder if the run has not come to its end."""
+        try:
+            yield
+        finally:
+            if self._temporary is not None and self.status != FINISHED:
+                self._temporary.cleanup()
+
+    def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
+        """What was written, after the end.
+
+        Args:
+            held: the run's plans by id, if they are in no file.
+        """
+        if self._in_memory:
+            return RunResults(self.parts, plain(self.info), held or {})
+        results = load_run(self.out_dir, held)
+        if self._temporary is not None:
+            weakref.finalize(results, self._temporary.cleanup)
+        return results
 
     @property
     def parts(self) -> Parts:
@@ -218,31 +249,12 @@ class RunWriter:
         """Write the table ``plans`` if there is none that says the same; returns whether it did."""
         if self._manifest is None:
             return False
-        return self._tables.write_plans(self._manifest.table(self._orders.of_plan if self._orders else None))
+        return self._tables.write_plans(self._manifest.table(self.orders.of_plan if self.orders else None))
 
     @property
     def info(self) -> dict[str, Any]:
         """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
-        seconds = Counter(self.earlier_s)
-        seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})
-        return {
-            "schema_version": SCHEMA_VERSION,
-            "status": self._status,
-            **({"error": self._error} if self._error else {}),
-            **self._head,
-            "updated": _now(),
-            "counts": {
-                **self._pending.counts.as_json(),
-                "skipped_plans": len(self.skipped),
-                "odd_plans": len(self.odd_plans),
-                **({"orders": counts_block(self._orders)} if self._orders else {}),
-            },
-            "timings": dict(seconds),
-            "skipped": [_as_json(skipped) for skipped in self.skipped],
-            "warnings": [*self.warnings, *self.odd_plans],
-            **({"orders": orders_block(self._orders)} if self._orders else {}),
-            LISTED: self.parts.digests,
-        }
+        return {**self.entries(self._pending.counts), LISTED: self.parts.digests}
 
     def add(
         self,
@@ -277,12 +289,14 @@ class RunWriter:
             pending, rows = self._pending, self._pending.part.rows
             if not rows:
                 pending.since_s = time.monotonic()
-                self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
-                self._timer.daemon = True
-                self._timer.start()
+                if not self._in_memory:
+                    self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
+                    self._timer.daemon = True
+                    self._timer.start()
             pending.part.add(row)
             enough = len(rows) >= self._worlds_per_part or pending.part.history_bytes >= HISTORY_BYTES_PER_PART
-            if enough or time.monotonic() - pending.since_s >= self._seconds_per_part:
+            late = time.monotonic() - pending.since_s >= self._seconds_per_part and not self._in_memory
+            if enough or late:
                 self._write_part()
 
     def flush(self) -> None:
@@ -349,20 +363,12 @@ class RunWriter:
         with self._writing():
             self._tables.write_first("summary", answers)
 
-    def skip(self, skipped: Skipped) -> None:
-        """Record a plan or a file that is not simulated, and why."""
-        self.skipped.append(skipped)
-
-    def warn(self, message: str) -> None:
-        """Record a warning about the whole run for ``run.json``."""
-        self.warnings[message] = None
-
     def _time_is_up(self) -> None:
         """In the timer's thread: write the part though it is not full, since no world may finish for long."""
         # a failure is met again, and told, with the next world or in the end
         with self._lock, contextlib.suppress(PetmjxError):
             old = time.monotonic() - self._pending.since_s >= self._seconds_per_part
-            if self._status == "running" and self._pending.part.rows and old:
+            if self.status == "running" and self._pending.part.rows and old:
                 self._write_part()
 
     def _write_part(self, last: bool = False) -> None:
@@ -373,7 +379,9 @@ class RunWriter:
             return
         self._timer.cancel()
         with self._writing():
-            self.parts.add(part.write(self.out_dir, self.schemas))
+            if self._in_memory and not last:
+                self._leave_memory()
+            self._tables.write_part(part.number, part.tables(self.schemas))
         # one assignment: after an interrupt before it the same part is written again, after it the next part begins
         self._pending = self._pending.following()
         self._write_info()
@@ -386,17 +394,6 @@ class RunWriter:
             raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
 
     def _write_info(self) -> None:
-        info = plain(self.info)
-        info["digest"] = run_digest(info)
-        text = json.dumps(info, indent=2, ensure_ascii=False, allow_nan=False)
-        with self._writing():
-            write_text(text + "\n", self.out_dir / RUN_FILE)
-
-
-def _as_json(skipped: Skipped) -> dict[str, Any]:
-    entry = {"plan_id": skipped.plan_id or "", "source": skipped.source, "error": skipped.message}
-    return entry if skipped.number is None else {**entry, "number": skipped.number}
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
+        if not self._in_memory:
+            with self._writing():
+                write_run_file(self.info, self.out_dir)

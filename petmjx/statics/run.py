@@ -148,8 +148,6 @@ def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:
         InputError: none is of these plans, or one has another number of boxes.
     """
     worlds = run.worlds[run.worlds["variant"] == 0]
-    if "margin" not in worlds:  # runs of petmjx before 0.2
-        worlds = worlds.assign(margin=float("nan"))
     counts = {plan.plan_id: plan.n_boxes for plan in plans}
     common = worlds[worlds["plan_id"].isin(list(counts))]
     if common.empty:

@@ -32,7 +32,7 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     Raises:
         InputError: the run has no such plan, its file is gone, or it has changed since.
     """
-    manifest = Manifest.read(run.path, run.info)
+    manifest = Manifest.read(run.parts, run.info)
     if plan_id not in manifest.plans:
         among = f"is not among its {counted(len(manifest.plans), 'plan')}{similar(plan_id, manifest.plans)}"
         raise InputError(f"{run.path}: plan {shown(plan_id)} {among}")

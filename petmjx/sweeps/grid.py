@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from petmjx.config import Check, Schedule
 from petmjx.engines.cost import Work
 from petmjx.errors import InputError
-from petmjx.plans.plan import Plan, Skipped
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import Skipped
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
 from petmjx.text import counted, duration, rounded, shown
@@ -38,6 +39,11 @@ class PlacementGroup:
     number: int
     placement: Variant
     variants: tuple[Variant, ...] = ()
+
+    @property
+    def driven(self) -> bool:
+        """Whether its worlds have drives. All worlds of a group have one, or none has. True for a search."""
+        return all(variant.drive is not None for variant in self.variants)
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ import pyarrow as pa
 from petmjx.arguments import list_of, path_of
 from petmjx.errors import InputError
 from petmjx.plans.ordered import OrderCheck
-from petmjx.plans.plan import Skipped
+from petmjx.plans.plan_set import Skipped
 from petmjx.results.manifest import Manifest
 from petmjx.results.ordered import joined, read_check
 from petmjx.results.reader import RunResults, load_run, told_apart
@@ -44,7 +44,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
     if any(folder.resolve() == out.resolve() for folder in folders):
         raise InputError(f"{out}: is one of the shards; name another folder with --out")
     runs = _in_order([load_run(folder) for folder in folders])
-    manifests = [Manifest.read(run.path, run.info) for run in runs]
+    manifests = [Manifest.read(run.parts, run.info) for run in runs]
     for run, manifest in zip(runs, manifests, strict=True):
         differs = manifest.difference_from(manifests[0], without=("shard",))
         if differs:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,7 @@ from petmjx.sweeps.grid import PlacementGroup, SweepPlan
 from petmjx.sweeps.recording import NO_RECORDING, Recording
 from petmjx.sweeps.search import Bisection, Probe
 from petmjx.sweeps.swept import Answer, Settled, SweptWorld
-from petmjx.verdict import Flag, Outcome, Verdict
+from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.variants import Variant
 
@@ -113,7 +113,7 @@ class SweepRun:
         """Simulate everything that is missing; yield each world when it is final, in any order."""
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
-            yield from self._run_placements(group for group in self._groups() if not _is_driven(group))
+            yield from self._run_placements(group for group in self._groups() if not group.driven)
         if not profiles:
             return
         for chunk in self._chunks():
@@ -132,11 +132,11 @@ class SweepRun:
             InputError: the plan has no such variant.
         """
         group, variant = self.plan.find(plan_id, index)
-        if not _is_driven(group):
+        if not group.driven:
             return next(world for world in self._run_placements([group]) if world.variant.index == index)
         (start,) = self._settle([group])
         if not self._can_be_driven(start):
-            return _undriven(start, variant)
+            return start.undriven(variant)
         ((_, world),) = self._drive([self._driving(start, variant)])
         return world
 
@@ -158,7 +158,7 @@ class SweepRun:
             most = self.batching.drives
         chunk: list[PlacementGroup] = []
         worlds = histories = 0
-        for group in filter(_is_driven, self._groups()):
+        for group in (group for group in self._groups() if group.driven):
             more = len(group.variants) or per_search
             more_histories = int(self.recording.of(group.plan) is not None)
             full = worlds + more > most or len(chunk) >= self.batching.placements
@@ -211,7 +211,7 @@ class SweepRun:
                 if variant is placed.group.variants[0]:
                     yield SweptWorld(placed.group.plan, variant, placed.scene, placed.outcome, placed.attempts)
                 else:
-                    yield _undriven(placed, variant)
+                    yield placed.undriven(variant)
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[Settled]:
         """Simulate placements and keep their states, in the order of the groups."""
@@ -235,7 +235,7 @@ class SweepRun:
         for start in settled:
             if not self._can_be_driven(start):
                 for variant in self._missing(start.group):
-                    yield _undriven(start, variant)
+                    yield start.undriven(variant)
         shaken = (start for start in settled if self._can_be_driven(start))
         drives = (self._driving(start, variant) for start in shaken for variant in self._missing(start.group))
         for _, world in self._drive(drives):
@@ -256,7 +256,7 @@ class SweepRun:
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
-            final = _with_placement(_as_placed(outcome, world.settled.outcome), world.settled.outcome)
+            final = world.settled.shaken(outcome)
             swept = SweptWorld(
                 world.plan, world.change, world.job.scene, final, result.attempts, world.settled, driven=True
             )
@@ -286,7 +286,7 @@ class SweepRun:
 
         for which, found in enumerate(bisection.items):
             if not found.stands_at_rest and recorded(which, 0) is None:
-                yield _undriven(asked[which][0], variant(which, 0))
+                yield asked[which][0].undriven(variant(which, 0))
         tested: dict[Test, Probe] = {}
         missing: dict[int, set[Test]] = {}
 
@@ -382,30 +382,3 @@ class SweepRun:
         if not len(self.recorded):
             return None
         return self.recorded.row(group.plan.plan_id, self.plan.search_variant(group, number, level).index)
-
-
-def _is_driven(group: PlacementGroup) -> bool:
-    """Whether a placement's worlds have drives. All worlds of a group have one, or none has. True for a search."""
-    return all(variant.drive is not None for variant in group.variants)
-
-
-def _as_placed(outcome: Outcome, placed: Outcome) -> Outcome:
-    """What did not stand before it was shaken has not passed, even if it ends where the plan has it."""
-    if outcome.verdict is not Verdict.STABLE or placed.verdict is Verdict.STABLE:
-        return outcome
-    kept = ("verdict", "reason", "culprit", "first_sign_s")
-    margin = min(outcome.margin, placed.margin)
-    return replace(outcome, margin=margin, **{name: getattr(placed, name) for name in kept})
-
-
-def _with_placement(outcome: Outcome, placed: Outcome) -> Outcome:
-    """A fork's history begins with that of its placement."""
-    if outcome.history is None or placed.history is None:
-        return outcome
-    return replace(outcome, history=placed.history.then(outcome.history))
-
-
-def _undriven(start: Settled, variant: Variant) -> SweptWorld:
-    """A world with the outcome of another one: no step was simulated for it."""
-    outcome = replace(start.outcome, flags=start.outcome.flags | Flag.FORKED, n_steps=0, state=None)
-    return SweptWorld(start.group.plan, variant, start.scene, outcome, start.attempts, start)

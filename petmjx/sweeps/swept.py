@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup
 from petmjx.sweeps.search import Found, Probe
-from petmjx.verdict import Attempt, Outcome
+from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
@@ -21,6 +21,22 @@ class Settled:
     scene: Scene
     outcome: Outcome
     attempts: tuple[Attempt, ...]
+
+    def shaken(self, outcome: Outcome) -> Outcome:
+        """What a fork came to. What did not stand before it was shaken has not passed, even if it ends where the plan
+        has it. Its history begins with that of the placement."""
+        placed = self.outcome
+        if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
+            kept = {name: getattr(placed, name) for name in ("verdict", "reason", "culprit", "first_sign_s")}
+            outcome = replace(outcome, margin=min(outcome.margin, placed.margin), **kept)
+        if outcome.history is None or placed.history is None:
+            return outcome
+        return replace(outcome, history=placed.history.then(outcome.history))
+
+    def undriven(self, variant: Variant) -> SweptWorld:
+        """A world with this outcome: no step was simulated for it."""
+        outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
+        return SweptWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -45,3 +47,15 @@ def test_a_damaged_part_takes_one_line(folder: Path, capsys: pytest.CaptureFixtu
     next((folder / "boxes").iterdir()).write_bytes(b"PAR1")
     assert run("report", folder) == 2
     assert "part-00000.parquet: damaged part, it is not what the run wrote" in only_line(capsys.readouterr().err)
+
+
+def test_a_full_disk_is_one_line_as_of_kpis(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    assert run("report", str(folder), "-o", "page.html") == 2
+    assert only_line(capsys.readouterr().err) == "petmjx: page.html: cannot be written: No space left on device"
+    assert not Path("page.html").exists()

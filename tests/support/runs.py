@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from petmjx.results.files import digest_of
+
 
 def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
     """Change what a folder's ``run.json`` says, as people do who mean it: its digest goes."""
@@ -22,6 +24,13 @@ def leave_unfinished(folder: Path) -> None:
     edit_info(folder, lambda info: info.update(status="interrupted"))
 
 
-def without_digests(folder: Path) -> None:
-    """Make a run one of before its files had digests."""
-    edit_info(folder, lambda info: info.pop("parts"))
+def relisted(folder: Path) -> None:
+    """List a run's files as they are now, as somebody does who has changed them on purpose."""
+
+    def relist(info: dict[str, Any]) -> None:
+        for table, files in info["parts"].items():
+            for name in files:
+                with (folder / table / name).open("rb") as stream:
+                    files[name] = digest_of(stream)
+
+    edit_info(folder, relist)

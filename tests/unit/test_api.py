@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 import inspect
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +15,12 @@ from support.plans import make_plan, stack
 import petmjx
 from petmjx.api import RunStart
 from petmjx.config import Simulation, Thresholds
-from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
 from petmjx.plans.gather import find_plan, gather_plans, usable_plans
-from petmjx.plans.plan import PlanSet, Skipped
+from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.run_options import RunOptions
 from petmjx.sweeps.swept import SweptWorld
-from petmjx.verdict import Outcome
-from petmjx.world.job import Job
 
 STANDS = make_plan("stands", stack(2, 100.0))
 FALLS = make_plan("falls", stack(2, 260.0))
@@ -87,26 +82,10 @@ def test_options_of_a_sweep_replace_those_of_its_file(tmp_path: Path) -> None:
     assert sim["duration_s"] == 0.1
 
 
-def test_the_temporary_folder_goes_with_the_results() -> None:
-    results = petmjx.score(STANDS, engine="mujoco")
-    folder = results.path
-    assert (folder / "run.json").exists()
-    del results
-    gc.collect()
-    assert not folder.exists()
-
-
-class _Failing(MujocoEngine):
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        raise RuntimeError("no luck")
-        yield
-
-
-def test_the_temporary_folder_goes_when_the_run_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with pytest.raises(RuntimeError, match="no luck"):
-        petmjx.score(PLANS, engine=_Failing())
-    assert list(tmp_path.iterdir()) == []
+def test_a_path_that_no_file_can_have_is_refused() -> None:
+    for name in ("out", "orders"):
+        with pytest.raises(InputError, match=rf"{name} must be a path that a file can have, got 'a\\x00b'"):
+            petmjx.score(PLANS, **STATIC, **{name: "a\0b"})
 
 
 def test_given_engines_and_physics_are_used(tmp_path: Path) -> None:

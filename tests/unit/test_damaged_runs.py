@@ -9,7 +9,7 @@ import pytest
 from support.damaged_runs import fuzz
 from support.fake_engine import LargestFirst
 from support.plans import make_plan
-from support.runs import without_digests
+from support.runs import edit_info
 
 import petmjx
 
@@ -45,6 +45,28 @@ def test_worlds_that_were_taken_away_are_simulated_again(run: Path) -> None:
     assert petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True).worlds.equals(whole)
 
 
+@pytest.mark.parametrize("table", ["worlds", "boxes"])
+def test_a_damaged_part_is_named_with_its_cure(table: str, run: Path) -> None:
+    whole = petmjx.load_run(run)
+    boxes, worlds = whole.boxes, run / "worlds/part-00000.parquet"
+    (run / table / worlds.name).write_bytes(b"PAR1")
+    with pytest.raises(petmjx.InputError) as caught:
+        getattr(petmjx.load_run(run), table)
+    line = str(caught.value)
+    assert line.startswith(
+        f"{run / table / worlds.name}: damaged part, it is not what the run wrote; delete {worlds} and"
+    )
+    assert line.endswith("go on with --resume, which simulates its worlds again")
+    worlds.unlink()
+    assert petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True).boxes.equals(boxes)
+
+
+def test_of_what_resume_cannot_cure_the_line_says_so(run: Path) -> None:
+    (run / "plans/part-00000.parquet").write_bytes(b"PAR1")
+    with pytest.raises(petmjx.InputError, match="not what the run wrote; simulate the run again, with --overwrite"):
+        _ = petmjx.load_run(run).plans
+
+
 def test_a_folder_that_is_gone_is_called_so(run: Path) -> None:
     results = petmjx.load_run(run)
     shutil.rmtree(run)
@@ -52,10 +74,7 @@ def test_a_folder_that_is_gone_is_called_so(run: Path) -> None:
         _ = results.boxes
 
 
-def test_runs_of_before_digests_are_read_and_get_them(run: Path) -> None:
-    whole = petmjx.load_run(run).worlds
-    without_digests(run)
-    assert petmjx.load_run(run).worlds.equals(whole)
-    resumed = petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True)
-    assert resumed.worlds.equals(whole)
-    assert {*resumed.info["parts"]} == {"worlds", "boxes", "plans"}
+def test_runs_of_before_digests_are_refused(run: Path) -> None:
+    edit_info(run, lambda info: info.pop("parts"))
+    with pytest.raises(petmjx.InputError, match=r"run.json: written by petmjx before 0.2, .*: simulate it again"):
+        petmjx.load_run(run)

@@ -153,8 +153,9 @@ def test_nothing_else_changes(tmp_path: Path) -> None:
     assert [name for name in more.boxes if name not in plain.boxes] == names
     assert more.boxes.drop(columns=names).equals(plain.boxes)
     assert more.worlds.equals(plain.worlds)
-    with pytest.raises(petmjx.InputError, match="another run \\(force_intervals is True, was none"):
-        petmjx.score(plans, engine="mujoco", force_intervals=True, out=tmp_path / "plain", resume=True)
+    for folder, asked, message in (("plain", True, "is True, was False"), ("more", False, "is False, was True")):
+        with pytest.raises(petmjx.InputError, match=rf"another run \(force_intervals {message}\)"):
+            petmjx.score(plans, engine="mujoco", force_intervals=asked, out=tmp_path / folder, resume=True)
 
 
 def test_masses_of_variants_count_and_drives_have_none(tmp_path: Path) -> None:

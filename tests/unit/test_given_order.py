@@ -87,11 +87,12 @@ def test_worlds_of_a_plan_come_together(tmp_path: Path) -> None:
 
 
 def test_what_is_skipped_leaves_a_gap_and_is_told(tmp_path: Path) -> None:
-    file = tmp_path / "plans.json"
+    file, damaged = tmp_path / "plans.json", tmp_path / "damaged.json"
     thin = placement(size=(400, 300, 0.5))
     good = [placement()]
-    file.write_text(json.dumps({"a": good, "bad": [], "b": good, "thin": [thin], "c": good})[:-1] + ", 5}")
-    results = score(file)
+    file.write_text(json.dumps({"a": good, "bad": [], "b": good, "thin": [thin], "c": good}))
+    damaged.write_text('{"d": 5')
+    results = score([file, damaged])
     assert results.worlds.plan_id.to_dict() == {0: "a", 2: "b", 4: "c"}
     with pytest.raises(KeyError):
         results.worlds.verdict[1]

@@ -7,12 +7,13 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "machine", "bounded", "checked", "arguments", "whole", "config"}),
+    frozenset({"errors", "text", "units", "version", "machine", "bounded", "checked", "arguments", "whole", "config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),
@@ -28,7 +29,8 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"cli", "__main__"}),
 )
 """Modules and packages of petmjx, from left to right. A module imports from its own layer or those before it; what has
-no layer fails the test. ``petmjx/__init__`` imports nothing: it looks names up when they are first used."""
+no layer fails the test. ``petmjx/__init__`` imports only the version: it looks names up when they are first used, and
+no other module imports it."""
 
 READERS = (
     "petmjx.results.reader",
@@ -50,61 +52,96 @@ def layer_of(part: str) -> int:
     raise AssertionError(f"petmjx.{part} has no layer in tests/unit/test_imports.py")
 
 
-def imported_modules(path: Path) -> set[str]:
-    """Modules of petmjx that a file imports anywhere in it, also inside functions."""
+def source_files(repository: Path) -> list[Path]:
+    return sorted((repository / "petmjx").rglob("*.py"))
+
+
+def module_of(path: Path, repository: Path) -> str:
+    return ".".join(path.relative_to(repository).with_suffix("").parts).removesuffix(".__init__")
+
+
+def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
+    """Which of ``modules`` a file imports anywhere: also in functions, for types alone, or by a name in a text."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            module = node.module or ""
-            found |= {f"{module}.{alias.name}" for alias in node.names} if module == "petmjx" else {module}
-    return {name for name in found if name.split(".")[0] == "petmjx"}
+            inside = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= inside if inside <= set(modules) else {node.module or "", *inside}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value != "petmjx":
+            found.add(node.value)
+    return found & set(modules)
 
 
-def source_files(repository: Path) -> list[Path]:
-    return sorted((repository / "petmjx").rglob("*.py"))
+def import_graph(repository: Path) -> dict[str, set[str]]:
+    """Module → the modules of petmjx that it imports. The package itself, which leads everywhere, is left out."""
+    paths = {module_of(path, repository): path for path in source_files(repository)}
+    graph = {module: imported_modules(path, paths) for module, path in paths.items() if module != "petmjx"}
+    package = sorted(module for module, targets in graph.items() if "petmjx" in targets)
+    assert not package, f"these import the package: {package}"
+    return graph
 
 
-def part_of(path: Path, repository: Path) -> str:
+def circle_in(graph: dict[str, set[str]]) -> tuple[str, ...]:
+    """A circle of imports, from a module to itself; empty if there is none."""
+    done: set[str] = set()
+
+    def visit(module: str, trail: tuple[str, ...]) -> tuple[str, ...]:
+        if module in trail:
+            return (*trail[trail.index(module) :], module)
+        if module in done:
+            return ()
+        found = next(filter(None, (visit(each, (*trail, module)) for each in sorted(graph[module]))), ())
+        done.add(module)
+        return found
+
+    return next(filter(None, (visit(module, ()) for module in sorted(graph))), ())
+
+
+def part_of(module: str) -> str:
     """First name below petmjx: the module, or the package that holds it."""
-    return path.relative_to(repository / "petmjx").with_suffix("").parts[0]
+    return module.split(".")[1]
 
 
 def test_imports_run_one_way(repository: Path) -> None:
-    wrong = []
-    for path in source_files(repository):
-        part = part_of(path, repository)
-        if part == "__init__":
-            continue
-        for name in imported_modules(path):
-            target = name.partition(".")[2].partition(".")[0]
-            if target in ("", "__version__"):
-                continue
-            if layer_of(target) > layer_of(part):
-                wrong.append(f"{path.relative_to(repository)} imports {name}")
+    wrong = [
+        f"{module} imports {target}"
+        for module, targets in import_graph(repository).items()
+        for target in sorted(targets)
+        if layer_of(part_of(target)) > layer_of(part_of(module))
+    ]
     assert not wrong, "\n".join(wrong)
 
 
-def test_no_two_modules_import_each_other(repository: Path) -> None:
-    graph: dict[str, set[str]] = {}
-    for path in source_files(repository):
-        part = part_of(path, repository)
-        targets = {name.split(".")[1] for name in imported_modules(path) if "." in name}
-        graph.setdefault(part, set()).update(targets - {part, "__version__"})
-    graph.pop("__init__")
-    done: set[str] = set()
+def test_no_circle_among_modules_also_behind_functions(repository: Path) -> None:
+    assert not circle_in(import_graph(repository))
 
-    def visit(part: str, trail: tuple[str, ...]) -> None:
-        assert part not in trail, " → ".join((*trail, part))
-        if part not in done:
-            for target in sorted(graph.get(part, ())):
-                visit(target, (*trail, part))
-            done.add(part)
 
-    for part in sorted(graph):
-        visit(part, ())
+def test_no_circle_among_packages(repository: Path) -> None:
+    parts: dict[str, set[str]] = {}
+    for module, targets in import_graph(repository).items():
+        part = part_of(module)
+        parts.setdefault(part, set()).update({part_of(target) for target in targets} - {part})
+    assert not circle_in(parts)
+
+
+def test_circles_behind_functions_and_names_are_found(tmp_path: Path) -> None:
+    texts = {
+        "a": "import petmjx.b",
+        "b": "def late():\n    from petmjx import c",
+        "c": "import importlib\nNAMES = {'d': 'petmjx.d'}",
+        "d": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from petmjx.a import A",
+        "e": "def late():\n    import pyarrow, petmjx.d",
+    }
+    (tmp_path / "petmjx").mkdir()
+    for name, text in texts.items():
+        (tmp_path / "petmjx" / f"{name}.py").write_text(text)
+    graph = import_graph(tmp_path)
+    assert circle_in(graph) == tuple(f"petmjx.{name}" for name in "abcda")
+    graph["petmjx.d"].clear()
+    assert circle_in(graph) == ()
 
 
 def loaded_by(statement: str) -> set[str]:
@@ -117,6 +154,12 @@ def loaded_by(statement: str) -> set[str]:
 @pytest.mark.parametrize("module", READERS)
 def test_what_reads_results_loads_no_simulator(module: str) -> None:
     assert loaded_by(f"import {module}") == set()
+
+
+def test_a_score_imports_nothing_beside_its_way() -> None:
+    code = "import sys, petmjx.api\nprint(*{name.split('.')[1] for name in sys.modules if name.startswith('petmjx.')})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"statics", "rating", "packers", "story", "show", "pages", "pictures", "cli"}
 
 
 def test_public_names_are_there_and_cheap() -> None:

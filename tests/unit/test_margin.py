@@ -1,4 +1,4 @@
-"""The margin of a world: its definition, its sign, the same on every engine's outcomes, and runs of before it."""
+"""The margin of a world: its definition, its sign, the same on every engine's outcomes."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from support.command_line import write
 from support.outcomes import make_boxes, make_outcome
 from support.plans import make_plan, stack
-from support.runs import without_digests
 
 import petmjx
-from petmjx.config import Thresholds
+from petmjx.config import Simulation, Thresholds
 from petmjx.results.compare import compare_runs
-from petmjx.results.files import part_files
-from petmjx.sweeps.run import _as_placed
+from petmjx.sweeps.file import nominal_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.swept import Settled
 from petmjx.verdict import BoxMetrics, Flag, Reason, Verdict, judge, margin_of
 
 LIMITS = Thresholds()
@@ -85,8 +84,10 @@ def test_the_sign_is_that_of_the_verdict(limit_m: float, dtype: type[np.floating
 def test_a_world_that_was_shaken_though_it_did_not_stand_has_the_smaller_margin() -> None:
     placed = replace(make_outcome(verdict=Verdict.UNSTABLE, reason=Reason.SHIFT), margin=-0.2)
     shaken = replace(make_outcome(), margin=0.9)
-    assert _as_placed(shaken, placed).margin == -0.2
-    assert _as_placed(shaken, replace(make_outcome(), margin=0.5)).margin == 0.9
+    plan = SweepPlan(nominal_sweep(Simulation()), [STANDS])
+    group = next(plan.groups())
+    for at_rest, margin in ((placed, -0.2), (replace(make_outcome(), margin=0.5), 0.9)):
+        assert Settled(group, plan.scene(group), at_rest, ()).shaken(shaken).margin == margin
 
 
 def test_results_have_it(tmp_path: Path) -> None:
@@ -96,30 +97,6 @@ def test_results_have_it(tmp_path: Path) -> None:
     assert worlds.loc["falls", "margin"] <= -1
     assert worlds.loc["falls", "margin"] <= 1 - worlds.loc["falls", shift] / 0.02 + 1e-6
     assert results.units("worlds")["margin"] == "1"
-
-
-def without_margin(folder: Path) -> None:
-    """Make of a run's tables those of petmjx before the margin."""
-    for file in part_files(folder, "worlds"):
-        pq.write_table(pq.read_table(file).drop_columns("margin"), file)
-    without_digests(folder)
-
-
-def test_runs_of_before_it_load_resume_merge_and_compare(tmp_path: Path) -> None:
-    plans = [replace(plan, plan_id=f"{plan.plan_id}-{k}") for k in range(3) for plan in (STANDS, FALLS)]
-    for share in ("1/2", "2/2"):
-        petmjx.score(plans, engine="mujoco", shard=share, out=tmp_path / share[0])
-    without_margin(tmp_path / "1")
-    merged = petmjx.merge_runs([tmp_path / "1", tmp_path / "2"], tmp_path / "merged").worlds
-    old = set(petmjx.load_run(tmp_path / "1").worlds["plan_id"])
-    assert merged["margin"].isna().tolist() == [plan_id in old for plan_id in merged["plan_id"]]
-    assert 0 < len(old) < len(plans)
-
-    again = petmjx.score(plans, engine="mujoco", shard="1/2", out=tmp_path / "1", resume=True)
-    assert "margin" not in again.worlds
-    found = compare_runs(tmp_path / "1", tmp_path / "merged")
-    assert found.agreement == 1
-    assert found.flips_within is None
 
 
 def test_flips_say_within_which_margin_they_are(tmp_path: Path) -> None:

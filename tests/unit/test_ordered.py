@@ -12,7 +12,7 @@ from support.command_line import write
 from support.kills import SEARCH, tables
 from support.plan_files import order_of
 from support.plans import make_plan
-from support.runs import edit_info, without_digests
+from support.runs import edit_info, relisted
 
 import petmjx
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -284,6 +284,6 @@ def test_shards_whose_table_has_lost_its_columns_are_not_merged(orders: Path, tm
     (one / "plans" / "part-00000.parquet").write_bytes(plain.read_bytes())
     with pytest.raises(petmjx.InputError, match="damaged part, it is not what the run wrote"):
         petmjx.merge_runs([one, two], tmp_path / "merged")
-    without_digests(one)
+    relisted(one)
     with pytest.raises(petmjx.InputError, match="damaged part, it has no column ordered_boxes"):
         petmjx.merge_runs([one, two], tmp_path / "merged")

@@ -1,4 +1,4 @@
-"""Damaged files: whatever happens to the bytes, good plans are read and everything else is listed."""
+"""Damaged files: whatever happens to the bytes, a file is read as JSON whole, or refused with the place."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from support.plan_files import placement
 
 from petmjx.errors import InputError
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.read import load_plans
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # boxes at random places look like anything
@@ -41,6 +42,10 @@ def sample_plans(seed: int) -> dict[str, list[dict[str, Any]]]:
             for box in range(rng.randrange(1, 6))
         ]
     return plans
+
+
+class Pairs(list[tuple[str, Any]]):
+    """A JSON object, whose ids may be repeated."""
 
 
 class Sample:
@@ -77,32 +82,39 @@ def same(a: Plan, b: Plan) -> bool:
     )
 
 
-def stands_unbroken(plan_bytes: bytes, damaged: bytes) -> bool:
-    """A backslash put before a plan's first quote breaks the plan: that quote then belongs to a longer name."""
-    return re.search(rb"(?<!\\)" + re.escape(plan_bytes), damaged) is not None
-
-
-def lost_plans(sample: Sample, damaged: bytes) -> list[str]:
-    """Check one damaged copy; returns the plans whose bytes stand in it unbroken and which were not read.
-
-    A plan whose id is claimed twice is not lost but undecidable if a line says that its id is repeated.
-    """
+def check(sample: Sample, damaged: bytes) -> bool:
+    """Check one damaged copy against Python's decoder of whole texts; returns whether it is still JSON."""
     found = sample.load(damaged)
     read = {plan.plan_id: plan for plan in found}
-    repeated = {skipped.plan_id for skipped in found.skipped if "repeated plan id" in skipped.message}
-    if not found.skipped:
-        # Nothing was noticed: then the damage has made another, whole file, and all of that is read.
-        assert set(json.loads(damaged.decode("utf-8-sig", "surrogateescape"))) == set(read)
+    assert len(read) == len(found)
     for skipped in found.skipped:
         assert skipped.message.startswith(f"{sample.path}: ")
         assert skipped.message.isprintable()
-    return [
-        plan_id
-        for plan_id, plan in sample.plans.items()
-        if stands_unbroken(sample.bytes_of[plan_id], damaged)
-        and plan_id not in repeated
-        and not (plan_id in read and same(read[plan_id], plan))
-    ]
+    try:
+        text = damaged.decode("utf-8", "surrogateescape").removeprefix("\ufeff")
+        entries = json.loads(text, object_pairs_hook=Pairs)
+        last_line = None
+    except json.JSONDecodeError as error:
+        last_line = error.lineno
+    if last_line is not None:
+        assert not read
+        (refused,) = found.skipped
+        assert refused.plan_id is None
+        if "the file is empty" not in refused.message and "the top level" not in refused.message:
+            place = re.search(r"not JSON at line (\d+), column (\d+) ", refused.message)
+            assert place is not None, refused.message
+            assert int(place[1]) <= last_line
+        return False
+    if not isinstance(entries, Pairs):
+        assert not read
+        return True
+    ids = [plan_id for plan_id, _ in entries]
+    assert set(read) <= set(ids)
+    assert len(found) + len(found.skipped) == max(len(ids), 1), "each plan is read, or has its line"
+    for plan_id, plan in sample.plans.items():
+        if sample.bytes_of[plan_id] in damaged and ids.count(plan_id) == 1:
+            assert same(read[plan_id], plan)
+    return True
 
 
 def damage_once(data: bytes, rng: random.Random) -> bytes:
@@ -130,25 +142,27 @@ def damage_once(data: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
-def test_200_randomly_damaged_copies_lose_nothing_of_the_rest(samples: list[Sample], which: int) -> None:
+def test_200_randomly_damaged_copies_are_read_whole_or_refused(samples: list[Sample], which: int) -> None:
     sample = samples[which]
     rng = random.Random(20_240 + which)
+    n_json = 0
     for _ in range(200):
         damaged = sample.data
         for _ in range(rng.choice([1, 1, 1, 2, 3])):
             damaged = damage_once(damaged, rng) or b"{"
-        assert lost_plans(sample, damaged) == []
+        n_json += check(sample, damaged)
+    assert 20 < n_json < 180
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(which=st.integers(0, 2), at=st.floats(0, 1), cut=st.integers(0, 60), put=st.binary(max_size=12))
-def test_any_single_replacement_loses_nothing_of_the_rest(
+def test_any_single_replacement_is_read_whole_or_refused(
     samples: list[Sample], which: int, at: float, cut: int, put: bytes
 ) -> None:
     sample = samples[which]
     begin = int(at * len(sample.data))
     assume(begin > 0 or not put.startswith(b"\x1f\x8b"))  # that makes it a gzip file, with nothing of the plans in it
-    assert lost_plans(sample, sample.data[:begin] + put + sample.data[begin + cut :]) == []
+    check(sample, sample.data[:begin] + put + sample.data[begin + cut :])
 
 
 STRUCTURE = st.lists(st.sampled_from(['"', "{", "}", "[", "]", ",", ":", "\\", " ", "\n", '"x": ', "7"]), max_size=6)
@@ -162,62 +176,56 @@ STRUCTURE = st.lists(st.sampled_from(['"', "{", "}", "[", "]", ",", ":", "\\", "
     cut=st.integers(0, 8),
     put=STRUCTURE,
 )
-def test_structure_broken_at_a_plan_start_loses_nothing_of_the_rest(
+def test_structure_broken_at_a_plan_start_is_read_whole_or_refused(
     samples: list[Sample], which: int, plan: int, offset: int, cut: int, put: list[str]
 ) -> None:
-    """Brackets, quotes and commas lost or added where plans meet: the hardest places to find the way back."""
+    """Brackets, quotes and commas lost or added where plans meet."""
     sample = samples[which]
     begin = max(sample.data.index(list(sample.bytes_of.values())[plan]) + offset, 0)
-    damaged = sample.data[:begin] + "".join(put).encode() + sample.data[begin + cut :]
-    assert lost_plans(sample, damaged) == []
+    check(sample, sample.data[:begin] + "".join(put).encode() + sample.data[begin + cut :])
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_a_file_cut_off_anywhere_keeps_every_whole_plan(samples: list[Sample], which: int) -> None:
+def test_a_file_cut_off_anywhere_is_refused(samples: list[Sample], which: int) -> None:
     sample = samples[which]
-    plan_ends = [sample.data.index(of_plan) + len(of_plan) for of_plan in sample.bytes_of.values()]
-    for end in sorted({*range(1, len(sample.data) - 1, 97), *plan_ends, *(end + 1 for end in plan_ends[:-1])}):
-        damaged = sample.data[:end]
-        assert lost_plans(sample, damaged) == []
-        found = sample.load(damaged)
-        assert len(found.skipped) == 1, "one cut is one line"
-    message = found.skipped[0].message
-    for part in ("truncated?", "line ", "column "):
-        assert part in message
+    for end in range(1, len(sample.data) - 1, 97):
+        found = sample.load(sample.data[:end])
+        assert len(found) == 0
+        (skipped,) = found.skipped
+        assert re.search(r"not JSON at line \d+, column \d+ \(the file ends .*truncated\?\)", skipped.message)
 
 
-def test_one_spot_is_one_line_with_its_place(samples: list[Sample]) -> None:
+def test_a_damaged_spot_is_one_line_with_its_place(samples: list[Sample]) -> None:
     sample = samples[1]
     third = list(sample.plans)[2]
     at = sample.data.index(b'"orientation"', sample.data.index(f'"{third}"'.encode()))
     damaged = sample.data[:at] + sample.data[at + 1 :]
-    found = sample.load(damaged)
-    line = damaged.count(b"\n", 0, at) + 1
-    (skipped,) = found.skipped
-    assert skipped.plan_id == third
-    assert len(found) == N_PLANS - 1
-    assert f"plan {third}: not JSON at line {line}, column " in skipped.message
-    assert "reading goes on at line " in skipped.message
-    with pytest.raises(InputError, match=f"plan {third}: not JSON at line {line}"):
+    line, column = damaged.count(b"\n", 0, at) + 1, at - damaged.rindex(b"\n", 0, at)
+    place = f"plan {third}: not JSON at line {line}, column {column} "
+    (skipped,) = sample.load(damaged).skipped
+    assert skipped.message.startswith(f"{sample.path}: {place}(Expecting property name")
+    assert (skipped.plan_id, skipped.number) == (None, None)
+    with pytest.raises(InputError, match=re.escape(place)):
         load_plans(sample.path, strict=True)
+
+
+def test_of_a_refused_file_nothing_is_left(samples: list[Sample], tmp_path: Path) -> None:
+    """Its ids are free, its plans have no numbers, and its unread fields and bad plans are not told."""
+    text = json.dumps({"bad": [], "A": [placement(colour="red")], "B": [placement()]})
+    (tmp_path / "a.json").write_text(text[:-1])
+    (tmp_path / "b.json").write_text(json.dumps({"B": [placement()], "A": [placement()]}))
+    found = load_plans([tmp_path / "a.json", tmp_path / "b.json"])
+    assert [(plan.plan_id, plan.source) for plan in found] == [(name, str(tmp_path / "b.json")) for name in "BA"]
+    assert found.numbers == {"B": 0, "A": 1}
+    assert len(found.skipped) == 1
+    assert found.notes == []
+    assert load_plans(tmp_path / "a.json", limit=1).numbers == {"A": 1}, "what is read is as much as is wanted"
 
 
 def test_a_wrapped_file_is_not_taken_for_damage(samples: list[Sample]) -> None:
     found = samples[0].load(b'{"plans": ' + samples[0].data + b"}")
     assert [s.plan_id for s in found.skipped] == ["plans"]
     assert len(found) == 0
-
-
-def test_two_broken_plans_are_two_lines(samples: list[Sample]) -> None:
-    sample = samples[0]
-    ids = list(sample.plans)
-    damaged = sample.data
-    for plan_id in (ids[3], ids[9]):
-        at = damaged.index(b'}, "orientation"', damaged.index(f'"{plan_id}"'.encode()))
-        damaged = damaged[:at] + damaged[at + 1 :]
-    found = sample.load(damaged)
-    assert [s.plan_id for s in found.skipped] == [ids[3], ids[9]]
-    assert len(found) == N_PLANS - 2
 
 
 def test_damaged_gzip_files_keep_what_unpacks(samples: list[Sample]) -> None:

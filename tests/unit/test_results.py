@@ -20,7 +20,7 @@ from support.runs import edit_info
 
 from petmjx.config import Schedule
 from petmjx.errors import InputError, PetmjxError
-from petmjx.plans.plan import Skipped
+from petmjx.plans.plan_set import Skipped
 from petmjx.results import files
 from petmjx.results.plain import plain
 from petmjx.results.reader import load_run

@@ -18,7 +18,7 @@ import pytest
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 from support.plan_files import placement
 from support.plans import make_plan, stack
-from support.runs import edit_info, leave_unfinished, without_digests
+from support.runs import edit_info, leave_unfinished, relisted
 
 import petmjx
 from petmjx.config import Simulation
@@ -226,12 +226,12 @@ def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
     file = tmp_path / "worlds/part-00000.parquet"
     simulate("score", tmp_path)
     pq.write_table(pq.read_table(file).drop([column]), file)
-    without_digests(tmp_path)
+    relisted(tmp_path)
     with pytest.raises(petmjx.InputError, match=f"part-00000.parquet: damaged part, it has no column {column}"):
         simulate("score", tmp_path, resume=True)
 
 
-def test_runs_of_before_cannot_be_resumed(tmp_path: Path) -> None:
+def test_a_run_that_does_not_say_what_it_is_of_cannot_be_resumed(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}):
         pass
     with pytest.raises(petmjx.InputError, match="does not say what it is of"):
@@ -369,8 +369,8 @@ def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
     n_worlds = info["counts"]["worlds"] + load_run(one).info["counts"]["worlds"]
     for table in ("worlds", "boxes"):
         (two / table / "part-00001.parquet").write_bytes((one / table / "part-00000.parquet").read_bytes())
-    (two / "run.json").write_text(json.dumps(info))
-    without_digests(two)
-    edit_info(two, lambda info: info["counts"].update(worlds=n_worlds))
+        info["parts"][table]["part-00001.parquet"] = ""
+    (two / "run.json").write_text(json.dumps(info | {"counts": info["counts"] | {"worlds": n_worlds}}))
+    relisted(two)
     assert "twice: in" in refused(one, two)
     assert not out.exists()

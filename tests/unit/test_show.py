@@ -15,7 +15,7 @@ from rich.console import Console, RenderableType
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.stories import standing_story
 
-from petmjx.plans.plan import Skipped
+from petmjx.plans.plan_set import Skipped
 from petmjx.results.compare import compare_runs
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter

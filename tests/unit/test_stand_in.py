@@ -76,6 +76,7 @@ def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: p
     failed = [result for result in results if result.outcome.reason is Reason.FAILED]
     assert {result.outcome.verdict for result in results} == {Verdict.INVALID}
     assert any(f"attempt {number}: mujoco failed" in note for note in notes)
+    assert "worlds were simulated again on mujoco: further attempts are its" in notes
     by_attempt = [(a.attempt, a.reason) for result in results for a in result.attempts]
     assert by_attempt.count((number, "failed")) == WORLDS - 1
     assert all(result.attempts[0].engine == "mjx-warp" for result in results)

@@ -12,7 +12,7 @@ import pytest
 from support.histories import Forgetful, assert_equal, assert_tells
 from support.plan_files import placement, tower
 from support.plans import make_plan, stack
-from support.runs import edit_info, without_digests
+from support.runs import edit_info, relisted
 
 import petmjx
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -117,7 +117,7 @@ def test_another_engine_takes_the_place_of_one_that_cannot_run(
     assert note.startswith("simulated on mujoco: engine mjx-warp cannot run here: no CUDA device; as in the run: unst")
     changed = run.worlds.assign(verdict="stable", reason="", culprit=pd.NA)
     changed.to_parquet(run.path / "worlds" / "part-00000.parquet")
-    without_digests(run.path)
+    relisted(run.path)
     note = petmjx.tell("overhang", run.path).note
     assert "; in the run: stable; here: unstable by tilt, first box 1" in note
 

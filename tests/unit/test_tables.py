@@ -21,7 +21,8 @@ from support.plan_files import tower
 
 import petmjx
 from petmjx.plans.ordered import check_orders
-from petmjx.plans.plan import Plan, PlanSet
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.read import load_plans
 from petmjx.results.manifest import plan_digest
 

@@ -67,7 +67,7 @@ def _options(config: Mapping[str, Any]) -> Content:
     """The options that differ from the defaults."""
     simulation = config.get("simulation")
     if not isinstance(simulation, Mapping):
-        return "unknown (written by petmjx before 0.2)"
+        return "unknown"
     changed = dict(differing(simulation, Simulation().model_dump(mode="json")))
     limit = "world_timeout_s"  # an option of the run, but one that makes verdicts
     changed |= differing({limit: config.get(limit)}, {limit: None})

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.arguments import list_of, path_of
-from petmjx.errors import InputError, PetmjxError
+from petmjx.checked import reason
+from petmjx.errors import InputError
 from petmjx.pages.columns import block, whole
 from petmjx.pages.page import page
 from petmjx.pages.palette import category, ramp
@@ -26,7 +27,7 @@ from petmjx.pages.report.verdicts import headline, verdict_table
 from petmjx.results.compare import thresholds_of
 from petmjx.results.files import why_unwritable, write_text
 from petmjx.results.reader import RunResults
-from petmjx.text import counted, one_line, printable
+from petmjx.text import counted, printable
 from petmjx.units import MM_PER_M
 
 N_CATEGORIES: Final = 21
@@ -55,9 +56,8 @@ def report(
         The file's path.
 
     Raises:
-        InputError: a folder without a run, a damaged run, plans that cannot be read, ``out`` is there already, or its
-            folder is not, or is not writable.
-        PetmjxError: the page cannot be written.
+        InputError: a folder without a run, a damaged run, plans that cannot be read, ``out`` is there already, or
+            cannot be written.
     """
     path = path_of(out, "out")
     if path.is_dir():
@@ -74,7 +74,7 @@ def report(
     try:
         write_text(text, path)
     except OSError as error:
-        raise PetmjxError(f"{printable(str(path))}: cannot be written: {one_line(error)}") from error
+        raise InputError(f"{printable(str(path))}: cannot be written: {reason(error)}") from error
     return path
 
 

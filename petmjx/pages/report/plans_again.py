@@ -35,7 +35,7 @@ def find_plans_again(run: RunResults, given: Sequence[Path] = ()) -> FoundPlans:
         InputError: one of ``given`` cannot be used.
     """
     try:
-        records = Manifest.read(run.path, run.info).plans
+        records = Manifest.read(run.parts, run.info).plans
     except InputError as error:
         return FoundPlans({}, str(error))
     wanted = set(run.worlds["plan_id"])

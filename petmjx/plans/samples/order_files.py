@@ -11,7 +11,7 @@ from petmjx.checked import got, reason
 from petmjx.errors import InputError
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
-from petmjx.plans.scan import Damage, Entry, describe, scan_plans
+from petmjx.plans.scan import Entry, scan_plans
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.text import is_text, printable, shown
 
@@ -33,7 +33,6 @@ def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = 
     data = _read_whole(path, name)
     seen: set[str] = set()
     for entry in scan_plans(data):
-        assert isinstance(entry, Entry), "the whole file was looked at before"
         where = f"{name}: order {shown(entry.plan_id)}"
         try:
             if entry.plan_id in seen:
@@ -56,11 +55,10 @@ def _read_whole(path: Path, name: str) -> bytearray:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
-    n_orders = 0
-    for entry in scan_plans(data, "order id → order"):
-        if isinstance(entry, Damage):
-            raise InputError(f"{describe(name, entry, 'order')}; orders are read from whole files only")
-        n_orders += 1
+    try:
+        n_orders = sum(1 for _ in scan_plans(data, "order id → order", "order"))
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
     if n_orders == 0:
         raise InputError(f"{name}: holds no order")
     return data

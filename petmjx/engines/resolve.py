@@ -1,0 +1,70 @@
+"""The engine of a run: the one that the user gives or names, in workers if asked for, or for ``auto`` the fastest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from petmjx.checked import got
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine, Progress, Simulates
+from petmjx.engines.choose import Choice, choose, make_engine, options_of
+from petmjx.engines.cost import MEASURED, Costs, Work
+from petmjx.errors import InputError
+from petmjx.machine import cpu_threads, device_name
+from petmjx.run_options import AUTO, RunOptions
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+
+class Lent(Engine):
+    """An engine of the user's own, with what it leaves out of ``Engine``. It is not closed: it stays the user's.
+
+    Args:
+        threads: that the run was given, for the name of a device that the engine does not tell.
+    """
+
+    def __init__(self, own: Simulates, threads: int | None) -> None:
+        self.name, self._own, self._threads = own.name, own, threads
+        self.takes_more = bool(getattr(own, "takes_more", False))
+
+    @property
+    def device(self) -> str:
+        return getattr(self._own, "device", "") or device_name(self.name, self._threads)
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        return self._own.run(jobs, sim, progress)
+
+
+@contextmanager
+def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice]]:
+    """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
+    engine, choice = resolve_engine(options, work)
+    try:
+        yield engine, choice
+    finally:
+        engine.close()
+
+
+def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> tuple[Engine, Choice]:
+    """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
+    engine does not have.
+
+    Raises:
+        InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
+    """
+    asked = options.engine
+    if not isinstance(asked, str):
+        if isinstance(asked, type) or not isinstance(asked, Simulates):
+            raise InputError(f"engine must be a name or an object with a name and a method run, {got(asked)}")
+        if options.asked_workers is not None:
+            raise InputError("workers need an engine by name: each of them builds its own")
+        return Lent(asked, options.threads), Choice(asked.name, "given")
+    if options.asked_workers is not None:
+        from petmjx.engines.workers.resolve import resolve_workers  # most runs have none
+
+        return resolve_workers(options, work, costs)
+    threads = options.threads or cpu_threads()
+    seconds = costs.seconds(work, threads)
+    name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
+    return make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))

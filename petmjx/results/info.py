@@ -1,0 +1,102 @@
+"""What ``run.json`` says of a run while its worlds finish."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from petmjx.plans.ordered import OrderCheck
+from petmjx.plans.plan_set import Skipped
+from petmjx.results.counts import Counts
+from petmjx.results.ordered import counts_block, orders_block
+from petmjx.results.schema import SCHEMA_VERSION, Param
+
+
+class RunInfo:
+    """Gathers the entries of ``run.json``, but for the list of files.
+
+    Attributes:
+        skipped: plans and files that are not simulated, and why.
+        warnings: about the whole run, each once.
+        odd_plans: a line for each plan with overlapping, floating or outside boxes.
+        timings: seconds by name.
+        earlier_s: seconds to which these are added.
+        head: entries that are known when the run begins.
+    """
+
+    def __init__(
+        self,
+        config: Mapping[str, Any],
+        identity: Mapping[str, Any] | None,
+        orders: OrderCheck | None,
+        params: Sequence[Param],
+        versions: Mapping[str, str],
+        device: str,
+        expected_worlds: int | None,
+    ) -> None:
+        self.skipped: list[Skipped] = []
+        self.warnings: dict[str, None] = {}
+        self.odd_plans: list[str] = []
+        self.timings: dict[str, float] = {}
+        self.earlier_s: dict[str, float] = {}
+        self.status = "running"
+        self.error: str | None = None
+        self.orders = orders
+        self._started = time.monotonic()
+        self.head: dict[str, Any] = {
+            "started": now(),
+            "resumed": [],
+            "config": dict(config),
+            **({"identity": identity} if identity else {}),
+            "versions": {"python": platform.python_version(), **versions},
+            "device": device,
+            "expected_worlds": expected_worlds,
+            "params": [{"name": p.name, "unit": p.unit, "description": p.description} for p in params],
+        }
+
+    def skip(self, skipped: Skipped) -> None:
+        """Record a plan or a file that is not simulated, and why."""
+        self.skipped.append(skipped)
+
+    def warn(self, message: str) -> None:
+        """Record a warning about the whole run."""
+        self.warnings[message] = None
+
+    def entries(self, counts: Counts) -> dict[str, Any]:
+        """What there is to say now.
+
+        Args:
+            counts: of the worlds that are written.
+        """
+        seconds = Counter(self.earlier_s)
+        seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "status": self.status,
+            **({"error": self.error} if self.error else {}),
+            **self.head,
+            "updated": now(),
+            "counts": {
+                **counts.as_json(),
+                "skipped_plans": len(self.skipped),
+                "odd_plans": len(self.odd_plans),
+                **({"orders": counts_block(self.orders)} if self.orders else {}),
+            },
+            "timings": dict(seconds),
+            "skipped": [_as_json(skipped) for skipped in self.skipped],
+            "warnings": [*self.warnings, *self.odd_plans],
+            **({"orders": orders_block(self.orders)} if self.orders else {}),
+        }
+
+
+def _as_json(skipped: Skipped) -> dict[str, Any]:
+    entry = {"plan_id": skipped.plan_id or "", "source": skipped.source, "error": skipped.message}
+    return entry if skipped.number is None else {**entry, "number": skipped.number}
+
+
+def now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
