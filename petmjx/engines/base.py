@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from petmjx.config import Simulation
+from petmjx.engines.open import MOST_BOXES, OpenWorlds
+from petmjx.errors import InputError
 from petmjx.machine import device_name
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
 """Worlds whose states mjx-warp has on its device at the same time, unless it is told otherwise; with 80 boxes each
@@ -96,6 +99,18 @@ class Engine(Simulates, Protocol):
     def device(self) -> str:
         """The name of the device on which worlds run, for the results."""
         return device_name(self.name)
+
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
+        """Worlds that stay open.
+
+        Args:
+            most_boxes: of a world, ever. Engines with tables have room for so many.
+
+        Raises:
+            InputError: this engine has none.
+            ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
+        """
+        raise InputError(f"engine {self.name} has no worlds that stay open; mujoco and mjx-warp have")
 
     def close(self) -> None:
         """Free what is held between runs, such as workers. Nothing is run after it."""

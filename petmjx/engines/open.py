@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive
 from petmjx.world.scene import Scene
+
+MOST_BOXES: Final = 96
+"""Boxes for which an open world has room, unless it is told otherwise: those of the small lanes of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)

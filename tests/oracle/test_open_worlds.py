@@ -12,6 +12,7 @@ import pytest
 from petmjx.config import Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.open import OpenWorlds
+from petmjx.errors import InputError
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import FORCE, Drive, Excitation, Job
 from petmjx.world.scene import Scene, build_scene
@@ -22,6 +23,7 @@ from support.fake_stepper import assert_same
 from support.tiny_worlds import engine as warp_engine
 from support.worlds import boxes_by_plan, make_plan
 
+from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.batch.state import upload_worlds
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.open_worlds import Open, fork
@@ -105,6 +107,11 @@ def test_forks_go_their_own_ways(engine: MujocoEngine | MjxWarpEngine) -> None:
     worlds.reset([2], [scene.first(1)])
     worlds.go_on()
     assert len(worlds.read([2])[0].pos) == 1
+
+
+def test_other_engines_say_that_they_have_none() -> None:
+    with pytest.raises(InputError, match="engine mjx-jax has no worlds that stay open"):
+        MjxJaxEngine().open([], SIM)
 
 
 def test_what_cannot_be_is_refused(engine: MujocoEngine | MjxWarpEngine) -> None:

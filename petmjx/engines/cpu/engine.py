@@ -12,6 +12,7 @@ from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_worlds import MujocoWorlds
 from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.engines.failing import failed_outcome
+from petmjx.engines.open import MOST_BOXES
 from petmjx.machine import cpu_threads, device_name
 from petmjx.text import one_line
 from petmjx.verdict import Outcome
@@ -42,8 +43,8 @@ class MujocoEngine(Engine):
         self.threads = threads if threads is not None else cpu_threads()
         self.world_timeout_s = world_timeout_s
 
-    def open(self, scenes: Sequence[Scene], sim: Simulation) -> MujocoWorlds:
-        """Worlds that stay open (petmjx/engines/open.py), on this engine's threads."""
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
+        """As in the protocol, on this engine's threads, with room for any number of boxes."""
         return MujocoWorlds(scenes, sim, self.threads)
 
     @property

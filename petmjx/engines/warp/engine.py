@@ -17,6 +17,7 @@ from petmjx.engines.batch.setup import set_up_jax, set_up_warp
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import is_out_of_memory, load, round_up, tables
+from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
 from petmjx.engines.warp.march import SLICE_NS, Fleet
@@ -24,7 +25,7 @@ from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import SIZES, Shape, size_for
+from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
 from petmjx.verdict import Flag, Outcome
@@ -142,12 +143,8 @@ class MjxWarpEngine(Engine):
         self._room: dict[tuple[Cone, int], int] = {}
         """How much larger than usual buffers have to be, by size of lanes."""
 
-    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = SIZES[0].most_boxes) -> WarpWorlds:
-        """Worlds that stay open (petmjx/engines/open.py).
-
-        Args:
-            most_boxes: of a world, ever.
-        """
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
+        """As in the protocol."""
         return WarpWorlds(scenes, sim, most_boxes)
 
     def _drop(self) -> None:
