@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petmjx.config import Cone, Physics, Simulation
 from petmjx.engines.leaning import leans
 from petmjx.units import FloatArray
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.contact import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
 from petmjx.world.scene import Scene
 
@@ -154,14 +154,12 @@ def note_softness(outcome: Outcome, scene: Scene, sim: Simulation) -> Outcome:
     """
     if outcome.verdict is Verdict.INVALID:
         return outcome
-    if sank(outcome, scene, sim):
-        flags = outcome.flags | Flag.SINKING
-        if sim.physics.cone is Cone.PYRAMIDAL:
-            return replace(outcome, flags=flags)
-        return replace(outcome, flags=flags, verdict=Verdict.INVALID, reason=Reason.SINKING)
-    if sim.physics.cone is Cone.ELLIPTIC and leans(outcome, scene, sim):
-        return replace(outcome, flags=outcome.flags | Flag.SINKING)
-    return outcome
+    elliptic, sinks = sim.physics.cone is Cone.ELLIPTIC, sank(outcome, scene, sim)
+    if not sinks and not (elliptic and leans(outcome, scene, sim)):
+        return outcome
+    flags = outcome.flags | Flag.SINKING
+    verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sinks and elliptic)
+    return replace(outcome, flags=flags, verdict=verdict, reason=reason)
 
 
 def sank(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:

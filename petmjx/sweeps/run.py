@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from petmjx.config import Simulation
+from petmjx.config import Simulation, Thresholds
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
 from petmjx.results.recorded import Recorded
@@ -20,7 +20,7 @@ from petmjx.sweeps.grid import PlacementGroup, SweepPlan
 from petmjx.sweeps.recording import NO_RECORDING, Recording
 from petmjx.sweeps.search import Bisection, Probe
 from petmjx.sweeps.swept import Answer, Settled, SweptWorld
-from petmjx.verdict import Flag, Outcome, Verdict
+from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
 from petmjx.world.variants import Variant
 
@@ -256,7 +256,8 @@ class SweepRun:
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
-            final = _with_placement(_as_placed(outcome, world.settled.outcome), world.settled.outcome)
+            placed = world.settled.outcome
+            final = _with_placement(_judged_with(outcome, placed, self.sim.thresholds), placed)
             swept = SweptWorld(
                 world.plan, world.change, world.job.scene, final, result.attempts, world.settled, driven=True
             )
@@ -389,13 +390,20 @@ def _is_driven(group: PlacementGroup) -> bool:
     return all(variant.drive is not None for variant in group.variants)
 
 
-def _as_placed(outcome: Outcome, placed: Outcome) -> Outcome:
-    """What did not stand before it was shaken has not passed, even if it ends where the plan has it."""
+def _judged_with(outcome: Outcome, placed: Outcome, thresholds: Thresholds) -> Outcome:
+    """The outcome of a world that was shaken, judged with its placement."""
     if outcome.verdict is not Verdict.STABLE or placed.verdict is Verdict.STABLE:
         return outcome
-    kept = ("verdict", "reason", "culprit", "first_sign_s")
-    margin = min(outcome.margin, placed.margin)
-    return replace(outcome, margin=margin, **{name: getattr(placed, name) for name in kept})
+    found = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
+    verdict, reason = judge(*found, placement=(placed.verdict, placed.reason))
+    return replace(
+        outcome,
+        verdict=verdict,
+        reason=reason,
+        culprit=placed.culprit,
+        first_sign_s=placed.first_sign_s,
+        margin=min(outcome.margin, placed.margin),
+    )
 
 
 def _with_placement(outcome: Outcome, placed: Outcome) -> Outcome:

@@ -18,7 +18,7 @@ import petmjx
 from petmjx.config import Thresholds
 from petmjx.results.compare import compare_runs
 from petmjx.results.files import part_files
-from petmjx.sweeps.run import _as_placed
+from petmjx.sweeps.run import _judged_with
 from petmjx.verdict import BoxMetrics, Flag, Reason, Verdict, judge, margin_of
 
 LIMITS = Thresholds()
@@ -85,8 +85,8 @@ def test_the_sign_is_that_of_the_verdict(limit_m: float, dtype: type[np.floating
 def test_a_world_that_was_shaken_though_it_did_not_stand_has_the_smaller_margin() -> None:
     placed = replace(make_outcome(verdict=Verdict.UNSTABLE, reason=Reason.SHIFT), margin=-0.2)
     shaken = replace(make_outcome(), margin=0.9)
-    assert _as_placed(shaken, placed).margin == -0.2
-    assert _as_placed(shaken, replace(make_outcome(), margin=0.5)).margin == 0.9
+    assert _judged_with(shaken, placed, Thresholds()).margin == -0.2
+    assert _judged_with(shaken, replace(make_outcome(), margin=0.5), Thresholds()).margin == 0.9
 
 
 def test_results_have_it(tmp_path: Path) -> None:
