@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Cone, Physics, Simulation
 from petmjx.engines.leaning import leans
+from petmjx.plans.overlap import shared
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.contact import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
@@ -108,7 +109,7 @@ class _Stack(NamedTuple):
 def _stack(scene: Scene) -> _Stack:
     """Kept, since in a sweep many worlds have the same scene."""
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    over = _overlap(low[:, 0], high[:, 0]) & _overlap(low[:, 1], high[:, 1])
+    over = (shared(low[:, 0], high[:, 0]) > 0) & (shared(low[:, 1], high[:, 1]) > 0)
     order = np.argsort(scene.target[:, 2], kind="stable")
     under = np.tril(over[np.ix_(order, order)], -1)
     places, lower_places = np.nonzero(under)
@@ -139,11 +140,6 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
 
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
-
-
-def _overlap(low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """(n, n) whether two boxes overlap along one axis."""
-    return np.minimum.outer(high, high) > np.maximum.outer(low, low)
 
 
 def note_softness(outcome: Outcome, scene: Scene, sim: Simulation) -> Outcome:

@@ -18,10 +18,11 @@ from petmjx.pictures.camera import Camera
 from petmjx.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
 from petmjx.pictures.offscreen import Canvas
 from petmjx.pictures.options import Colour
-from petmjx.pictures.poses import Poses, corners, poses_of_frame, rotations, shaking_g, shift_mm, tilts_deg
+from petmjx.pictures.poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
 from petmjx.story import Story
 from petmjx.text import shown
 from petmjx.units import FloatArray
+from petmjx.world.turned import corners, rotations
 
 FLOOR: Final[Rgb] = (1.0, 1.0, 1.0)
 SHADOW: Final[Rgb] = (0.85, 0.86, 0.88)
@@ -178,7 +179,7 @@ def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, 
 def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     """(k, 3) m, what a picture of these frames is to show: the planned load, the carrier, and boxes not too far off."""
     scene = story.scene
-    upright = np.tile([1.0, 0.0, 0.0, 0.0], (scene.n_boxes, 1))
+    upright = np.tile(np.eye(3), (scene.n_boxes, 1, 1))
     planned = corners(scene.target, upright, scene.half_size).reshape(-1, 3)
     carrier = corners(scene.carrier_pos[None], upright[:1], scene.carrier_half_size[None]).reshape(-1, 3)
     load = np.concatenate((planned, carrier))
@@ -190,9 +191,10 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     seen = [load]
     for frame in frames:
         poses = poses_of_frame(story.history, frame)
-        each = corners(poses.pos, poses.quat, scene.half_size[: poses.n_placed])
+        each = corners(poses.pos, rotations(poses.quat), scene.half_size[: poses.n_placed])
         near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
-        moved = corners(poses.carrier_pos[None], poses.carrier_quat[None], scene.carrier_half_size[None])
+        turned = rotations(poses.carrier_quat[None])
+        moved = corners(poses.carrier_pos[None], turned, scene.carrier_half_size[None])
         seen += [each[near].reshape(-1, 3), moved.reshape(-1, 3)]
     return np.concatenate(seen)
 
