@@ -149,16 +149,6 @@ def digest_of(stream: BinaryIO) -> str:
     return digest.hexdigest()
 
 
-def why_unwritable(file: Path) -> str:
-    """Why a file cannot be written, as far as can be seen before it is tried; "" if nothing speaks against it."""
-    folder = file.parent
-    if file.is_dir():
-        return "is a folder"
-    if not folder.is_dir():
-        return f"{folder} is not a folder"
-    return "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
-
-
 def holds_run(folder: Path) -> bool:
     """Whether a folder has a run, or parts of one. The table ``plans`` alone is none: it comes before ``run.json``."""
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in TABLES if table != "plans")

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.results.described import Described, write_described
 from petmjx.results.files import text
@@ -23,6 +22,7 @@ from petmjx.statics.tables import (
     described_thresholds,
 )
 from petmjx.text import counted
+from petmjx.whole import writing
 
 INFO_FILE: Final = "criteria.json"
 
@@ -72,11 +72,9 @@ class CriteriaResults:
         """
         folder = Path(folder)
         check_free(folder, overwrite)
-        try:
+        with writing(folder):
             info = text(json.dumps(plain(self.info), indent=2, allow_nan=False))
             write_described(folder, self._tables(), {INFO_FILE: info})
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written: {reason(error)}") from None
 
     def _tables(self) -> Iterator[tuple[str, pd.DataFrame, Described]]:
         yield "boxes", self.boxes, described_boxes(self.criteria)
