@@ -74,7 +74,7 @@ def whole_file(file: Path) -> Iterator[Path]:
     if "\0" in str(file):
         raise InputError(f"{printable(str(file))}: cannot be written: no file has such a name")
     target = file.resolve() if file.is_symlink() else file
-    direct = target.exists() and not target.is_file()
+    direct = file.exists() and not file.is_file()  # of /dev/stdout to a pipe the target is no path
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
         with writing(file):
