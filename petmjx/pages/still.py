@@ -8,27 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.pages.page import escaped
-from petmjx.pages.palette import article_colours, hex_of, rgb_of
+from petmjx.pages.palette import article_colours, hex_of, look, rgb_of
 from petmjx.pages.story_data import framed
 from petmjx.story import Story
 from petmjx.units import FloatArray
 from petmjx.world.scene import IDENTITY_QUAT
 from petmjx.world.turned import corners, rotations
 
-# The same view as the first one of petmjx/pages/static/camera.js, without its perspective.
-_AZIMUTH: Final = -0.65
-_ELEVATION: Final = 0.4
+# The first view of petmjx/pages/static/camera.js, without its perspective.
+_LOOK: Final = look()
+_AZIMUTH, _ELEVATION = _LOOK["view"]["azimuth"], _LOOK["view"]["elevation"]
 _TOWARDS: Final = np.array(
     [np.sin(_AZIMUTH) * np.cos(_ELEVATION), -np.cos(_AZIMUTH) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
 )
 """(3,) unit vector from what is seen to the eye."""
 _RIGHT: Final = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
 _DOWN: Final = -np.cross(_TOWARDS, _RIGHT)
-_SUNWARD: Final = np.array([-0.5, -0.34, 0.8])
+_SUNWARD: Final = np.array(_LOOK["sunward"]) / np.linalg.norm(_LOOK["sunward"])
 
 _WIDTH: Final = 800.0
 _MARGIN: Final = 12.0
-_WOOD: Final = "#a8855c"
 _TOUCHING_M: Final = 1e-3
 """Boxes whose bodies are this deep in each other still count as side by side."""
 
@@ -48,7 +47,7 @@ def still_svg(story: Story) -> str:
     half = np.vstack([scene.half_size[shown], scene.carrier_half_size])
     colours = article_colours(story.plan.articles)
     names = [*(f"{box} {story.plan.articles[box]}" for box in shown), "carrier"]
-    fills = [*(colours[box] for box in shown), _WOOD]
+    fills = [*(colours[box] for box in shown), hex_of(_LOOK["wood"])]
     points = corners(pos, axes, half)
     low, scale, height = _fitted(story, points)
     flat = (_projected(points) - low) * scale + _MARGIN
