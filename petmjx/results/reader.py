@@ -17,7 +17,7 @@ from petmjx.bounded import read_regular
 from petmjx.errors import InputError
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
-from petmjx.results.counts import COUNTED, Counts
+from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.files import RUN_FILE
 from petmjx.results.given import Given
 from petmjx.results.listed import Parts, opened
@@ -207,9 +207,9 @@ def told_apart(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     return warnings[:first_odd], warnings[first_odd:]
 
 
-def _counted(parts: Parts) -> Counts:
+def _counted(parts: Parts) -> WorldCounts:
     """The counts of the worlds on disk."""
-    counts = Counts()
+    counts = WorldCounts()
     for part in parts.table("worlds", COUNTED):
         counts.add_worlds(part)
     return counts

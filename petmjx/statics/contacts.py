@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Contacts:
+class PlanContacts:
     """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
 
     A box lies on the carrier if its bottom is not above the carrier's top, and then with its whole base: the carrier is
@@ -98,7 +98,7 @@ def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
     return corners
 
 
-def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> Contacts:
+def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> PlanContacts:
     """What the boxes of a plan lie on.
 
     Args:
@@ -114,7 +114,7 @@ def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> Con
     upper, lower = upper[order], lower[order]
     # of the carrier: itself, so that the rectangle is the base
     other = np.where(lower == CARRIER, upper, lower)
-    return Contacts(
+    return PlanContacts(
         size_mm=plan.size_mm,
         corner_mm=plan.corner_mm,
         mass_kg=plan.mass_kg,
@@ -134,7 +134,7 @@ def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np
     return np.triu(touching, k=1)
 
 
-def find_sides(contacts: Contacts) -> Sides:
+def find_sides(contacts: PlanContacts) -> Sides:
     """Where the boxes of a plan touch side by side."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm

@@ -71,7 +71,7 @@ class CriteriaResults:
             InputError: the folder holds such files already and ``overwrite`` is not set, or cannot be written.
         """
         folder = Path(folder)
-        check_free(folder, overwrite)
+        check_folder_free(folder, overwrite)
         with writing(folder):
             info = text(json.dumps(plain(self.info), indent=2, allow_nan=False))
             write_described(folder, self._tables(), {INFO_FILE: info})
@@ -85,7 +85,7 @@ class CriteriaResults:
             yield "thresholds", self.thresholds, described_thresholds()
 
 
-def check_free(folder: Path, overwrite: bool) -> None:
+def check_folder_free(folder: Path, overwrite: bool) -> None:
     """Refuse, before minutes of work, a folder that holds criteria already and may not be replaced, or a file.
 
     Raises:

@@ -12,7 +12,7 @@ from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
-from petmjx.engines.cpu.recorder import Recorder
+from petmjx.engines.cpu.recorder import WorldRecorder
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -77,7 +77,7 @@ class WorldRun:
         self._driving, self._drive_start = False, 0
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
-        self._recorder = Recorder(job.record, job, dt) if job.record is not None else None
+        self._recorder = WorldRecorder(job.record, job, dt) if job.record is not None else None
 
     # ------------------------------------------------------------------ life of a world
 
