@@ -15,16 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Physics, Simulation
-from petmjx.engines.leaning import leans
+from petmjx.engines.leaning import BOUND_SHARE, leans
 from petmjx.plans.overlap import shared
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.contact import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
 from petmjx.world.scene import Scene
-
-BOUND_SHARE = 0.25
-"""A box may sink by this share of the threshold of shift: 5 mm of 20 mm. Ten equal boxes on top of each other sink by
-1 mm, thirty by 9 mm."""
 
 LEAST_TIME_CONSTANT_STEPS = 4
 """It stays at least so many timesteps: MuJoCo asks for 2, and at 2.5 pallets were seen to explode."""
