@@ -111,15 +111,30 @@ def test_a_profile(copy: Copy) -> None:
     assert "{0.1: 'stable', 30.0: 'unstable'}" in printed
 
 
+ON_WARP = f"""{STACK}
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+sim = petmjx.Simulation(check='static', duration_s=0.2)
+(outcome,) = MjxWarpEngine(1, allow_cpu=True).run([Job(build_scene(plan, sim))], sim)
+print(np.isnan(outcome.boxes.max_rise_m).tolist())
+"""
+"""What the kernels of mjx-warp do not know has no value."""
+
+
 def test_a_column(copy: Copy) -> None:
+    pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
     scored = f"{STACK}for engine in {{}}: print(petmjx.score(plan, engine=engine, check='static', duration_s=0.2,"
     scored += " sample_interval_s=0.1).boxes.max_rise_m.abs().lt(0.001).tolist())"
     entry, *measured = copy.blocks("A column of your own", "diff")
     copy.change(entry)
     assert "[False, False, False]" in copy.printed_by(scored.format("['mujoco']"))
     assert copy.failing("tests/unit/test_metrics_spec.py") == ["test_the_documentation_has_the_tables_of_the_spec"]
-    for diff in measured:
+    *before, kernel = measured
+    for diff in before:
         copy.change(diff)
+    assert "[True, True, True]" in copy.printed_by(ON_WARP)
+    copy.change(kernel)
     assert copy.printed_by(scored.format("['mujoco', 'mjx-jax']")).count("[True, True, True]") == 2
     assert copy.failing("tests/oracle/test_warp_rules.py", "-k", "default") == []
 
