@@ -29,7 +29,7 @@ SOFT_START_STEPS: Final = 100
 
 
 @dataclass(frozen=True)
-class Flag:
+class CliFlag:
     """The name of a field on the command line.
 
     Attributes:
@@ -235,13 +235,13 @@ with MuJoCo's own values; and the friction of cardboard on a wooden pallet (CTU 
 class Thresholds(Checked):
     """Limits beyond which a plan is unstable, and a simulation invalid (PET-Physics paper, section IV-C)."""
 
-    shift_m: Annotated[float, within(0, 100), Flag("--shift-limit-m", "M")] = Field(
+    shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
         0.02, gt=0, description="unstable from a larger final displacement of a box in x, y or z, m"
     )
     shift_floor_m: Annotated[float, within(0, 100)] = Field(
         0.001, ge=0, description="components of a displacement below this count as 0, m"
     )
-    tilt_deg: Annotated[float, within(0, 360), Flag("--tilt-limit-deg", "DEG")] = Field(
+    tilt_deg: Annotated[float, within(0, 360), CliFlag("--tilt-limit-deg", "DEG")] = Field(
         20.0, gt=0, description="unstable from a larger angle between a box's z axis and the world's, degrees"
     )
     drop_hull_z_m: Annotated[float, within(-100, 100)] = Field(
@@ -293,43 +293,43 @@ class Quiet(Checked):
 class Simulation(Checked):
     """Everything that the outcome of a world depends on, except its plan and its variant."""
 
-    check: Annotated[Check, Flag("--check")] = Field(
+    check: Annotated[Check, CliFlag("--check")] = Field(
         Check.ONE_BY_ONE,
         description="how boxes come to stand: one-by-one: box after box; static: all from the start",
     )
-    schedule: Annotated[Schedule, Flag("--schedule")] = Field(
+    schedule: Annotated[Schedule, CliFlag("--schedule")] = Field(
         Schedule.ADAPTIVE,
         description="when the next box is placed: adaptive: as soon as the pallet is quiet and nothing creeps; "
         "fixed: every interval",
     )
-    physics: Annotated[Physics, Flag("--physics")] = Field(
+    physics: Annotated[Physics, CliFlag("--physics")] = Field(
         PHYSICS["pallet"],
         description="contact physics: pallet: pallets rest, the carrier is of wood; reference: as in PET-Physics",
     )
-    carrier: Annotated[Carrier, Flag("--carrier")] = Field(
+    carrier: Annotated[Carrier, CliFlag("--carrier")] = Field(
         Carrier.FOOTPRINT,
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y)",
     )
-    size_reduction_mm: Annotated[float, within(0, 1000), Flag("--size-reduction-mm", "MM")] = Field(
+    size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="boxes are smaller by this along x and y, so that neighbours start apart, mm"
     )
-    interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), Flag("--interval", "S")] = Field(
+    interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--interval", "S")] = Field(
         0.7, gt=0, description="time between two placements, s; adaptive: the longest wait once a box has failed"
     )
-    longest_wait_s: Annotated[float, within(0, LONGEST_INTERVAL_S), Flag("--longest-wait", "S")] = Field(
+    longest_wait_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--longest-wait", "S")] = Field(
         10.0,
         ge=0,
         description="longest wait for a pallet to come to rest: adaptive, before the next box; always, before the end, "
         "s. A world that still moves then has the flag moving",
     )
-    duration_s: Annotated[float, within(0, LONGEST_S), Flag("--duration", "S")] = Field(
+    duration_s: Annotated[float, within(0, LONGEST_S), CliFlag("--duration", "S")] = Field(
         10.0, gt=0, description="length of the static check, s"
     )
-    settle_s: Annotated[float, within(0, LONGEST_S), Flag("--settle", "S")] = Field(
+    settle_s: Annotated[float, within(0, LONGEST_S), CliFlag("--settle", "S")] = Field(
         2.0, ge=0, description="rest between the last placement and a profile, s; adaptive: of a pallet that has failed"
     )
-    rest_s: Annotated[float, within(0, LONGEST_S), Flag("--rest", "S")] = Field(
+    rest_s: Annotated[float, within(0, LONGEST_S), CliFlag("--rest", "S")] = Field(
         1.0, ge=0, description="time to come to rest after a profile's last sample, s"
     )
     total_time_factor: Annotated[float | None, within(1, 10)] = Field(
@@ -337,23 +337,23 @@ class Simulation(Checked):
         gt=1,
         description="fixed, one by one: the whole run as a multiple of the placement time, instead of rest_s",
     )
-    sample_interval_s: Annotated[float, within(0, LONGEST_S), Flag("--sample-interval", "S")] = Field(
+    sample_interval_s: Annotated[float, within(0, LONGEST_S), CliFlag("--sample-interval", "S")] = Field(
         0.2, gt=0, description="time between two samples of the metrics, s"
     )
     rest_window_s: Annotated[float, within(0, LONGEST_S)] = Field(
         0.2, gt=0, description="rest_top_force_n is averaged over this at the end, s"
     )
-    early_stop: Annotated[bool, Flag("--early-stop/--no-early-stop")] = Field(
+    early_stop: Annotated[bool, CliFlag("--early-stop/--no-early-stop")] = Field(
         True, description="stop a world once a box has dropped, instead of going on to the end of the schedule"
     )
-    check_timestep: Annotated[bool, Flag("--check-timestep")] = Field(
+    check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,
         description="simulate worlds with a margin below a half again at half the timestep, and name those that change "
         "(flag timestep)",
     )
     thresholds: Thresholds = Field(Thresholds(), description="where a plan stops being stable")
     quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
-    solver: Annotated[Solver, Flag("--solver")] = Field(
+    solver: Annotated[Solver, CliFlag("--solver")] = Field(
         Solver.NEWTON, description="constraint solver of the first attempt"
     )
     solver_iterations: Annotated[int | None, within(1, MOST_STEPS)] = Field(

@@ -53,16 +53,21 @@ def examine() -> Report:
     return Report(
         versions={"python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})"} | package_versions(),
         devices=(f"CPU: {cpu_name()}, {counted(cpu_threads(), 'thread')}", *(f"GPU: {n}" for n in cuda_devices())),
-        engines=tuple(_examine_engine(name, check) for name, check in _CHECKS.items()),
+        engines=tuple(_examine_engine(name) for name in ENGINES),
         caches=_caches(),
     )
 
 
-def _examine_engine(name: str, check: Callable[[], str]) -> EngineReport:
+def _examine_engine(name: str) -> EngineReport:
     try:
-        return EngineReport(name, True, check())
+        return EngineReport(name, True, _CHECKS[name]() if name in _CHECKS else _built(name))
     except (EngineUnavailable, ImportError, RuntimeError) as error:
         return EngineReport(name, False, " ".join(str(error).split()))
+
+
+def _built(name: str) -> str:
+    make_engine(name)
+    return "can be built"
 
 
 def _check_mujoco() -> str:
@@ -89,9 +94,12 @@ def _check_mjx_warp() -> str:
     return f"Warp on {', '.join(cuda_devices())}"
 
 
-_CHECKS: dict[str, Callable[[], str]] = dict(
-    zip(ENGINES, (_check_mujoco, _check_mjx_jax, _check_mjx_warp), strict=True)
-)
+_CHECKS: dict[str, Callable[[], str]] = {
+    "mujoco": _check_mujoco,
+    "mjx-jax": _check_mjx_jax,
+    "mjx-warp": _check_mjx_warp,
+}
+"""Of other engines it is only known whether they can be built."""
 
 
 def _one_box() -> Plan:

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from petmjx.checked import Checked, complaint, got, hint
-from petmjx.config import Flag, Simulation, within
+from petmjx.config import CliFlag, Simulation, within
 from petmjx.errors import InputError
 from petmjx.units import PLAN_UNITS, plan_units
 
@@ -67,7 +67,7 @@ def _units(text: str) -> str:
         raise ValueError(f"{error}, {got(text)}") from None
 
 
-def _named(value: Any) -> Any:
+def _is_path(value: Any) -> Any:
     """A path that names something, which the empty one does not."""
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
         raise ValueError(f"must be a path, {got(value)}")
@@ -76,7 +76,7 @@ def _named(value: Any) -> Any:
     return value
 
 
-File = Annotated[Path, BeforeValidator(_named)]
+File = Annotated[Path, BeforeValidator(_is_path)]
 """A path that an option names."""
 
 Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
@@ -86,12 +86,12 @@ Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 class Confidence(Checked):
     """Whether a score says how sure it is, and by which errors."""
 
-    confidence: Annotated[int | None, within(4, 100_000), Flag("--confidence", "N")] = Field(
+    confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
         description="simulate each plan also in this many worlds with errors of placement, friction, mass and size, "
         "and say which share stands; at least 4, since of fewer no share is far from one half",
     )
-    errors: Annotated[File | None, Flag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
+    errors: Annotated[File | None, CliFlag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
         None, description="sweep file with these errors, those of a robot and of its cartons"
     )
 
@@ -106,89 +106,89 @@ class RunOptions(Checked):
     """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
     ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
 
-    engine: Annotated[Any, Flag("--engine")] = Field(
+    engine: Annotated[Any, CliFlag("--engine")] = Field(
         AUTO,
         description="what steps worlds: mujoco: C MuJoCo on CPU threads; mjx-jax, mjx-warp: MJX in batches; auto: "
         "mjx-warp where it runs and is expected to finish first, else mujoco; in Python also an engine of your own",
     )
-    threads: Annotated[int | None, within(1, 4096), Flag("--threads", "N")] = Field(
+    threads: Annotated[int | None, within(1, 4096), CliFlag("--threads", "N")] = Field(
         None,
         ge=1,
         description="CPU threads of the engine mujoco, of each worker if there are some; by default all that there are",
     )
-    lanes: Annotated[int | None, within(1, 1 << 20), Flag("--lanes", "N")] = Field(
+    lanes: Annotated[int | None, within(1, 1 << 20), CliFlag("--lanes", "N")] = Field(
         None,
         ge=1,
         description="worlds at once: lanes of mjx-warp, by default as many as the device has room for; those of a "
         "batch of mjx-jax, by default up to 256",
     )
-    world_timeout_s: Annotated[float | None, within(0, 1e9), Flag("--world-timeout", "S")] = Field(
+    world_timeout_s: Annotated[float | None, within(0, 1e9), CliFlag("--world-timeout", "S")] = Field(
         None,
         gt=0,
         description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
     )
-    workers: Annotated[int | str | None, BeforeValidator(_workers), Flag("--workers", "N|auto")] = Field(
+    workers: Annotated[int | str | None, BeforeValidator(_workers), CliFlag("--workers", "N|auto")] = Field(
         None,
         description="run in this many processes by Ray (extra ray): a worker has its share of the CPU threads, or a "
         "GPU; auto: one for each GPU or, with mujoco, for each machine",
     )
-    ray: Annotated[str | None, AfterValidator(_address), Flag("--ray", "ADDRESS")] = Field(
+    ray: Annotated[str | None, AfterValidator(_address), CliFlag("--ray", "ADDRESS")] = Field(
         None,
         description="run on the Ray cluster whose head is at HOST:PORT (auto: the one on this machine), with workers "
         "auto if their number is not given; by default workers run on this machine",
     )
-    limit: Annotated[int | None, within(1, 2**63 - 1), Flag("--limit", "N")] = Field(
+    limit: Annotated[int | None, within(1, 2**63 - 1), CliFlag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
     )
-    units: Annotated[str, AfterValidator(_units), Flag("--units", "LENGTH,MASS")] = Field(
+    units: Annotated[str, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS")] = Field(
         PLAN_UNITS,
         description="what lengths and masses of the plans are given in: mm, cm, m or in; kg, g, lb or t; one of them "
         "or both, as in cm,g",
     )
-    anchor: Annotated[Anchor, Flag("--anchor", "POINT")] = Field(
+    anchor: Annotated[Anchor, CliFlag("--anchor", "POINT")] = Field(
         "corner",
         description="the point of a box whose coordinates the plans have: corner, the one with the smallest x, y and "
         "z; centre; base-centre, the centre of its base; or far-corner",
     )
-    record: Annotated[str | tuple[str, ...] | None, Flag("--record", "failed|all|ID,…", "--record-plans")] = Field(
+    record: Annotated[str | tuple[str, ...] | None, CliFlag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
         description="keep histories, frame by frame, of the worlds that are not stable, of all, or of these plans; no "
         "other result changes; in Python also a list of ids",
     )
-    record_interval_s: Annotated[float, within(0.0001, 3600), Flag("--record-interval", "S")] = Field(
+    record_interval_s: Annotated[float, within(0.0001, 3600), CliFlag("--record-interval", "S")] = Field(
         FRAME_INTERVAL_S, description="time between two frames of a history, s; each placement is a frame too"
     )
-    record_details: Annotated[bool, Flag("--record-details")] = Field(
+    record_details: Annotated[bool, CliFlag("--record-details")] = Field(
         False, description="histories with accelerations, penetrations and contacts; engine mujoco only"
     )
-    force_intervals: Annotated[bool, Flag("--force-intervals")] = Field(
+    force_intervals: Annotated[bool, CliFlag("--force-intervals")] = Field(
         False,
         description="also the least and the most force on top of each box at rest that balance and friction allow: a "
         "tenth of a second or more for each world; needs SciPy (extra packers); changes no other result",
     )
-    orders: Annotated[File | None, Flag("--orders", "FILE")] = Field(
+    orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
         description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
         "without a plan; changes no verdict",
     )
-    strict: Annotated[bool, Flag("--strict")] = Field(
+    strict: Annotated[bool, CliFlag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"
     )
-    allow_large: Annotated[bool, Flag("--yes", short="-y")] = Field(
+    allow_large: Annotated[bool, CliFlag("--yes", short="-y")] = Field(
         False, description="run more than a million worlds too"
     )
-    out: Annotated[File | None, Flag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
+    out: Annotated[File | None, CliFlag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
         description="folder for the results; in Python by default none, and they go with what is returned",
     )
-    overwrite: Annotated[bool, Flag("--overwrite")] = Field(
+    overwrite: Annotated[bool, CliFlag("--overwrite")] = Field(
         False, description="replace the results that the folder holds"
     )
-    resume: Annotated[bool, Flag("--resume")] = Field(
+    resume: Annotated[bool, CliFlag("--resume")] = Field(
         False,
         description="go on with the run that the folder holds: simulate what is missing of it; begin if it holds none",
     )
-    shard: Annotated[str | None, AfterValidator(_share), Flag("--shard", "I/N")] = Field(
+    shard: Annotated[str | None, AfterValidator(_share), CliFlag("--shard", "I/N")] = Field(
         None, description="take only the I-th of N shares of the plans, I from 1; petmjx merge joins the results"
     )
 

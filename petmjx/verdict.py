@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.config import Thresholds
 from petmjx.history import History
 from petmjx.metrics.motion_np import excess
+from petmjx.metrics.spec import box_metrics
 from petmjx.units import FloatArray
 from petmjx.world.job import EngineState, KeptState
 
@@ -87,6 +88,16 @@ class BoxMetrics:
     pos: FloatArray
     quat: FloatArray
 
+    @classmethod
+    def measured(cls, n: int, **values: NDArray[Any]) -> Self:
+        """Metrics of n boxes from those that an engine has measured; the others have no values.
+
+        Raises:
+            TypeError: there is no metric of that name.
+        """
+        found: dict[str, Any] = {metric.attribute: metric.nothing(n) for metric in box_metrics()}
+        return cls(**found | values)
+
 
 @dataclass(eq=False)
 class Outcome:
@@ -130,19 +141,36 @@ INVALID_FLAGS: Final = (
     (Flag.EXPLOSION, Reason.EXPLOSION),
     (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, with their reasons. The first one that is set decides. ``Flag.SINKING`` is judged
-later, and makes a world invalid with elliptic cones only."""
+"""Flags that make a world invalid, with their reasons. The first one that is set decides."""
 
 
-def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> tuple[Verdict, Reason]:
-    """The verdict of a world and its reason, for all engines (docs/metrics.md, section "Verdict").
+def judge(
+    flags: Flag,
+    boxes: BoxMetrics,
+    n_placed: int,
+    thresholds: Thresholds,
+    *,
+    sank: bool = False,
+    placement: tuple[Verdict, Reason] = (Verdict.STABLE, Reason.NONE),
+) -> tuple[Verdict, Reason]:
+    """The verdict of a world and its reason: the only place that decides (docs/metrics.md, section "Verdict").
+
+    An engine asks with what it has measured. Who learns more about the world asks again.
 
     Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
     20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
+
+    Args:
+        sank: whether boxes sank into what bears them, so far that there is no verdict. ``Flag.SINKING`` does not say
+            it: worlds that keep their verdict have that flag, too.
+        placement: of a world that was shaken, what it was before. What did not stand then has not passed, even if it
+            ends where the plan has it.
     """
     for bits, reason in INVALID_FLAGS:
         if flags & bits:
             return Verdict.INVALID, reason
+    if sank:
+        return Verdict.INVALID, Reason.SINKING
     placed = slice(n_placed)
     if boxes.dropped[placed].any():
         return Verdict.UNSTABLE, Reason.DROP
@@ -150,7 +178,7 @@ def judge(flags: Flag, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds)
         return Verdict.UNSTABLE, Reason.TILT
     if (np.abs(boxes.shift_m[placed]) > thresholds.shift_m).any():
         return Verdict.UNSTABLE, Reason.SHIFT
-    return Verdict.STABLE, Reason.NONE
+    return placement
 
 
 DROPPED_EXCESS: Final = 2.0

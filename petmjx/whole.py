@@ -35,6 +35,32 @@ def check_free(file: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
         raise InputError(f"{printable(str(file))}: exists already; name another file, or pass --overwrite")
 
 
+def check_writable(file: Path) -> None:
+    """Check that a file can be written, as far as can be seen before it is tried.
+
+    Raises:
+        InputError: it is a folder, or its folder is none or is not writable.
+    """
+    folder = file.parent
+    if file.is_dir():
+        why = "is a folder"
+    elif not folder.is_dir():
+        why = f"{folder} is not a folder"
+    else:
+        why = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
+    if why:
+        raise InputError(f"{printable(str(file))}: cannot be written: {printable(why)}")
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system says while a file or a folder is written becomes an InputError that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{printable(str(path))}: cannot be written: {reason(error)}") from error
+
+
 @contextmanager
 def whole_file(file: Path) -> Iterator[Path]:
     """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
@@ -48,14 +74,13 @@ def whole_file(file: Path) -> Iterator[Path]:
     if "\0" in str(file):
         raise InputError(f"{printable(str(file))}: cannot be written: no file has such a name")
     target = file.resolve() if file.is_symlink() else file
-    direct = target.exists() and not target.is_file()
+    direct = file.exists() and not file.is_file()  # of /dev/stdout to a pipe the target is no path
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
-        yield temporary
-        if not direct:
-            os.replace(temporary, target)
-    except OSError as error:
-        raise InputError(f"{printable(str(file))}: cannot be written: {reason(error)}") from error
+        with writing(file):
+            yield temporary
+            if not direct:
+                os.replace(temporary, target)
     except InputError as error:  # of what was written, which names the hidden path
         raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:

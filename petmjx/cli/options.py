@@ -14,7 +14,7 @@ import typer
 from pydantic.fields import FieldInfo
 
 from petmjx.checked import Checked
-from petmjx.config import Flag, Simulation
+from petmjx.config import CliFlag, Simulation
 from petmjx.errors import InputError
 from petmjx.run_options import RunOptions
 from petmjx.text import printable
@@ -64,7 +64,7 @@ class _Option:
 
     path: tuple[str, ...]
     info: FieldInfo
-    flag: Flag
+    flag: CliFlag
     section: str
 
     @property
@@ -180,7 +180,7 @@ def _keyword(name: str, annotation: Any) -> inspect.Parameter:
 def _options_of(record: type[Checked], section: str, path: tuple[str, ...] = ()) -> Iterator[_Option]:
     """The fields with a flag of a record, and of the records within it."""
     for name, info in record.model_fields.items():
-        flag = next((entry for entry in info.metadata if isinstance(entry, Flag)), None)
+        flag = next((entry for entry in info.metadata if isinstance(entry, CliFlag)), None)
         if flag is not None:
             yield _Option((*path, name), info, flag, section)
         elif isinstance(info.default, Checked):

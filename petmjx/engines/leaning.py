@@ -44,7 +44,8 @@ KNIFE_EDGE_M: Final = 0.0004
 """Nearer to an edge nothing can be said: half a millimetre of the plan, less what boxes are smaller by."""
 
 BOUND_SHARE: Final = 0.25
-"""A box may lean by this share of the threshold of tilt, and move by this share of that of shift."""
+"""A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of that of shift: 5 mm
+of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
 
 
 class Leaning(NamedTuple):

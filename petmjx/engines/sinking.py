@@ -15,15 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Physics, Simulation
-from petmjx.engines.leaning import leans
+from petmjx.engines.leaning import BOUND_SHARE, leans
+from petmjx.plans.overlap import shared
 from petmjx.units import FloatArray
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.contact import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
 from petmjx.world.scene import Scene
-
-BOUND_SHARE = 0.25
-"""A box may sink by this share of the threshold of shift: 5 mm of 20 mm. Ten equal boxes on top of each other sink by
-1 mm, thirty by 9 mm."""
 
 LEAST_TIME_CONSTANT_STEPS = 4
 """It stays at least so many timesteps: MuJoCo asks for 2, and at 2.5 pallets were seen to explode."""
@@ -110,7 +107,7 @@ class _Stack(NamedTuple):
 def _stack(scene: Scene) -> _Stack:
     """Kept, since in a sweep many worlds have the same scene."""
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    over = _overlap(low[:, 0], high[:, 0]) & _overlap(low[:, 1], high[:, 1])
+    over = (shared(low[:, 0], high[:, 0]) > 0) & (shared(low[:, 1], high[:, 1]) > 0)
     order = np.argsort(scene.target[:, 2], kind="stable")
     under = np.tril(over[np.ix_(order, order)], -1)
     places, lower_places = np.nonzero(under)
@@ -143,11 +140,6 @@ ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
 
-def _overlap(low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """(n, n) whether two boxes overlap along one axis."""
-    return np.minimum.outer(high, high) > np.maximum.outer(low, low)
-
-
 def note_softness(outcome: Outcome, scene: Scene, sim: Simulation) -> Outcome:
     """The outcome, with ``Flag.SINKING`` where contacts gave way so far that a verdict may come from it.
 
@@ -156,14 +148,12 @@ def note_softness(outcome: Outcome, scene: Scene, sim: Simulation) -> Outcome:
     """
     if outcome.verdict is Verdict.INVALID:
         return outcome
-    if sank(outcome, scene, sim):
-        flags = outcome.flags | Flag.SINKING
-        if sim.physics.cone is Cone.PYRAMIDAL:
-            return replace(outcome, flags=flags)
-        return replace(outcome, flags=flags, verdict=Verdict.INVALID, reason=Reason.SINKING)
-    if sim.physics.cone is Cone.ELLIPTIC and leans(outcome, scene, sim):
-        return replace(outcome, flags=outcome.flags | Flag.SINKING)
-    return outcome
+    elliptic, sinks = sim.physics.cone is Cone.ELLIPTIC, sank(outcome, scene, sim)
+    if not sinks and not (elliptic and leans(outcome, scene, sim)):
+        return outcome
+    flags = outcome.flags | Flag.SINKING
+    verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sinks and elliptic)
+    return replace(outcome, flags=flags, verdict=verdict, reason=reason)
 
 
 def sank(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:

@@ -98,6 +98,11 @@ class BoxMetric:
     compared: bool = True
     relative: bool = False
 
+    def nothing(self, n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
+        """Values of n boxes on which it was not measured: NaN, or no."""
+        shape = (n, len(self.columns)) if len(self.columns) > 1 else (n,)
+        return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
+
     def world_columns(self) -> list[Column]:
         """Its column of ``worlds``, if it has one. There are few worlds, so their measures are float64."""
         if self.of_world is None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from petmjx.checked import reason
-from petmjx.errors import InputError
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.packers.compare import PackerComparison
 from petmjx.rating.columns import COLUMNS
 from petmjx.results.described import Described, write_described
-from petmjx.text import printable
+from petmjx.whole import writing
 
 _COUNTS: Final = {
     "n": "compared orders; in reasons those that are lost",
@@ -66,7 +64,5 @@ def write_comparison(found: PackerComparison, folder: Path) -> None:
     Raises:
         InputError: the folder or a file cannot be written.
     """
-    try:
+    with writing(folder):
         write_described(folder, ((name, table, DESCRIBED) for name, table in found.tables.items()))
-    except OSError as error:
-        raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
+
+from petmjx.pages.modules import static_text
 
 Rgb = tuple[float, float, float]
 
@@ -54,6 +57,13 @@ def rgb_of(colour: str) -> Rgb:
 def hex_of(rgb: Rgb) -> str:
     """Shares from 0 to 1 as ``#rrggbb``."""
     return "#" + "".join(f"{round(255 * min(max(part, 0.0), 1.0)):02x}" for part in rgb)
+
+
+def look() -> dict[str, Any]:
+    """What boxes look like, as ``petmjx/pages/static/look.js`` says it."""
+    _, _, said = static_text("look.js").partition("LOOK = ")
+    found: dict[str, Any] = json.loads(said.rstrip().removesuffix(";"))
+    return found
 
 
 def _on_path(share: float) -> str:

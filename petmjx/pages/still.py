@@ -8,31 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.pages.page import escaped
-from petmjx.pages.palette import article_colours, hex_of, rgb_of
+from petmjx.pages.palette import article_colours, hex_of, look, rgb_of
 from petmjx.pages.story_data import framed
 from petmjx.story import Story
 from petmjx.units import FloatArray
 from petmjx.world.scene import IDENTITY_QUAT
+from petmjx.world.turned import corners, rotations
 
-# The same view as the first one of petmjx/pages/static/camera.js, without its perspective.
-_AZIMUTH: Final = -0.65
-_ELEVATION: Final = 0.4
+# The first view of petmjx/pages/static/camera.js, without its perspective.
+_LOOK: Final = look()
+_AZIMUTH, _ELEVATION = _LOOK["view"]["azimuth"], _LOOK["view"]["elevation"]
 _TOWARDS: Final = np.array(
     [np.sin(_AZIMUTH) * np.cos(_ELEVATION), -np.cos(_AZIMUTH) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
 )
 """(3,) unit vector from what is seen to the eye."""
 _RIGHT: Final = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
 _DOWN: Final = -np.cross(_TOWARDS, _RIGHT)
-_SUNWARD: Final = np.array([-0.5, -0.34, 0.8])
+_SUNWARD: Final = np.array(_LOOK["sunward"]) / np.linalg.norm(_LOOK["sunward"])
 
 _WIDTH: Final = 800.0
 _MARGIN: Final = 12.0
-_WOOD: Final = "#a8855c"
 _TOUCHING_M: Final = 1e-3
 """Boxes whose bodies are this deep in each other still count as side by side."""
 
-# Corners of a box by the signs of their half sizes, and the four corners around each face: −x, +x, −y, +y, −z, +z.
-_SIGNS: Final = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+# The four corners around each face of a box: −x, +x, −y, +y, −z, +z.
 _FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
@@ -44,15 +43,15 @@ def still_svg(story: Story) -> str:
     if not np.isfinite(carrier_pos).all():
         carrier_pos, carrier_quat = scene.carrier.pos, np.array(IDENTITY_QUAT)
     boards = scene.carrier.shapes_at(carrier_pos, carrier_quat)
-    pos = np.vstack([history.pos[-1][shown], boards[0]])
-    axes = _axes(np.vstack([history.quat[-1][shown], boards[1]]))
-    half = np.vstack([scene.half_size[shown], boards[2]])
+    pos = np.concatenate([history.pos[-1][shown], boards[0]])
+    axes = np.concatenate([rotations(history.quat[-1][shown]), boards[1]])
+    half = np.concatenate([scene.half_size[shown], boards[2]])
     colours = article_colours(story.plan.articles)
     names = [*(f"{box} {story.plan.articles[box]}" for box in shown), *["carrier"] * len(boards[0])]
-    fills = [*(colours[box] for box in shown), *[_WOOD] * len(boards[0])]
-    corners = pos[:, None, :] + np.einsum("kij,kcj->kci", axes, _SIGNS * half[:, None, :])
-    low, scale, height = _fitted(story, corners)
-    flat = (_projected(corners) - low) * scale + _MARGIN
+    fills = [*(colours[box] for box in shown), *[hex_of(_LOOK["wood"])] * len(boards[0])]
+    points = corners(pos, axes, half)
+    low, scale, height = _fitted(story, points)
+    flat = (_projected(points) - low) * scale + _MARGIN
     parts = []
     for k in drawing_order(pos, axes, half):
         first = k < len(shown) and shown[k] == story.outcome.culprit
@@ -66,27 +65,16 @@ def still_svg(story: Story) -> str:
     )
 
 
-def _axes(quat: FloatArray) -> FloatArray:
-    """(k, 3, 3) rotation matrices, whose columns are the axes of the boxes, of (k, 4) quaternions (w, x, y, z)."""
-    w, x, y, z = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
-
-
 def _projected(points: FloatArray) -> FloatArray:
     """(…, 2) places in the picture, m to the right and down."""
     return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
 
 
-def _fitted(story: Story, corners: FloatArray) -> tuple[FloatArray, float, float]:
+def _fitted(story: Story, points: FloatArray) -> tuple[FloatArray, float, float]:
     """Upper left corner (2,), pixels per m and height of a picture that shows all boxes but those far off."""
     ends = np.array(framed(story))
     room = _projected(np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)]))
-    flat = _projected(corners).reshape(-1, 2)
+    flat = _projected(points).reshape(-1, 2)
     low, high = room.min(axis=0), room.max(axis=0)
     seen = np.vstack([np.clip(flat, low - 0.2, high + 0.2), [low, high]])
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -115,8 +103,7 @@ def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[i
     Args:
         pos: (k, 3) centres; axes: (k, 3, 3) columns are their axes; half: (k, 3) half sizes; all in m.
     """
-    corners = pos[:, None, :] + np.einsum("kij,kcj->kci", axes, _SIGNS * half[:, None, :])
-    before = _before(pos, axes, half, corners)
+    before = _before(pos, axes, half)
     depth = pos @ _TOWARDS
     waiting = before.sum(axis=0)
     order: list[int] = []
@@ -131,14 +118,15 @@ def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[i
     return order
 
 
-def _before(pos: FloatArray, axes: FloatArray, half: FloatArray, corners: FloatArray) -> NDArray[np.bool_]:
+def _before(pos: FloatArray, axes: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
     """(k, k): whether the row's box must be drawn before the column's."""
-    flat = _projected(corners)
+    points = corners(pos, axes, half)
+    flat = _projected(points)
     low, high = flat.min(axis=1), flat.max(axis=1)
     apart = ((low[:, None] > high[None]) | (high[:, None] < low[None])).any(axis=2)
     before = np.zeros(apart.shape, dtype=bool)
     for k in range(len(pos)):
-        local = (corners - pos[k]) @ axes[k]
+        local = (points - pos[k]) @ axes[k]
         facing = _TOWARDS @ axes[k]
         above = local.min(axis=1) >= half[k] - _TOUCHING_M
         below = local.max(axis=1) <= -half[k] + _TOUCHING_M

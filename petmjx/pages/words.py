@@ -15,7 +15,8 @@ from petmjx.text import shown
 from petmjx.units import MM_PER_M, FloatArray
 from petmjx.verdict import Flag, Reason, Verdict
 
-_INVALID: Final = {
+REASONS: Final = {
+    Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
     Reason.NONFINITE: "the simulation gave numbers that are not finite",
     Reason.OVERFLOW: "there were more contacts than the engine had room for",
     Reason.EXPLOSION: "boxes were accelerated as no box can be, before any of them had moved",
@@ -23,7 +24,11 @@ _INVALID: Final = {
     Reason.SINKING: "boxes sank into what bears them",
     Reason.FAILED: "the simulation failed",
     Reason.TIMEOUT: "the simulation took longer than it was given",
+    Reason.DROP: "{boxes} dropped",
+    Reason.TILT: "a box tilted by more than {tilt:g}°",
+    Reason.SHIFT: "a box shifted by more than {shift}",
 }
+"""Reason → a sentence without its full stop. In braces: the thresholds, and the boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
@@ -34,17 +39,11 @@ def thresholds_of(story: Story) -> Thresholds:
 def reason_in_words(story: Story) -> str:
     """Why the verdict is what it is, as a sentence without its full stop."""
     outcome, limits = story.outcome, thresholds_of(story)
-    if outcome.verdict is Verdict.STABLE:
-        return f"no box shifted by more than {_mm(limits.shift_m)}, tilted by more than {limits.tilt_deg:g}° or dropped"
-    if outcome.verdict is Verdict.INVALID:
-        words = _INVALID[outcome.reason]
-        return f"{words}: {shown(outcome.message)}" if outcome.message else words
     dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
-    return {
-        Reason.DROP: "a box dropped" if dropped == 1 else f"{dropped} boxes dropped",
-        Reason.TILT: f"a box tilted by more than {limits.tilt_deg:g}°",
-        Reason.SHIFT: f"a box shifted by more than {_mm(limits.shift_m)}",
-    }[outcome.reason]
+    boxes = "a box" if dropped == 1 else f"{dropped} boxes"
+    words = REASONS.get(outcome.reason, str(outcome.reason))
+    words = words.format(shift=_mm(limits.shift_m), tilt=limits.tilt_deg, boxes=boxes)
+    return f"{words}: {shown(outcome.message)}" if outcome.message else words
 
 
 def notes_in_words(story: Story) -> list[str]:

@@ -18,10 +18,12 @@ from petmjx.pictures.camera import Camera
 from petmjx.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
 from petmjx.pictures.offscreen import Canvas
 from petmjx.pictures.options import Colour
-from petmjx.pictures.poses import Poses, corners, poses_of_frame, rotations, shaking_g, shift_mm, tilts_deg
+from petmjx.pictures.poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
 from petmjx.story import Story
 from petmjx.text import shown
 from petmjx.units import FloatArray
+from petmjx.world.scene import IDENTITY_QUAT
+from petmjx.world.turned import corners, rotations
 
 FLOOR: Final[Rgb] = (1.0, 1.0, 1.0)
 SHADOW: Final[Rgb] = (0.85, 0.86, 0.88)
@@ -91,8 +93,8 @@ class Painter:
         """(height, width, 3) pixels."""
         scene = self.story.scene
         half_size, turned = scene.half_size[: poses.n_placed], rotations(poses.quat)
-        centers, quats, half_sizes = scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
-        boards = list(zip(half_sizes, centers, rotations(quats), strict=True))
+        centers, turns, half_sizes = scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
+        boards = list(zip(half_sizes, centers, turns, strict=True))
         self.canvas.begin(camera)
         self._floor()
         visible = _far_to_near(poses, camera)
@@ -180,9 +182,9 @@ def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, 
 def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     """(k, 3) m, what a picture of these frames is to show: the planned load, the carrier, and boxes not too far off."""
     scene = story.scene
-    upright = np.tile([1.0, 0.0, 0.0, 0.0], (scene.n_boxes, 1))
+    upright = np.tile(np.eye(3), (scene.n_boxes, 1, 1))
     planned = corners(scene.target, upright, scene.half_size).reshape(-1, 3)
-    carrier = corners(*scene.carrier.shapes_at(scene.carrier.pos, upright[0])).reshape(-1, 3)
+    carrier = corners(*scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT))).reshape(-1, 3)
     load = np.concatenate((planned, carrier))
     low, high = load.min(axis=0), load.max(axis=0)
     if story.drive is not None:
@@ -192,7 +194,7 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     seen = [load]
     for frame in frames:
         poses = poses_of_frame(story.history, frame)
-        each = corners(poses.pos, poses.quat, scene.half_size[: poses.n_placed])
+        each = corners(poses.pos, rotations(poses.quat), scene.half_size[: poses.n_placed])
         near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
         moved = corners(*scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat))
         seen += [each[near].reshape(-1, 3), moved.reshape(-1, 3)]

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 from pydantic import BeforeValidator, Field
 
 from petmjx.checked import Checked, got, hint
-from petmjx.config import Flag, within
+from petmjx.config import CliFlag, within
 from petmjx.errors import InputError
 from petmjx.pictures.camera import VIEWS, view_of
 from petmjx.text import shown
@@ -117,34 +117,36 @@ class PictureOptions(Checked):
     at: Annotated[
         str | None,
         _checked_by(_moments),
-        Flag("--at", "TIMES", default="before,first-sign,end where a box fails, else end"),
+        CliFlag("--at", "TIMES", default="before,first-sign,end where a box fails, else end"),
     ] = Field(
         None,
         description="moments of a picture, with commas between: seconds, or start, before (the last placement before "
         "the first sign), first-sign, end; several are a row of pictures",
     )
-    view: Annotated[str, _checked_by(view_of), Flag("--view")] = Field(
+    view: Annotated[str, _checked_by(view_of), CliFlag("--view")] = Field(
         "iso",
         description=f"where it is seen from: {', '.join(VIEWS)}, or AZIMUTH/ELEVATION in degrees, 0/0 in front, 90/0 "
         "on the right",
     )
-    size: Annotated[str | None, _checked_by(size_of), Flag("--size", "WxH", default=_USUAL_SIZES)] = Field(
+    size: Annotated[str | None, _checked_by(size_of), CliFlag("--size", "WxH", default=_USUAL_SIZES)] = Field(
         None,
         description="width and height in pixels; of each picture, if several stand in a row",
     )
-    colour: Annotated[Colour, Flag("--colour")] = Field(
+    colour: Annotated[Colour, CliFlag("--colour")] = Field(
         Colour.ARTICLE,
         description="what colours mean: article, order, shift, tilt, force (on top), planned (where boxes should be)",
     )
-    arrows: Annotated[bool, Flag("--arrows")] = Field(
+    arrows: Annotated[bool, CliFlag("--arrows")] = Field(
         False, description="draw contact forces as arrows, in boxes that are transparent; engine mujoco"
     )
     speed: Annotated[
         float | None,
         within(0.01, 1000),
-        Flag("--speed", "X", default="1, or so much faster that a film lasts 20 s at most"),
+        CliFlag("--speed", "X", default="1, or so much faster that a film lasts 20 s at most"),
     ] = Field(
         None,
         description="of films, as a multiple of real time",
     )
-    fps: Annotated[float, within(1, 50), Flag("--fps", "N")] = Field(FILM_FPS, description="frames a second of films")
+    fps: Annotated[float, within(1, 50), CliFlag("--fps", "N")] = Field(
+        FILM_FPS, description="frames a second of films"
+    )

@@ -13,11 +13,12 @@ from petmjx.pages.palette import Rgb
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.pictures.draw import LEAST_LEVEL_G
-from petmjx.pictures.poses import Poses, corners, shaking_g
+from petmjx.pictures.poses import Poses, shaking_g
 from petmjx.show.story import headline
 from petmjx.story import Story
 from petmjx.text import counted, printable, three_digits
 from petmjx.units import FloatArray
+from petmjx.world.turned import corners, rotations
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -169,7 +170,7 @@ def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | No
     if not 0 <= box < poses.n_placed:
         return None
     alone = slice(box, box + 1)
-    points = corners(poses.pos[alone], poses.quat[alone], story.scene.half_size[alone])[0]
+    points = corners(poses.pos[alone], rotations(poses.quat[alone]), story.scene.half_size[alone])[0]
     if not ((points - camera.pos) @ camera.forward > 0).all():  # behind the camera, or nowhere
         return None
     return convex_hull(camera.project(points))

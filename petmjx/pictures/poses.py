@@ -144,23 +144,6 @@ def shaking_g(story: Story, poses: Poses) -> FloatArray:
     return np.asarray(story.history.drive[poses.frame] / unit)
 
 
-def corners(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(k, 8, 3) corners of boxes, m."""
-    signs = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(8, 3)
-    return np.asarray(pos[:, None] + np.einsum("kij,kcj->kci", rotations(quat), signs * half_size[:, None]))
-
-
-def rotations(quat: FloatArray) -> FloatArray:
-    """(k, 3, 3) rotation matrices of (k, 4) quaternions (w, x, y, z), which need not have length 1."""
-    w, x, y, z = quat.T / np.linalg.norm(quat, axis=1)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
 def _between(first: FloatArray, second: FloatArray, share: float) -> FloatArray:
     """Orientations between two, along the chord: for the small angles between two frames this is as good as the arc."""
     same_side = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)

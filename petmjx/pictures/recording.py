@@ -58,11 +58,11 @@ def _boxes(rr: Any, story: Story, colours: Colouring, poses: Poses) -> Any:
 
 
 def _carrier(rr: Any, story: Story, poses: Poses) -> Any:
-    centers, quats, half_sizes = story.scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
+    centers, _, half_sizes = story.scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
     return rr.Boxes3D(
         centers=centers,
         half_sizes=half_sizes,
-        quaternions=_as_xyzw(quats),
+        quaternions=_as_xyzw(np.tile(poses.carrier_quat, (len(centers), 1))),
         colors=[CARRIER],
         fill_mode="solid",
     )

@@ -15,10 +15,9 @@ from petmjx.pictures.camera import view_of
 from petmjx.pictures.colours import colouring
 from petmjx.pictures.options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.pictures.poses import moments
-from petmjx.results.files import why_unwritable
 from petmjx.story import Story
 from petmjx.text import one_line, printable
-from petmjx.whole import whole_file
+from petmjx.whole import check_writable, whole_file
 
 Progress = Callable[[int, int], None]
 """Called with the frames of a film that are done, and all of them."""
@@ -83,8 +82,7 @@ def check_files(paths: Sequence[Path]) -> None:
     for path in paths:
         if missing := _missing(kind_of(path)):
             raise InputError(f"{printable(str(path))}: {missing}")
-        if why := why_unwritable(path):
-            raise InputError(f"{printable(str(path))}: cannot be written: {printable(why)}")
+        check_writable(path)
     if len({path.absolute() for path in paths}) < len(paths):
         raise InputError("the same file is named twice")
 

@@ -28,7 +28,7 @@ _MOST_EXACT: Final = 2.0**53
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class InputColumn:
     """A column as it came.
 
     Attributes:
@@ -113,7 +113,7 @@ class Column:
         return names[np.asarray(coded.indices)], usable
 
 
-def as_column(values: Any, is_text: bool = False, decimal: str = ".") -> Column:
+def as_column(values: Any, is_text: bool = False, decimal: str = ".") -> InputColumn:
     """A column of a pandas series, a NumPy array, a list or an Arrow array.
 
     Numbers that are NaN are missing values in pandas, and so they are here.
@@ -124,14 +124,14 @@ def as_column(values: Any, is_text: bool = False, decimal: str = ".") -> Column:
         try:
             values = pa.array(values, from_pandas=True)
         except (pa.ArrowException, UnicodeError, OverflowError, TypeError, ValueError):
-            return Column(list(values), is_text, decimal)
+            return InputColumn(list(values), is_text, decimal)
         if isinstance(values, pa.ChunkedArray):
             values = values.combine_chunks()
     if pa.types.is_dictionary(values.type):
         values = values.dictionary_decode()
     if pa.types.is_string_view(values.type):
         values = pc.cast(values, pa.large_string())
-    return Column(values, is_text, decimal)
+    return InputColumn(values, is_text, decimal)
 
 
 def _is_number(kind: pa.DataType) -> bool:

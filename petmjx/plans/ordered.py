@@ -159,10 +159,10 @@ def _compare(plan: Plan, wanted: _Goods, lines: list[str] | None) -> Ordered:
     if missing:
         verb = "is" if ordered.left_out == 1 else "are"
         boxes = counted(ordered.ordered_boxes, "ordered box", "ordered boxes")
-        parts.append(f"{ordered.left_out:,} of {boxes} {verb} left out ({_named(missing)})")
+        parts.append(f"{ordered.left_out:,} of {boxes} {verb} left out ({_goods_in_words(missing)})")
     if extra:
         verb = "was" if ordered.not_ordered == 1 else "were"
-        parts.append(f"{counted(ordered.not_ordered, 'box', 'boxes')} {verb} not ordered ({_named(extra)})")
+        parts.append(f"{counted(ordered.not_ordered, 'box', 'boxes')} {verb} not ordered ({_goods_in_words(extra)})")
     if parts and lines is not None:
         _list(lines, f"plan {shown(plan.plan_id)}: {'; '.join(parts)}")
     return ordered
@@ -176,7 +176,7 @@ def _without_ids(goods: _Goods) -> _Goods:
     return found
 
 
-def _named(goods: _Goods) -> str:
+def _goods_in_words(goods: _Goods) -> str:
     """ "2 × bread-00105329, 1 × carton (77)": articles, with ids that they do not hold."""
     names = [
         f"{number:,} × {shown(article)}" + ("" if item_id in article else f" ({shown(item_id)})")

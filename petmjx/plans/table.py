@@ -16,7 +16,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from petmjx.errors import InputError
-from petmjx.plans.columns import Column
+from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
     coordinate_fault,
     missing_anywhere,
@@ -81,7 +81,7 @@ class Table:
         cut_off: whether the table ends too early, so that the last plan may lack rows.
     """
 
-    columns: Mapping[str, Column]
+    columns: Mapping[str, InputColumn]
     unread: Sequence[str]
     numbers: NDArray[np.int64]
     lost: Sequence[LostRow] = ()

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.plans.overlap import shared
 from petmjx.text import counted, shown, three_digits
 from petmjx.units import FloatArray
 
@@ -79,8 +80,8 @@ def check_layout(
             bounding box, so only boxes below its top are outside.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
-    side_by_side = _shared(low[0], high[0], tolerance_mm) & _shared(low[1], high[1], tolerance_mm)
-    overlapping = side_by_side & _shared(low[2], high[2], tolerance_mm)
+    side_by_side = (shared(low[0], high[0]) > tolerance_mm) & (shared(low[1], high[1]) > tolerance_mm)
+    overlapping = side_by_side & (shared(low[2], high[2]) > tolerance_mm)
     thick_enough = ((high - low) > tolerance_mm).all(axis=0)
     # The matrix is symmetric, and its diagonal says of each box whether it overlaps itself.
     n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(thick_enough)) // 2)
@@ -108,14 +109,8 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     tolerance = DEFAULT_TOLERANCE_MM
-    side_by_side = _shared(low[0], high[0], tolerance) & _shared(low[1], high[1], tolerance)
+    side_by_side = (shared(low[0], high[0]) > tolerance) & (shared(low[1], high[1]) > tolerance)
     return _gaps(low, high, side_by_side, tolerance, in_order)
-
-
-def _shared(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
-    """(n, n): whether two boxes share more than the tolerance along one axis."""
-    length = np.minimum.outer(high, high) - np.maximum.outer(low, low)
-    return length > tolerance_mm
 
 
 def _outside(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 
-class Column(NamedTuple):
+class KpiColumn(NamedTuple):
     """One column. ``pandas`` is the type in a data frame, which has nulls where ``missing`` says so."""
 
     name: str
@@ -15,34 +15,42 @@ class Column(NamedTuple):
     mean: bool = True
 
 
-def _text(name: str, meaning: str) -> Column:
-    return Column(name, "object", "", meaning, mean=False)
+def _text(name: str, meaning: str) -> KpiColumn:
+    return KpiColumn(name, "object", "", meaning, mean=False)
 
 
 COLUMNS: Final = (
     _text("plan_id", "id of the packing plan and of its order"),
     _text("target", "the order's target: euro-pallet 1200 × 800 mm, rollcontainer 800 × 700 mm"),
-    Column("n_ordered", "int64", "1", "boxes of the order"),
-    Column("n_boxes", "int64", "1", "boxes of the plan"),
-    Column("kpi_1", "float64", "1", "share of the ordered boxes that is left out"),
-    Column("kpi_2", "float64", "1", "volume of the boxes / (area of the target × greatest height)"),
-    Column("kpi_3", "float64", "m", "greatest height"),
-    Column("kpi_4", "float64", "1", "mean share of the base that lies on other boxes; 1 on the target"),
-    Column("kpi_5", "float64", "1", "share of the upper boxes that hold the pile together; null where there are none"),
-    Column("kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: not known"),
-    Column("eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"),
-    Column("eval_score_height", "float64", "m", "greatest height of boxes below 2.0 m, as BED-BPP reads it (1 mm low)"),
-    Column("eval_score_absolute_n_stable_pal_items", "Int64", "1", "kpi_6 × boxes that begin at or below 2.0 m"),
-    Column("n_pal_items", "int64", "1", "boxes that begin at or below 2.0 m"),
-    Column("height_below_2m_m", "float64", "m", "greatest height of boxes that end at or below 2.0 m"),
-    Column("volume_m3", "float64", "m^3", "volume of the boxes"),
-    Column(
+    KpiColumn("n_ordered", "int64", "1", "boxes of the order"),
+    KpiColumn("n_boxes", "int64", "1", "boxes of the plan"),
+    KpiColumn("kpi_1", "float64", "1", "share of the ordered boxes that is left out"),
+    KpiColumn("kpi_2", "float64", "1", "volume of the boxes / (area of the target × greatest height)"),
+    KpiColumn("kpi_3", "float64", "m", "greatest height"),
+    KpiColumn("kpi_4", "float64", "1", "mean share of the base that lies on other boxes; 1 on the target"),
+    KpiColumn(
+        "kpi_5", "float64", "1", "share of the upper boxes that hold the pile together; null where there are none"
+    ),
+    KpiColumn(
+        "kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: not known"
+    ),
+    KpiColumn(
+        "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
+    ),
+    KpiColumn(
+        "eval_score_height", "float64", "m", "greatest height of boxes below 2.0 m, as BED-BPP reads it (1 mm low)"
+    ),
+    KpiColumn("eval_score_absolute_n_stable_pal_items", "Int64", "1", "kpi_6 × boxes that begin at or below 2.0 m"),
+    KpiColumn("n_pal_items", "int64", "1", "boxes that begin at or below 2.0 m"),
+    KpiColumn("height_below_2m_m", "float64", "m", "greatest height of boxes that end at or below 2.0 m"),
+    KpiColumn("volume_m3", "float64", "m^3", "volume of the boxes"),
+    KpiColumn(
         "utilisation_2m", "float64", "1", "volume of boxes that end at or below 2.0 m / (area of the target × 2.0 m)"
     ),
     _text("verdict", "petmjx's verdict; null: not known"),
-    Column("stable", "Int64", "1", "1: the verdict is stable; null: not known, or invalid"),
-    Column("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
-    Column("n_stable_pal_items", "Int64", "1", "stable × boxes that begin at or below 2.0 m"),
+    KpiColumn("stable", "Int64", "1", "1: the verdict is stable; null: not known, or invalid"),
+    KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
+    KpiColumn("n_stable_pal_items", "Int64", "1", "stable × boxes that begin at or below 2.0 m"),
 )
 """First BED-BPP's own, then petmjx's."""
 

@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.rating.columns import COLUMNS, MEANS
 from petmjx.rating.kpis import Kpis
 from petmjx.results.files import csv, parquet, text, write_together
 from petmjx.text import printable
+from petmjx.whole import writing
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
 _SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdict", "rating_if_all_stood")
@@ -32,7 +32,7 @@ def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False) -> None:
     folder = Path(folder)
     workbook = _workbook(found) if xlsx else b""
     table = kpis_table(found)
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         summary = {**found.summary, "notes": found.notes, "skipped": found.skipped}
         files = {folder / "kpis.parquet": parquet(table), folder / "kpis.csv": csv(table)}
@@ -40,8 +40,6 @@ def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False) -> None:
         if xlsx:
             files[folder / "kpis.xlsx"] = lambda file: file.write(workbook)
         write_together(files)
-    except OSError as error:
-        raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
 
 
 def kpis_table(found: Kpis) -> pa.Table:

@@ -183,14 +183,14 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
             if number == 1:
                 names = row
             elif row:
-                yield f"row {number}", _named(name, number, names, row, delimiter)
+                yield f"row {number}", _cells(name, number, names, row, delimiter)
     except csv.Error as error:
         unclosed = "unexpected end of data" in str(error)
         why = "has a quotation mark that nothing closes" if unclosed else f"not CSV: {reason(error)}"
         raise InputError(f"{name}: row {number + 1}: {why}") from None
 
 
-def _named(name: str, number: int, names: Sequence[str], row: Sequence[str], delimiter: str) -> dict[str, Any]:
+def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], delimiter: str) -> dict[str, Any]:
     if len(row) != len(names):
         raise InputError(f"{name}: row {number}: has {len(row)} fields instead of {len(names)}")
     values = dict(zip(names, row, strict=True))

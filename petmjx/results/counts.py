@@ -12,11 +12,11 @@ import pyarrow as pa
 from petmjx.verdict import Flag, Reason, Verdict
 
 COUNTED: Final = ("verdict", "reason", "attempt", "flags")
-"""The columns of ``worlds`` that are counted, in the order of :meth:`Counts.add`."""
+"""The columns of ``worlds`` that are counted, in the order of :meth:`WorldCounts.add`."""
 
 
 @dataclass
-class Counts:
+class WorldCounts:
     """Worlds by verdict and reason, how many needed more than one attempt, and how many stable ones still moved."""
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)

@@ -59,7 +59,7 @@ def part_number(file: Path) -> int:
 
 def part_files(folder: Path, table: str) -> list[Path]:
     """The files of a table's parts, in order."""
-    return sorted(_named(folder / table, _PART), key=part_number)
+    return sorted(_own_files(folder / table, _PART), key=part_number)
 
 
 Write = Callable[[BinaryIO], object]
@@ -149,16 +149,6 @@ def digest_of(stream: BinaryIO) -> str:
     return digest.hexdigest()
 
 
-def why_unwritable(file: Path) -> str:
-    """Why a file cannot be written, as far as can be seen before it is tried; "" if nothing speaks against it."""
-    folder = file.parent
-    if file.is_dir():
-        return "is a folder"
-    if not folder.is_dir():
-        return f"{folder} is not a folder"
-    return "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
-
-
 def holds_run(folder: Path) -> bool:
     """Whether a folder has a run, or parts of one. The table ``plans`` alone is none: it comes before ``run.json``."""
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in TABLES if table != "plans")
@@ -191,11 +181,11 @@ def tidy(folder: Path) -> None:
         InputError: one of the run's files or folders is a link, which might lead anywhere.
     """
     for path in (folder / RUN_FILE, *(folder / table for table in TABLES)):
-        files = [file for file in (path, *_named(path, _PART), *_named(path, _TEMPORARY)) if file.is_symlink()]
+        files = [file for file in (path, *_own_files(path, _PART), *_own_files(path, _TEMPORARY)) if file.is_symlink()]
         if files:
             raise InputError(f"{files[0]}: is a link; petmjx writes and removes files of its own only")
     for place in (folder, *(folder / table for table in TABLES)):
-        for file in _named(place, _TEMPORARY):
+        for file in _own_files(place, _TEMPORARY):
             file.unlink()
 
 
@@ -212,7 +202,7 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
                 file.unlink()
 
 
-def _named(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
+def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
     """The files of a folder, if it is one, with names of petmjx's own."""
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
-from petmjx.results.counts import Counts
+from petmjx.results.counts import WorldCounts
 from petmjx.results.ordered import counts_block, orders_block
 from petmjx.results.schema import SCHEMA_VERSION, Param
 
@@ -66,7 +66,7 @@ class RunInfo:
         """Record a warning about the whole run."""
         self.warnings[message] = None
 
-    def entries(self, counts: Counts) -> dict[str, Any]:
+    def entries(self, counts: WorldCounts) -> dict[str, Any]:
         """What there is to say now.
 
         Args:

@@ -11,7 +11,6 @@ from typing import Any, Final
 import pandas as pd
 
 from petmjx.arguments import path_of
-from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
@@ -21,6 +20,7 @@ from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted, first_names, printable, shown
+from petmjx.whole import writing
 
 _MOST_NAMED: Final = 8
 """Articles that a note names."""
@@ -93,11 +93,9 @@ class Loads:
             InputError: the folder cannot be written.
         """
         folder = path_of(folder, "folder")
-        try:
+        with writing(folder):
             tables = (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS))
             write_described(folder, tables)
-        except OSError as error:
-            raise InputError(f"{printable(str(folder))}: cannot be written: {reason(error)}") from error
 
 
 def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans: PlanSource | None = None) -> Loads:

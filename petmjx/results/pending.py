@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
-from petmjx.results.counts import COUNTED, Counts
+from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.parts import Part
 
 
@@ -14,7 +14,7 @@ class Pending:
     """The part that is being collected, and what was written before it."""
 
     part: Part
-    counts: Counts = field(default_factory=Counts)
+    counts: WorldCounts = field(default_factory=WorldCounts)
     since_s: float = 0.0
     """When its first world came (monotonic clock). Time before that, such as for compiling, does not count."""
 

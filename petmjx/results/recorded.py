@@ -9,7 +9,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from petmjx.errors import InputError
-from petmjx.results.counts import COUNTED, Counts
+from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.listed import Parts
 
 _COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
@@ -49,9 +49,9 @@ class Recorded:
         row = self._rows.get(plan_id, {}).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
-    def counts(self) -> Counts:
+    def counts(self) -> WorldCounts:
         """How many worlds came to what."""
-        counts = Counts()
+        counts = WorldCounts()
         if self._table is not None:
             counts.add_worlds(self._table)
         return counts

@@ -10,7 +10,7 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.results.compare import BOX_KEY, FORCE_FLOOR_N, Comparison
-from petmjx.show.layout import Column, FittedTable, line, number
+from petmjx.show.layout import FittedTable, TableColumn, line, number
 from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
@@ -50,8 +50,8 @@ def comparison_tables(found: Comparison, max_rows: int = 40) -> Iterator[Rendera
 def _confusion_table(found: Comparison) -> FittedTable:
     share = number(found.agreement, ".2f", " %", 100.0)
     table = FittedTable(
-        Column("a ↓   b →", "left"),
-        *(Column(str(name)) for name in found.confusion.columns),
+        TableColumn("a ↓   b →", "left"),
+        *(TableColumn(str(name)) for name in found.confusion.columns),
         title=f"verdicts: {found.n_agree:,} of {counted(found.n_common, 'world')} agree ({share})",
     )
     for row, counts in found.confusion.iterrows():
@@ -68,12 +68,12 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
     if (flips[["verdict_a", "verdict_b"]] == Verdict.INVALID.value).any(axis=None):
         margins += [("lin_acc_margin_m_s2", "m/s²", 1.0), ("ang_acc_margin_rad_s2", "rad/s²", 1.0)]
     table = FittedTable(
-        Column("plan", "left", least=20, middle=True),
-        Column("variant"),
-        Column("run", "left"),
-        *(Column(header, "left") for header in ("verdict", "reason")),
-        Column("box"),
-        *(Column(header) for _, header, _ in margins),
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("variant"),
+        TableColumn("run", "left"),
+        *(TableColumn(header, "left") for header in ("verdict", "reason")),
+        TableColumn("box"),
+        *(TableColumn(header) for _, header, _ in margins),
         title=title,
     )
     signed = partial(number, sign=True)
@@ -96,16 +96,16 @@ def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[Fitted
     key = [column for column in BOX_KEY if column in differences]
     for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
         table = FittedTable(
-            Column("metric", "left"),
-            Column("n"),
-            Column("mean\nb - a", spare=1),
-            *(Column(header) for header in ("median", "95 %", "largest")),
-            Column("at " + "/".join(column.removesuffix("_id") for column in key), "left", least=8, middle=True),
-            *(Column(header, spare=2) for header in "ab"),
+            TableColumn("metric", "left"),
+            TableColumn("n"),
+            TableColumn("mean\nb - a", spare=1),
+            *(TableColumn(header) for header in ("median", "95 %", "largest")),
+            TableColumn("at " + "/".join(column.removesuffix("_id") for column in key), "left", least=8, middle=True),
+            *(TableColumn(header, spare=2) for header in "ab"),
             title=f"differences |b - a| of {what}, {group}",
         )
         for row in rows.to_dict("records"):
-            name, factor = _named(row)
+            name, factor = _name_and_factor(row)
             differs = row["largest"] > 0
             table.add(
                 name,
@@ -118,7 +118,7 @@ def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[Fitted
         yield table
 
 
-def _named(row: dict[str, Any]) -> tuple[str, float]:
+def _name_and_factor(row: dict[str, Any]) -> tuple[str, float]:
     """A metric's name with its unit, and the factor to this unit: per cent for relative differences."""
     metric, unit = row["metric"], row["unit"]
     if metric.endswith(" relative"):

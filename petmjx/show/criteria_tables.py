@@ -9,7 +9,7 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.metrics.spec import DIMENSIONLESS
-from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.statics.record import CriteriaResults
 from petmjx.text import counted, shown, three_digits
 
@@ -46,14 +46,14 @@ def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterato
 def _says_table(results: CriteriaResults) -> FittedTable:
     """How many plans and boxes each criterion accepts, and the plan with the least slack."""
     table = FittedTable(
-        Column("criterion", "left"),
-        Column("plans\naccepted"),
-        Column("%"),
-        Column("boxes\naccepted", spare=2),
-        Column("median\nslack", spare=3),
-        Column("least\nslack"),
-        Column("", "left"),
-        Column("in plan", "left", least=12, middle=True, spare=1),
+        TableColumn("criterion", "left"),
+        TableColumn("plans\naccepted"),
+        TableColumn("%"),
+        TableColumn("boxes\naccepted", spare=2),
+        TableColumn("median\nslack", spare=3),
+        TableColumn("least\nslack"),
+        TableColumn("", "left"),
+        TableColumn("in plan", "left", least=12, middle=True, spare=1),
         title="what the criteria say: a plan is accepted if all its boxes are stable at their placement",
     )
     for criterion in results.criteria:
@@ -81,15 +81,15 @@ def _judged_table(judged: pd.DataFrame) -> FittedTable:
         "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"
     )
     table = FittedTable(
-        Column("criterion", "left"),
-        Column("accepted\nstand", spare=1),
-        Column("accepted\nfall"),
-        Column("refused\nstand"),
-        Column("refused\nfall", spare=2),
-        Column("precision", "left", spare=5),
-        Column("recall", "left", spare=4),
-        Column("MCC", "left"),
-        Column("same\nfirst box", spare=3),
+        TableColumn("criterion", "left"),
+        TableColumn("accepted\nstand", spare=1),
+        TableColumn("accepted\nfall"),
+        TableColumn("refused\nstand"),
+        TableColumn("refused\nfall", spare=2),
+        TableColumn("precision", "left", spare=5),
+        TableColumn("recall", "left", spare=4),
+        TableColumn("MCC", "left"),
+        TableColumn("same\nfirst box", spare=3),
         title=f"judged by physics on {known}{alike}",
         caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
         "95 % intervals",
@@ -106,14 +106,14 @@ def _judged_table(judged: pd.DataFrame) -> FittedTable:
 
 def _thresholds_table(thresholds: pd.DataFrame) -> FittedTable:
     table = FittedTable(
-        Column("criterion", "left"),
-        Column("threshold"),
-        Column("published"),
-        Column("", "left"),
-        Column("MCC there", "left"),
-        Column("MCC as\npublished"),
-        Column("precision", "left", spare=2),
-        Column("recall", "left", spare=1),
+        TableColumn("criterion", "left"),
+        TableColumn("threshold"),
+        TableColumn("published"),
+        TableColumn("", "left"),
+        TableColumn("MCC there", "left"),
+        TableColumn("MCC as\npublished"),
+        TableColumn("precision", "left", spare=2),
+        TableColumn("recall", "left", spare=1),
         title=f"thresholds found on {int(thresholds['n_found_on'].max()):,} of the plans, judged on the other "
         f"{int(thresholds['n_plans'].max()):,}",
     )

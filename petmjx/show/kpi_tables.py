@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from petmjx.rating.kpis import Kpis
-from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS
 
 
@@ -31,18 +31,18 @@ def kpi_tables(found: Kpis, out: str | None = None) -> Iterator[RenderableType]:
 
 def _plans_table(found: Kpis) -> FittedTable:
     table = FittedTable(
-        Column("plan", "left", least=12, middle=True),
-        Column("boxes"),
-        Column("kpi 1\nleft out"),
-        Column("kpi 2\nuse"),
-        Column("kpi 3\nm"),
-        Column("kpi 4\nsupport"),
-        Column("kpi 5\nlocked"),
-        Column("kpi 6"),
-        Column("verdict", "left"),
-        Column("score\nratio", spare=1),
-        Column("score\nheight m", spare=2),
-        Column("below\n2 m", spare=3),
+        TableColumn("plan", "left", least=12, middle=True),
+        TableColumn("boxes"),
+        TableColumn("kpi 1\nleft out"),
+        TableColumn("kpi 2\nuse"),
+        TableColumn("kpi 3\nm"),
+        TableColumn("kpi 4\nsupport"),
+        TableColumn("kpi 5\nlocked"),
+        TableColumn("kpi 6"),
+        TableColumn("verdict", "left"),
+        TableColumn("score\nratio", spare=1),
+        TableColumn("score\nheight m", spare=2),
+        TableColumn("below\n2 m", spare=3),
     )
     for row in found.plans.to_dict("records"):
         table.add(
@@ -60,7 +60,7 @@ def _plans_table(found: Kpis) -> FittedTable:
 
 def _summary_table(found: Kpis) -> FittedTable:
     summary, means = found.summary, found.summary["means"]
-    table = FittedTable(Column("over all plans", "left"), Column(""), Column("", "left", least=20))
+    table = FittedTable(TableColumn("over all plans", "left"), TableColumn(""), TableColumn("", "left", least=20))
     table.add("plans", f"{summary['plans']:,}", f"of {summary['orders']:,} orders, {summary['ordered_boxes']:,} boxes")
     for name, form, meaning in (
         ("kpi_1", ".4f", "mean share left out"),

@@ -17,7 +17,7 @@ from petmjx.text import printable, three_digits
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a :class:`FittedTable`.
 
     Attributes:
@@ -42,7 +42,7 @@ class FittedTable:
     names them. Numbers are cut only if even the remaining columns do not fit.
     """
 
-    def __init__(self, *columns: Column, title: str = "", caption: str = "") -> None:
+    def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:
         self.columns = columns
         self.title = title
         self.caption = caption
@@ -77,7 +77,7 @@ class FittedTable:
         return max(cell_len(text) for text in texts)
 
 
-def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> dict[int, int]:
+def _fitted(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
     """Index of each column that is shown → its width. Remaining room goes to the narrowest cut columns."""
     least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
     kept = list(range(len(columns)))
@@ -97,7 +97,7 @@ def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> di
     return widths
 
 
-def _shortened(cell: str | Text, width: int, column: Column) -> Text:
+def _shortened(cell: str | Text, width: int, column: TableColumn) -> Text:
     text = cell if isinstance(cell, Text) else Text(cell)
     if column.least is None or cell_len(text.plain) <= width:
         return text

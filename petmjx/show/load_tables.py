@@ -9,7 +9,7 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.results.loads import Loads
-from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS
 from petmjx.text import counted
 
@@ -40,17 +40,17 @@ def _table(found: Loads) -> FittedTable:
     ranked = found.plans.sort_values(["max_load_share", "plan_id"], ascending=[False, True], na_position="last")
     title = f"the {FEW_ROWS} with the largest loads" if len(ranked) > FEW_ROWS else ""
     table = FittedTable(
-        Column("plan", "left", least=12, middle=True),
-        *([Column("variant")] if with_variants else []),
-        Column("verdict", "left"),
-        Column("overloaded", "left"),
-        Column("boxes"),
-        Column("over"),
-        Column("not\nknown", spare=2),
-        Column("largest\nload"),
-        Column("of box", "left", least=8, spare=1),
-        Column("rest\nforce N", spare=3),
-        Column("strength\nN", spare=4),
+        TableColumn("plan", "left", least=12, middle=True),
+        *([TableColumn("variant")] if with_variants else []),
+        TableColumn("verdict", "left"),
+        TableColumn("overloaded", "left"),
+        TableColumn("boxes"),
+        TableColumn("over"),
+        TableColumn("not\nknown", spare=2),
+        TableColumn("largest\nload"),
+        TableColumn("of box", "left", least=8, spare=1),
+        TableColumn("rest\nforce N", spare=3),
+        TableColumn("strength\nN", spare=4),
         title=title,
     )
     forces = found.boxes.set_index(["plan_id", "variant", "box"])[["rest_top_force_n", "strength_n"]]

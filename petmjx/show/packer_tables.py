@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
 from petmjx.packers.kpis import KPIS
 from petmjx.packers.load import MISSING
-from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.text import counted, shown
 
 LEAST_P: Final = 1e-4
@@ -67,15 +67,15 @@ def _packers_table(found: PackerComparison) -> FittedTable:
     whole = found.packers[found.packers["size"] == ALL_SIZES]
     left_out = _left_out(found)
     table = FittedTable(
-        Column("packer", "left", least=8, middle=True),
-        Column("stand"),
-        Column("share"),
-        Column(_interval_header(found)),
-        Column("boxes\nplaced", spare=2),
+        TableColumn("packer", "left", least=8, middle=True),
+        TableColumn("stand"),
+        TableColumn("share"),
+        TableColumn(_interval_header(found)),
+        TableColumn("boxes\nplaced", spare=2),
         *left_out,
-        Column("volume\nm³", spare=1),
-        Column("height\nm"),
-        Column("kpi_2"),
+        TableColumn("volume\nm³", spare=1),
+        TableColumn("height\nm"),
+        TableColumn("kpi_2"),
         title=f"{counted(int(whole['n'].iloc[0]), 'order')} compared; boxes, volume, height and kpi_2 are means",
     )
     for row in whole.to_dict("records"):
@@ -93,8 +93,8 @@ def _packers_table(found: PackerComparison) -> FittedTable:
 
 def _kpis_table(found: PackerComparison) -> FittedTable:
     whole = found.packers[found.packers["size"] == ALL_SIZES]
-    columns = [Column(name.replace("_2m", "\nbelow 2 m")) for name in KPIS]
-    table = FittedTable(Column("packer", "left", least=8, middle=True), *columns, title="KPIs of BED-BPP, means")
+    columns = [TableColumn(name.replace("_2m", "\nbelow 2 m")) for name in KPIS]
+    table = FittedTable(TableColumn("packer", "left", least=8, middle=True), *columns, title="KPIs of BED-BPP, means")
     for row in whole.to_dict("records"):
         table.add(row["packer"], *(number(row[name], ".4f") for name in KPIS))
     return table
@@ -105,15 +105,15 @@ def _pairs_table(found: PackerComparison) -> FittedTable:
     several = len(whole) > 1
     test = "p\nHolm" if several else "p\nMcNemar"
     table = FittedTable(
-        Column("a", "left", least=8, middle=True),
-        Column("b", "left", least=8, middle=True),
-        Column("both\nstand", spare=2),
-        Column("only\na"),
-        Column("only\nb"),
-        Column("neither", spare=1),
-        Column("b - a\npoints"),
-        Column(_interval_header(found)),
-        Column(test),
+        TableColumn("a", "left", least=8, middle=True),
+        TableColumn("b", "left", least=8, middle=True),
+        TableColumn("both\nstand", spare=2),
+        TableColumn("only\na"),
+        TableColumn("only\nb"),
+        TableColumn("neither", spare=1),
+        TableColumn("b - a\npoints"),
+        TableColumn(_interval_header(found)),
+        TableColumn(test),
         title="differences, in percentage points" + (f"; p corrected for {len(whole)} pairs" if several else ""),
     )
     for row in whole.to_dict("records"):
@@ -126,14 +126,14 @@ def _pairs_table(found: PackerComparison) -> FittedTable:
 def _sizes_table(found: PackerComparison, sized: pd.DataFrame) -> FittedTable:
     left_out = _left_out(found)
     table = FittedTable(
-        Column("boxes of\nthe order", "left"),
-        Column("packer", "left", least=8, middle=True),
-        Column("orders"),
-        Column("stand"),
-        Column("share"),
-        Column(_interval_header(found)),
+        TableColumn("boxes of\nthe order", "left"),
+        TableColumn("packer", "left", least=8, middle=True),
+        TableColumn("orders"),
+        TableColumn("stand"),
+        TableColumn("share"),
+        TableColumn(_interval_header(found)),
         *left_out,
-        Column("kpi_2"),
+        TableColumn("kpi_2"),
         title="by size of the order",
     )
     last = None
@@ -148,10 +148,10 @@ def _sizes_table(found: PackerComparison, sized: pd.DataFrame) -> FittedTable:
 def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
     several = len(reasons[["a", "b"]].drop_duplicates()) > 1
     table = FittedTable(
-        Column("lost by", "left", least=8, middle=True),
-        Column("won by", "left", least=8, middle=True),
-        Column("reason", "left"),
-        Column("orders"),
+        TableColumn("lost by", "left", least=8, middle=True),
+        TableColumn("won by", "left", least=8, middle=True),
+        TableColumn("reason", "left"),
+        TableColumn("orders"),
         title="orders that stand with one packer only" + (", for each two" if several else ""),
     )
     for row in reasons.to_dict("records"):
@@ -167,9 +167,9 @@ def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableT
         yield line(f"{shown(winner)} stands, {shown(loser)} does not: {ids}{more}")
 
 
-def _left_out(found: PackerComparison) -> list[Column]:
+def _left_out(found: PackerComparison) -> list[TableColumn]:
     """The column of boxes left out, if a run was compared with orders."""
-    return [Column("left\nout", spare=3)] if found.packers["left_out"].notna().any() else []
+    return [TableColumn("left\nout", spare=3)] if found.packers["left_out"].notna().any() else []
 
 
 def _interval_header(found: PackerComparison) -> str:

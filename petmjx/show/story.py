@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
-from petmjx.show.layout import Column, FittedTable, line, number
+from petmjx.show.layout import FittedTable, TableColumn, line, number
 from petmjx.story import Story
 from petmjx.text import counted, shown
 from petmjx.verdict import Flag, Verdict
@@ -136,15 +136,15 @@ def _boxes_table(story: Story) -> FittedTable:
     """The first box to fail and the most pressed ones, with their numbers."""
     boxes, plan = story.outcome.boxes, story.plan
     table = FittedTable(
-        Column("box"),
-        Column("article", "left", least=10, middle=True),
-        Column("", "left", spare=2),
-        Column("mass\nkg", spare=4),
-        Column("shift\nmm"),
-        Column("tilt\n°"),
-        Column("force on top\nlargest, N"),
-        Column("at rest\nN"),
-        Column("dropped\nat s", spare=1),
+        TableColumn("box"),
+        TableColumn("article", "left", least=10, middle=True),
+        TableColumn("", "left", spare=2),
+        TableColumn("mass\nkg", spare=4),
+        TableColumn("shift\nmm"),
+        TableColumn("tilt\n°"),
+        TableColumn("force on top\nlargest, N"),
+        TableColumn("at rest\nN"),
+        TableColumn("dropped\nat s", spare=1),
     )
     forces = np.nan_to_num(boxes.max_top_force_n[: story.outcome.n_placed])
     pressed = [int(box) for box in np.argsort(-forces, kind="stable")[:MOST_PRESSED]]

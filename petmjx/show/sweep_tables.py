@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from petmjx.show.layout import Column, FittedTable, number, percent
+from petmjx.show.layout import FittedTable, TableColumn, number, percent
 from petmjx.sweeps.shares import ALL_PLANS
 from petmjx.units import FloatArray
 
@@ -21,7 +21,7 @@ MAX_VALUES: Final = 50
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
-_PROFILE: Final = Column("profile", "left", least=11, middle=True)
+_PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
 
 def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
@@ -49,14 +49,14 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
     eumos, angle = "eumos_share" in shown, "smallest_fail_angle_deg" in shown
     drawn = bool(shown["low"].notna().any())
     table = FittedTable(
-        Column("axis", "left", least=13, middle=True),
-        Column("value", least=11, middle=True),
-        Column("worlds\njudged"),
-        Column("stand", spare=1),
-        Column("share"),
-        *([Column("draws", spare=2), Column("95 %")] if drawn else []),
-        *([Column("worlds\ntested"), Column("pass\nEUMOS")] if eumos else []),
-        *([Column("fails\nfrom")] if angle else []),
+        TableColumn("axis", "left", least=13, middle=True),
+        TableColumn("value", least=11, middle=True),
+        TableColumn("worlds\njudged"),
+        TableColumn("stand", spare=1),
+        TableColumn("share"),
+        *([TableColumn("draws", spare=2), TableColumn("95 %")] if drawn else []),
+        *([TableColumn("worlds\ntested"), TableColumn("pass\nEUMOS")] if eumos else []),
+        *([TableColumn("fails\nfrom")] if angle else []),
         caption=f"{len(shown) - MAX_VALUES:,} more in summary" if len(shown) > MAX_VALUES else "",
     )
     for row in shown.head(MAX_VALUES).to_dict("records"):
@@ -80,13 +80,13 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
     """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors."""
     tosses = bool(summary["coin_toss"].any())
     table = FittedTable(
-        Column("plan", "left", least=20, middle=True),
-        Column("nominal", "left"),
-        Column("margin", spare=2),
-        Column("stand"),
-        Column("share", spare=1),
-        Column("95 %"),
-        *([Column("", "left")] if tosses else []),
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("nominal", "left"),
+        TableColumn("margin", spare=2),
+        TableColumn("stand"),
+        TableColumn("share", spare=1),
+        TableColumn("95 %"),
+        *([TableColumn("", "left")] if tosses else []),
         title="worlds with errors",
     )
     for row in summary.to_dict("records"):
@@ -113,11 +113,11 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
     column, name = _largest(summary)
     table = FittedTable(
         _PROFILE,
-        Column("direction\n°"),
-        Column("searches"),
-        Column("stand\nat rest"),
-        Column("survive\nnone"),
-        *(Column(header, spare=int(q in (0.25, 0.75))) for header, q in _QUANTILES.items()),
+        TableColumn("direction\n°"),
+        TableColumn("searches"),
+        TableColumn("stand\nat rest"),
+        TableColumn("survive\nnone"),
+        *(TableColumn(header, spare=int(q in (0.25, 0.75))) for header, q in _QUANTILES.items()),
         title=f"largest {name} survived, where placements stand at rest",
     )
     for (profile, direction), part in summary.groupby(["profile", "direction_deg"], sort=True):
@@ -141,12 +141,12 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
     """One row per search: the largest level survived, and the box that fails first above it."""
     column, name = _largest(summary)
     table = FittedTable(
-        Column("plan", "left", least=20, middle=True),
+        TableColumn("plan", "left", least=20, middle=True),
         _PROFILE,
-        Column("direction\n°"),
-        Column(f"largest\n{name}"),
-        Column("fails", "left"),
-        Column("first box", "left", least=8),
+        TableColumn("direction\n°"),
+        TableColumn(f"largest\n{name}"),
+        TableColumn("fails", "left"),
+        TableColumn("first box", "left", least=8),
         caption="" if summary["monotone"].all() else "* a level above the smallest that failed was survived",
     )
     for row in summary.to_dict("records"):

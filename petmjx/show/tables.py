@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from petmjx.results.reader import RunResults, told_apart
-from petmjx.show.layout import Column, FittedTable, line, number, percent
+from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.orders import order_lines
 from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.sweeps.confidence import contradicted
@@ -66,12 +66,12 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
     against = "most worlds contradict the nominal verdict"
     for what, chosen in (("coin toss", summary["coin_toss"]), (against, contradicted(summary))):
         if chosen.any():
-            yield line(f"{what}: {_named(summary.loc[chosen, 'plan_id'].tolist())}", style="yellow")
+            yield line(f"{what}: {_listed(summary.loc[chosen, 'plan_id'].tolist())}", style="yellow")
     yield confidence_counts(results.info, summary)
     yield line(f"results in {results.path}")
 
 
-def _named(plan_ids: list[str]) -> str:
+def _listed(plan_ids: list[str]) -> str:
     """The first ``SHOWN_PLANS`` plans, and how many more there are."""
     more = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
     return ", ".join(map(shown, plan_ids[:SHOWN_PLANS])) + more
@@ -199,17 +199,17 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
         orders: its table ``plans``, if that says how many boxes are left out; they are one more column.
     """
     table = FittedTable(
-        Column("plan", "left", least=20, middle=True),
-        Column("boxes", spare=3),
-        *([] if orders is None else [Column("left\nout")]),
-        Column("verdict", "left"),
-        Column("reason", "left"),
-        Column("margin", spare=1),
-        Column("first box", "left", least=8, spare=2),
-        Column("at\ns", spare=4),
-        Column("shift\nmm"),
-        Column("tilt\n°"),
-        Column("rest\nforce N", spare=5),
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("boxes", spare=3),
+        *([] if orders is None else [TableColumn("left\nout")]),
+        TableColumn("verdict", "left"),
+        TableColumn("reason", "left"),
+        TableColumn("margin", spare=1),
+        TableColumn("first box", "left", least=8, spare=2),
+        TableColumn("at\ns", spare=4),
+        TableColumn("shift\nmm"),
+        TableColumn("tilt\n°"),
+        TableColumn("rest\nforce N", spare=5),
     )
     left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
     articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from petmjx.plans.plan import Plan
 from petmjx.statics.balance import NO_SLACK, balance_slack
 from petmjx.statics.base import corner_and_area_slack, corners_supported, support_share
-from petmjx.statics.contacts import Contacts, IntArray, find_contacts
+from petmjx.statics.contacts import IntArray, PlanContacts, find_contacts
 from petmjx.statics.friction import Friction
 from petmjx.statics.hulls import ON_EDGE_MM, Hulls, contact_hulls
 from petmjx.statics.load_polygon import load_polygon_slack
@@ -78,7 +78,7 @@ def _base_slacks(share: FloatArray, corners: IntArray) -> dict[str, FloatArray]:
     return slacks
 
 
-def _stack_slacks(contacts: Contacts, wanted: set[str], friction: Friction) -> dict[str, FloatArray]:
+def _stack_slacks(contacts: PlanContacts, wanted: set[str], friction: Friction) -> dict[str, FloatArray]:
     """Slacks of those other criteria that are wanted."""
     hulls = contact_hulls(contacts)
     slacks = {}
@@ -96,7 +96,7 @@ def _stack_slacks(contacts: Contacts, wanted: set[str], friction: Friction) -> d
     return slacks
 
 
-def _centre_slack(contacts: Contacts, hulls: Hulls) -> FloatArray:
+def _centre_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     return hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2])
 
 

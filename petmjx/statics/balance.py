@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.history import CARRIER
-from petmjx.statics.contacts import Contacts, IntArray, Sides, find_sides
+from petmjx.statics.contacts import IntArray, PlanContacts, Sides, find_sides
 from petmjx.statics.friction import Friction, friction_slack
 from petmjx.statics.hulls import Hulls
 from petmjx.statics.largest import Entries, even_share, largest_slack
@@ -45,7 +45,7 @@ NO_SLACK: Final = -1e-6
 
 
 def balance_slack(
-    contacts: Contacts, hulls: Hulls, friction: Friction, lean: bool = False
+    contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Slack of each box's structure just after its placement, without and with leaning on neighbours: twice (n,).
 
@@ -72,7 +72,7 @@ def balance_slack(
 class _Stack:
     """One way to balance a stack, placement by placement, until it fails."""
 
-    def __init__(self, contacts: Contacts, friction: Friction, sides: Sides | None = None) -> None:
+    def __init__(self, contacts: PlanContacts, friction: Friction, sides: Sides | None = None) -> None:
         self.slack = np.full(contacts.n_boxes, np.nan)
         self.balanced = True
         self._contacts, self._friction, self._sides = contacts, friction, sides
@@ -90,7 +90,7 @@ class _Stack:
 class _Structures:
     """The boxes placed so far that hang together, boxes on the carrier apart."""
 
-    def __init__(self, contacts: Contacts, hulls: Hulls) -> None:
+    def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts
         self._alone = _slack_alone(contacts, hulls)
         self._joined = np.arange(contacts.n_boxes)
@@ -116,7 +116,7 @@ class _Structures:
         return self._system.slack(np.flatnonzero(self.of(box)))
 
 
-def _slack_alone(contacts: Contacts, hulls: Hulls) -> FloatArray:
+def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     """(n,) slack of each box with nothing on it."""
     n = contacts.n_boxes
     middle = np.full((n, 2), np.nan)
@@ -134,7 +134,7 @@ class _VerticalSystem:
     two moments about its own centre, in mean weights and metres.
     """
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: PlanContacts) -> None:
         self._upper = contacts.upper
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)

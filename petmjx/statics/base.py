@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from petmjx.history import CARRIER
-from petmjx.statics.contacts import Contacts, IntArray, rectangle_corners
+from petmjx.statics.contacts import IntArray, PlanContacts, rectangle_corners
 from petmjx.units import FloatArray
 
 N_CORNERS = 4
 
 
-def support_share(contacts: Contacts) -> FloatArray:
+def support_share(contacts: PlanContacts) -> FloatArray:
     """(n,) borne area / base area; 0 for a box that lies on nothing.
 
     Where supports overlap each other, as in illegal plans, shared area counts once.
@@ -24,7 +24,7 @@ def support_share(contacts: Contacts) -> FloatArray:
     return np.minimum(share, 1.0)
 
 
-def _with_overlaps(contacts: Contacts) -> IntArray:
+def _with_overlaps(contacts: PlanContacts) -> IntArray:
     """Boxes of which two contact rectangles overlap."""
     if not (contacts.n_supports > 1).any():
         return np.zeros(0, dtype=np.int64)
@@ -35,14 +35,14 @@ def _with_overlaps(contacts: Contacts) -> IntArray:
     return np.unique(contacts.upper[np.triu(same, k=1).any(axis=1)])
 
 
-def _union_area(contacts: Contacts, box: int) -> float:
+def _union_area(contacts: PlanContacts, box: int) -> float:
     import shapely
 
     own = contacts.upper == box
     return float(shapely.union_all(shapely.box(*contacts.low_mm[own].T, *contacts.high_mm[own].T)).area)
 
 
-def corners_supported(contacts: Contacts) -> IntArray:
+def corners_supported(contacts: PlanContacts) -> IntArray:
     """(n,) how many of the four bottom corners lie on something, within the tolerance; edges count."""
     low = contacts.corner_mm[:, :2]
     own = rectangle_corners(low, low + contacts.size_mm[:, :2])[contacts.upper]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.history import CARRIER
+from petmjx.plans.overlap import meets, shared
 from petmjx.plans.plan import Plan
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.units import FloatArray
@@ -17,7 +18,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Contacts:
+class PlanContacts:
     """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
 
     A box lies on the carrier if its bottom is not above the carrier's top, and then with its whole base: the carrier is
@@ -97,7 +98,7 @@ def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
     return corners
 
 
-def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> Contacts:
+def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> PlanContacts:
     """What the boxes of a plan lie on.
 
     Args:
@@ -113,7 +114,7 @@ def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> Con
     upper, lower = upper[order], lower[order]
     # of the carrier: itself, so that the rectangle is the base
     other = np.where(lower == CARRIER, upper, lower)
-    return Contacts(
+    return PlanContacts(
         size_mm=plan.size_mm,
         corner_mm=plan.corner_mm,
         mass_kg=plan.mass_kg,
@@ -127,27 +128,21 @@ def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> Con
 
 def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
     """(n, n): whether the box of the column lies on that of the row."""
-    touching = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance_mm
+    touching = meets(low[:, 2], high[:, 2], tolerance_mm)
     for axis in range(2):
-        touching &= _overlap(low[:, axis], high[:, axis]) > tolerance_mm
+        touching &= shared(low[:, axis], high[:, axis]) > tolerance_mm
     return np.triu(touching, k=1)
 
 
-def _overlap(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(n, n) shared length along one axis; negative where apart."""
-    shared: FloatArray = np.minimum.outer(high, high) - np.maximum.outer(low, low)
-    return shared
-
-
-def find_sides(contacts: Contacts) -> Sides:
+def find_sides(contacts: PlanContacts) -> Sides:
     """Where the boxes of a plan touch side by side."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
     found = []
     for axis in range(2):
-        touching = np.abs(np.subtract.outer(high[:, axis], low[:, axis])) <= tolerance_mm
+        touching = meets(low[:, axis], high[:, axis], tolerance_mm)
         for across in (1 - axis, 2):
-            touching &= _overlap(low[:, across], high[:, across]) > tolerance_mm
+            touching &= shared(low[:, across], high[:, across]) > tolerance_mm
         first, second = np.nonzero(touching)
         found.append((first, second, np.full(len(first), axis)))
     first, second, axes = (np.concatenate(parts) for parts in zip(*found, strict=True))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.history import CARRIER
-from petmjx.statics.contacts import Contacts, IntArray, Sides
+from petmjx.statics.contacts import IntArray, PlanContacts, Sides
 from petmjx.statics.largest import Entries, even_share, largest_slack
 from petmjx.statics.wrenches import WRENCH, wrenches
 from petmjx.units import MM_PER_M, FloatArray
@@ -45,7 +45,7 @@ class _Points(NamedTuple):
 
 
 def friction_slack(
-    contacts: Contacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
+    contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
 ) -> float:
     """Slack of a structure with friction: as in ``petmjx.statics.balance``, but all that touches it is in balance, too.
 
@@ -88,7 +88,7 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
 
 
 def _hanging_together(
-    contacts: Contacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
+    contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
 ) -> NDArray[np.bool_]:
     """(n,) all placed boxes that touch the structure, or boxes that do, and so on."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
@@ -103,7 +103,7 @@ def _hanging_together(
 
 
 def _points(
-    contacts: Contacts,
+    contacts: PlanContacts,
     boxes: NDArray[np.bool_],
     structure: NDArray[np.bool_],
     friction: Friction,

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.statics.contacts import Contacts, IntArray
+from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.units import FloatArray
 
 ON_EDGE_MM: Final = 1e-6
@@ -58,7 +58,7 @@ class Hulls:
         return reach
 
 
-def contact_hulls(contacts: Contacts) -> Hulls:
+def contact_hulls(contacts: PlanContacts) -> Hulls:
     """The hulls of the areas on which each box lies. Boxes on one rectangle alone have that one."""
     single = contacts.n_supports == 1
     several = np.flatnonzero(contacts.n_supports > 1)

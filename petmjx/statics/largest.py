@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.errors import PetmjxError
-from petmjx.statics.contacts import Contacts, IntArray
+from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.units import FloatArray
 
 _INFEASIBLE: Final = 2
@@ -26,7 +26,7 @@ class Entries(NamedTuple):
     column: IntArray
 
 
-def even_share(contacts: Contacts, weight: FloatArray) -> FloatArray:
+def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
     """(c,) what each corner of a contact is asked to carry per slack: the box's weight over its number of corners."""
     share: FloatArray = weight[contacts.upper] / (4 * contacts.n_supports[contacts.upper])
     return share

@@ -13,18 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.history import CARRIER
-from petmjx.statics.contacts import Contacts, IntArray
+from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.statics.hulls import hulls_of
 from petmjx.units import FloatArray
 
 
-def load_polygon_slack(contacts: Contacts) -> FloatArray:
+def load_polygon_slack(contacts: PlanContacts) -> FloatArray:
     """(n,) how far each box's centre is inside its polygon's edge, mm; negative outside, NaN without a polygon."""
     polygons = load_polygons(contacts)
     return hulls_of(polygons).distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2])
 
 
-def load_polygons(contacts: Contacts) -> NDArray[np.object_]:
+def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
     """(n,) the polygons as shapely's; empty for a box that lies on nothing that bears.
 
     Boxes are worked through level by level: all those at once whose supports have their polygons.
@@ -43,7 +43,7 @@ def load_polygons(contacts: Contacts) -> NDArray[np.object_]:
     return polygons
 
 
-def _levels(contacts: Contacts) -> IntArray:
+def _levels(contacts: PlanContacts) -> IntArray:
     """(n,) 0 for boxes on the carrier alone, else one more than the highest level of their supports."""
     level = np.zeros(contacts.n_boxes, dtype=np.int64)
     for upper, lower in zip(contacts.upper.tolist(), contacts.lower.tolist(), strict=True):

@@ -24,16 +24,16 @@ from collections.abc import Callable
 import numpy as np
 
 from petmjx.history import CARRIER
-from petmjx.statics.contacts import Contacts, IntArray
+from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.statics.hulls import Hulls
 from petmjx.units import FloatArray
 
-Sharing = Callable[[Contacts], FloatArray]
+Sharing = Callable[[PlanContacts], FloatArray]
 """From contacts to (c, 3, 3) matrices: load of the upper box (mass, mass × x, mass × y) → that on the lower body, kg
 and kg·mm."""
 
 
-def load_slack(contacts: Contacts, hulls: Hulls, sharing: Sharing) -> FloatArray:
+def load_slack(contacts: PlanContacts, hulls: Hulls, sharing: Sharing) -> FloatArray:
     """(n,) how far resultants are inside the edges of the contact hulls after each box's placement, mm.
 
     It is the least of the box's own and of those of all boxes that bear part of it. NaN where one of these lies on
@@ -53,7 +53,7 @@ def load_slack(contacts: Contacts, hulls: Hulls, sharing: Sharing) -> FloatArray
     return slack
 
 
-def _passed_down(contacts: Contacts, sharing: Sharing) -> FloatArray:
+def _passed_down(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
     """(n, n, 3): what box j (row) bears of the weight of box m (column), as (kg, kg·mm, kg·mm); its own included."""
     n = contacts.n_boxes
     on_box = np.zeros((n, n, 3))
@@ -68,7 +68,7 @@ def _passed_down(contacts: Contacts, sharing: Sharing) -> FloatArray:
     return on_box
 
 
-def lever_rule(contacts: Contacts) -> FloatArray:
+def lever_rule(contacts: PlanContacts) -> FloatArray:
     """(c, 3, 3): a force at the middle of each contact area."""
     upper, n = contacts.upper, contacts.n_boxes
     middle = (contacts.low_mm + contacts.high_mm) / 2
@@ -84,7 +84,7 @@ def lever_rule(contacts: Contacts) -> FloatArray:
     return share
 
 
-def even_bedding(contacts: Contacts) -> FloatArray:
+def even_bedding(contacts: PlanContacts) -> FloatArray:
     """(c, 3, 3): pressure that varies linearly over all contact areas of the box above."""
     upper = contacts.upper
     # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from petmjx.checked import Checked
-from petmjx.config import PHYSICS, Flag, within
+from petmjx.config import PHYSICS, CliFlag, within
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.statics.named import Criterion, chosen_criteria
 
@@ -15,18 +15,18 @@ from petmjx.statics.named import Criterion, chosen_criteria
 class CriteriaOptions(Checked):
     """What the criteria depend on, and how they are worked out."""
 
-    friction: Annotated[float, within(0, 10), Flag("--friction", "MU")] = Field(
+    friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
         PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
     )
-    side_friction: Annotated[float, within(0, 10), Flag("--side-friction", "MU")] = Field(
+    side_friction: Annotated[float, within(0, 10), CliFlag("--side-friction", "MU")] = Field(
         0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
     )
-    tolerance_mm: Annotated[float, within(0, 100), Flag("--tolerance-mm", "MM")] = Field(
+    tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
         DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
     )
     only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
     processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
-    seed: Annotated[int, within(0, 2**63 - 1), Flag("--seed", "SEED")] = Field(
+    seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
         0, description="of the halves of the plans and of the bootstrap"
     )
 

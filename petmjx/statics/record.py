@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.checked import reason
 from petmjx.errors import InputError
 from petmjx.results.described import Described, write_described
 from petmjx.results.files import text
@@ -23,6 +22,7 @@ from petmjx.statics.tables import (
     described_thresholds,
 )
 from petmjx.text import counted
+from petmjx.whole import writing
 
 INFO_FILE: Final = "criteria.json"
 
@@ -71,12 +71,10 @@ class CriteriaResults:
             InputError: the folder holds such files already and ``overwrite`` is not set, or cannot be written.
         """
         folder = Path(folder)
-        check_free(folder, overwrite)
-        try:
+        check_folder_free(folder, overwrite)
+        with writing(folder):
             info = text(json.dumps(plain(self.info), indent=2, allow_nan=False))
             write_described(folder, self._tables(), {INFO_FILE: info})
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written: {reason(error)}") from None
 
     def _tables(self) -> Iterator[tuple[str, pd.DataFrame, Described]]:
         yield "boxes", self.boxes, described_boxes(self.criteria)
@@ -87,7 +85,7 @@ class CriteriaResults:
             yield "thresholds", self.thresholds, described_thresholds()
 
 
-def check_free(folder: Path, overwrite: bool) -> None:
+def check_folder_free(folder: Path, overwrite: bool) -> None:
     """Refuse, before minutes of work, a folder that holds criteria already and may not be replaced, or a file.
 
     Raises:

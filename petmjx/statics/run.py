@@ -22,7 +22,7 @@ from petmjx.statics.answers import Answers, answer
 from petmjx.statics.friction import Friction
 from petmjx.statics.judged import best_thresholds, judge
 from petmjx.statics.options import CriteriaOptions
-from petmjx.statics.record import CriteriaResults, check_free
+from petmjx.statics.record import CriteriaResults, check_folder_free
 from petmjx.statics.tables import boxes_frame, plans_frame
 from petmjx.text import counted, shown
 from petmjx.units import PLAN_UNITS
@@ -70,7 +70,7 @@ def criteria(
     _need_packers()
     if out is not None:
         out = path_of(out, "out")
-        check_free(out, overwrite)
+        check_folder_free(out, overwrite)
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
     found = gather_plans(plans, Simulation(), read)
     warn(found.conventions)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from petmjx.config import Physics
 from petmjx.history import CARRIER
-from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.statics.contacts import IntArray
-from petmjx.units import MM_PER_M, FloatArray
+from petmjx.units import FloatArray
+from petmjx.world.bearing import TOUCH_M
 from petmjx.world.scene import Scene
 
-LYING_GAP_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
+LYING_GAP_M: Final = TOUCH_M
 """Gap up to which a box lies on another one, as in the criteria. Which of three supports of one height bears is a
 matter of micrometres, which no two simulators and no two pallets share."""
 

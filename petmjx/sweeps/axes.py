@@ -21,7 +21,7 @@ from pydantic import (
 from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, got, shape
 from petmjx.config import within
 from petmjx.world.random import WorldKey
-from petmjx.world.variants import Distribution, Shape
+from petmjx.world.variants import Distribution, DistributionShape
 
 MAX_AXIS_VALUES: Final = 100_000
 """Most values of one axis: a range with a typing error in its step must not fill the memory."""
@@ -183,7 +183,7 @@ class _Normal(Checked):
     sd: Spread = Field(description="standard deviation")
 
     def made(self) -> Distribution:
-        return Distribution(Shape.NORMAL, self.mean, self.sd)
+        return Distribution(DistributionShape.NORMAL, self.mean, self.sd)
 
 
 class _Uniform(Checked):
@@ -198,7 +198,7 @@ class _Uniform(Checked):
         return self
 
     def made(self) -> Distribution:
-        return Distribution(Shape.UNIFORM, (self.low + self.high) / 2, (self.high - self.low) / 2)
+        return Distribution(DistributionShape.UNIFORM, (self.low + self.high) / 2, (self.high - self.low) / 2)
 
 
 class _Fixed(Checked):
@@ -206,7 +206,7 @@ class _Fixed(Checked):
     value: Error = Field(description="the error itself")
 
     def made(self) -> Distribution:
-        return Distribution(Shape.FIXED, self.value)
+        return Distribution(DistributionShape.FIXED, self.value)
 
 
 _Table = Annotated[
@@ -215,8 +215,8 @@ _Table = Annotated[
     AfterValidator(lambda table: table.made()),
     Tag(TABLE),
 ]
-_Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(Shape.NORMAL, 0.0, sd)), Tag(VALUE)]
-_Height = Annotated[Spread, AfterValidator(lambda height: Distribution(Shape.FIXED, height)), Tag(VALUE)]
+_Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(DistributionShape.NORMAL, 0.0, sd)), Tag(VALUE)]
+_Height = Annotated[Spread, AfterValidator(lambda height: Distribution(DistributionShape.FIXED, height)), Tag(VALUE)]
 Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
 """Distributions; a plain number is the standard deviation of a normal one around 0."""
 Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
@@ -260,7 +260,7 @@ class AxisKind:
     meaning: str
     changes: tuple[str, ...] = ()
     suffix: str = ""
-    plain: Shape = Shape.NORMAL
+    plain: DistributionShape = DistributionShape.NORMAL
 
     @property
     def column(self) -> str:
@@ -300,7 +300,12 @@ AXIS_KINDS: Final = {
         AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone", ("y_mm",)),
         AxisKind("yaw_error_deg", "deg", YawErrors, "turn of each box about the vertical", ("yaw_deg",)),
         AxisKind(
-            "drop_height_mm", "mm", Heights, "height of release above the place", ("drop_height_mm",), plain=Shape.FIXED
+            "drop_height_mm",
+            "mm",
+            Heights,
+            "height of release above the place",
+            ("drop_height_mm",),
+            plain=DistributionShape.FIXED,
         ),
     )
 }
@@ -352,7 +357,7 @@ class Axis:
         """The plain number that a sweep file can have for a value; None if it needs a table."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
-        if value.shape is Shape.FIXED:
+        if value.shape is DistributionShape.FIXED:
             return value.centre
         return value.spread if value.centre == 0 else None
 

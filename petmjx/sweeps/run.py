@@ -256,7 +256,7 @@ class SweepRun:
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
-            final = world.settled.shaken(outcome)
+            final = world.settled.shaken(outcome, self.sim.thresholds)
             swept = SweptWorld(
                 world.plan, world.change, world.job.scene, final, result.attempts, world.settled, driven=True
             )

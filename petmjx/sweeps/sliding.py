@@ -13,7 +13,7 @@ from petmjx.sweeps.file import Sweep
 from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import ACCELERATION
 from petmjx.world.profiles.acceleration import Tilt
-from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, Shape
+from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
 
 RANGE_POINTS = 9
 """Values looked at on an axis whose values are drawn from a range."""
@@ -115,7 +115,7 @@ def _friction_errors(sweep: Sweep) -> list[Distribution]:
 
 def _largest(error: Distribution) -> float:
     """The largest error that is looked at."""
-    return error.centre + (LARGEST_SD if error.shape is Shape.NORMAL else 1.0) * error.spread
+    return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:

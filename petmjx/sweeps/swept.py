@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from petmjx.config import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup
 from petmjx.sweeps.search import Found, Probe
-from petmjx.verdict import Attempt, Flag, Outcome, Verdict
+from petmjx.verdict import Attempt, Flag, Outcome, Verdict, judge
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
@@ -22,13 +23,20 @@ class Settled:
     outcome: Outcome
     attempts: tuple[Attempt, ...]
 
-    def shaken(self, outcome: Outcome) -> Outcome:
-        """What a fork came to. What did not stand before it was shaken has not passed, even if it ends where the plan
-        has it. Its history begins with that of the placement."""
+    def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
+        """What a fork came to, judged with its placement. Its history begins with that of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
-            kept = {name: getattr(placed, name) for name in ("verdict", "reason", "culprit", "first_sign_s")}
-            outcome = replace(outcome, margin=min(outcome.margin, placed.margin), **kept)
+            found = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
+            verdict, reason = judge(*found, placement=(placed.verdict, placed.reason))
+            outcome = replace(
+                outcome,
+                verdict=verdict,
+                reason=reason,
+                culprit=placed.culprit,
+                first_sign_s=placed.first_sign_s,
+                margin=min(outcome.margin, placed.margin),
+            )
         if outcome.history is None or placed.history is None:
             return outcome
         return replace(outcome, history=placed.history.then(outcome.history))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.history import CARRIER
+from petmjx.plans.overlap import meets
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.units import MM_PER_M, FloatArray
 from petmjx.world.scene import Scene
@@ -154,7 +155,7 @@ def find_bearing(scene: Scene) -> Bearing:
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     carrier_low, carrier_high = scene.carrier.low[:2], scene.carrier.high[:2]
-    touching = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= TOUCH_M
+    touching = meets(low[:, 2], high[:, 2], TOUCH_M)
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     on_carrier = np.flatnonzero(low[:, 2] <= TOUCH_M)

@@ -14,17 +14,10 @@ from numpy.typing import NDArray
 
 from petmjx.config import Triple
 from petmjx.units import FloatArray
+from petmjx.world.turned import rotations
 
 _ASKEW: Final = 1e-6
 """Largest product of inertia, as a share of the largest second moment, that is taken for rounding."""
-
-
-def turned(quat: FloatArray, vector: FloatArray) -> FloatArray:
-    """(…, 3) vectors turned by (…, 4) quaternions (w, x, y, z) of any length but zero."""
-    axis, w = quat[..., 1:], quat[..., :1]
-    twice = 2 * np.cross(axis, vector) / (quat**2).sum(axis=-1, keepdims=True)
-    found: FloatArray = vector + w * twice + np.cross(axis, twice)
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +68,9 @@ class Body:
         return cls(pos, float(mass.sum()), half_size, place, friction, np.sqrt(3 * second / mass.sum()))
 
     def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(s, 3) centres, (s, 4) orientations and (s, 3) half extents of its shapes when the body is at this pose."""
-        quats = np.tile(quat, (len(self.half_size), 1))
-        return pos + turned(quats, self.shape_pos), quats, self.half_size
+        """(s, 3) centres, (s, 3, 3) rotations and (s, 3) half extents of its shapes when the body is at this pose."""
+        turns = np.tile(rotations(quat[None]), (len(self.half_size), 1, 1))
+        return pos + np.einsum("sij,sj->si", turns, self.shape_pos), turns, self.half_size
 
     @property
     def boards(self) -> FloatArray:

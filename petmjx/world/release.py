@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Check, Simulation
 from petmjx.history import CARRIER
+from petmjx.plans.overlap import meets, shared
 from petmjx.units import FloatArray
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE, cone_factor, depth_m
@@ -71,8 +72,7 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
 def _supports(scene: Scene) -> NDArray[np.intp]:
     """(n,) what each box lies on by the planned places, or most of it."""
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    shared = np.minimum(high[:, None, :2], high[None, :, :2]) - np.maximum(low[:, None, :2], low[None, :, :2])
-    area = np.maximum(shared, 0.0).prod(axis=-1)
-    area *= np.triu(np.abs(high[:, None, 2] - low[None, :, 2]) <= TOUCH_M, k=1)
+    length, width = (np.maximum(shared(low[:, axis], high[:, axis]), 0.0) for axis in range(2))
+    area = length * width * np.triu(meets(low[:, 2], high[:, 2], TOUCH_M), k=1)
     found = np.where(area.any(axis=0), area.argmax(axis=0), NOTHING)
     return np.where(low[:, 2] <= TOUCH_M, CARRIER, found)

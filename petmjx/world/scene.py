@@ -16,7 +16,8 @@ from petmjx.config import CARRIER_EXTENT_M, Simulation, Triple
 from petmjx.history import CARRIER
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
-from petmjx.world.body import Body, Shapes, turned
+from petmjx.world.body import Body, Shapes
+from petmjx.world.turned import turned
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 

@@ -38,7 +38,7 @@ other's planned bottom: the other one is then set down on it. A box that is high
 _SAME_HEIGHT_M = 1e-9
 
 
-class Shape(StrEnum):
+class DistributionShape(StrEnum):
     """Family of a distribution."""
 
     FIXED = "fixed"
@@ -54,13 +54,13 @@ class Distribution:
     ``uniform``: from ``centre − spread`` to ``centre + spread``.
     """
 
-    shape: Shape = Shape.FIXED
+    shape: DistributionShape = DistributionShape.FIXED
     centre: float = 0.0
     spread: float = 0.0
 
     @property
     def random(self) -> bool:
-        return self.shape is not Shape.FIXED and self.spread > 0
+        return self.shape is not DistributionShape.FIXED and self.spread > 0
 
     @property
     def zero(self) -> bool:
@@ -69,9 +69,9 @@ class Distribution:
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
         """Samples. Standard numbers are drawn and then scaled. So with the same generator, twice the spread gives each
         box twice the error, and levels of a sweep can be compared pair by pair."""
-        if self.shape is Shape.NORMAL:
+        if self.shape is DistributionShape.NORMAL:
             return self.centre + self.spread * rng.standard_normal(shape)
-        if self.shape is Shape.UNIFORM:
+        if self.shape is DistributionShape.UNIFORM:
             return self.centre + self.spread * (2.0 * rng.random(shape) - 1.0)
         return np.full(shape, self.centre)
 
@@ -79,9 +79,9 @@ class Distribution:
         """Its text in the results, if the axis has distributions of several shapes."""
         if self.zero:
             return "0"
-        if self.shape is Shape.FIXED:
+        if self.shape is DistributionShape.FIXED:
             return f"fixed({self.centre:g})"
-        if self.shape is Shape.NORMAL:
+        if self.shape is DistributionShape.NORMAL:
             return f"normal({self.centre:g}, {self.spread:g})"
         return f"uniform({self.centre - self.spread:g}, {self.centre + self.spread:g})"
 

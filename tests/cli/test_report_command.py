@@ -31,7 +31,7 @@ def test_a_page_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> 
         ((".",), "no run of petmjx there"),
         (("run", "run"), "run: named twice"),
         (("run", "-o", "plans.json"), "plans.json: exists already"),
-        (("run", "-o", "run"), "run: is a folder"),
+        (("run", "-o", "run"), "run: cannot be written: is a folder"),
         (("run", "-o", "no/it.html"), "no/it.html: cannot be written: no is not a folder"),
         (("run", "--plans", "gone.json"), "gone.json: no such file or folder"),
     ],

@@ -27,7 +27,7 @@ from support.command_line import (
 )
 
 from petmjx.checked import Checked
-from petmjx.config import Flag, Simulation, Thresholds
+from petmjx.config import CliFlag, Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
@@ -378,7 +378,7 @@ def test_every_command_explains_itself(
 
 
 def flags_of(record: type[Checked]) -> list[str]:
-    found = [entry for info in record.model_fields.values() for entry in info.metadata if isinstance(entry, Flag)]
+    found = [entry for info in record.model_fields.values() for entry in info.metadata if isinstance(entry, CliFlag)]
     return [flag.name.partition("/")[0] for flag in found]
 
 

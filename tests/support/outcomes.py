@@ -33,7 +33,7 @@ def make_boxes(n: int = 3, **changes: Any) -> BoxMetrics:
         "pos": np.stack([k, k, k], axis=1),
         "quat": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
     }
-    return BoxMetrics(**metrics | changes)
+    return BoxMetrics.measured(n, **metrics | changes)
 
 
 def make_outcome(

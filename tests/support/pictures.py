@@ -76,17 +76,12 @@ def falling_story(plan_id: str = "tower", contacts: bool = True) -> Story:
         drive=np.zeros((21, 3)),
         contacts=touching if contacts else None,
     )
-    none = np.full(3, np.nan)
-    boxes = BoxMetrics(
+    boxes = BoxMetrics.measured(
+        3,
         shift_m=pos[-1] - scene.target,
         max_tilt_deg=np.array([0.0, 0.0, 90.0]),
-        max_lin_acc=none,
-        max_ang_acc=none,
         max_top_force_n=np.array([19.62, 0.0, 0.0]),
         rest_top_force_n=np.array([19.62, 0.0, 0.0]),
-        dropped=np.zeros(3, dtype=bool),
-        drop_s=none,
-        max_sway_m=none,
         pos=pos[-1],
         quat=quat[-1],
     )

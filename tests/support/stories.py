@@ -149,7 +149,8 @@ def _contacts(n_placed: Any) -> Contacts:
 def _outcome(scene: Scene, history: History) -> Outcome:
     n = scene.n_boxes
     dropped = np.arange(n) == FALLING
-    boxes = BoxMetrics(
+    boxes = BoxMetrics.measured(
+        n,
         shift_m=history.pos[-1] - scene.target,
         max_tilt_deg=np.where(dropped, np.degrees(TURN_RAD_S * (END_S - FALLS_FROM_S)), 0.0),
         max_lin_acc=np.zeros(n),
@@ -158,7 +159,6 @@ def _outcome(scene: Scene, history: History) -> Outcome:
         rest_top_force_n=np.where(np.arange(n) == 0, 58.9, 0.0),
         dropped=dropped,
         drop_s=np.where(dropped, END_S, np.nan),
-        max_sway_m=np.full(n, np.nan),
         pos=history.pos[-1],
         quat=history.quat[-1],
     )

@@ -17,7 +17,8 @@ from petmjx.pictures.draw import forces_of_pairs, framed_points, newtons_per_m
 from petmjx.pictures.film import film_times, usual_speed
 from petmjx.pictures.options import Colour, PictureOptions, size_of
 from petmjx.pictures.overlay import convex_hull, first_outline
-from petmjx.pictures.poses import corners, moments, nearest_frame, poses_at, poses_of_frame
+from petmjx.pictures.poses import moments, nearest_frame, poses_at, poses_of_frame
+from petmjx.world.turned import corners, rotations
 
 STORY = falling_story()
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
@@ -183,6 +184,7 @@ def test_the_outline_is_of_the_first_box_once_it_is_placed() -> None:
     outline = first_outline(STORY, poses_of_frame(STORY.history, 20), camera)
     assert outline is not None
     box = slice(2, 3)
-    seen = camera.project(corners(STORY.history.pos[20, box], STORY.history.quat[20, box], np.full((1, 3), 0.1))[0])
+    turned = rotations(STORY.history.quat[20, box])
+    seen = camera.project(corners(STORY.history.pos[20, box], turned, np.full((1, 3), 0.1))[0])
     assert outline.min(axis=0) == pytest.approx(seen.min(axis=0))
     assert first_outline(standing_story(STORY), poses_of_frame(STORY.history, 20), camera) is None

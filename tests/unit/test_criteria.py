@@ -19,7 +19,7 @@ from petmjx.history import CARRIER
 from petmjx.statics.answers import NO, NOT_ASKED, YES, Answers, answer
 from petmjx.statics.balance import _slack_alone, _VerticalSystem, balance_slack
 from petmjx.statics.base import support_share
-from petmjx.statics.contacts import Contacts, find_contacts, find_sides
+from petmjx.statics.contacts import PlanContacts, find_contacts, find_sides
 from petmjx.statics.friction import Friction
 from petmjx.statics.hulls import contact_hulls
 from petmjx.statics.load_polygon import load_polygons
@@ -349,6 +349,6 @@ def test_answers_do_not_depend_on_where_the_plan_is() -> None:
 
 
 def test_contacts_are_in_the_order_of_the_boxes_above() -> None:
-    contacts: Contacts = find_contacts(make_plan(boxes=random_stack(np.random.default_rng(5), 20)))
+    contacts: PlanContacts = find_contacts(make_plan(boxes=random_stack(np.random.default_rng(5), 20)))
     assert all(first <= second for first, second in pairwise(contacts.upper.tolist()))
     assert (contacts.lower < contacts.upper).all()

@@ -76,10 +76,11 @@ def docstrings_and_comments(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def all_texts() -> Iterator[tuple[str, str]]:
-    """(where, line) of documents, docstrings and comments."""
+    """(where, line) of documents, docstrings and comments. What a diff adds is not there yet."""
     for document in DOCUMENTS:
         for number, line in lines_of(document.read_text(encoding="utf-8")):
-            yield f"{relative(document)}:{number}", line
+            if not line.startswith("+"):
+                yield f"{relative(document)}:{number}", line
     for source in SOURCES:
         for number, line in docstrings_and_comments(source):
             yield f"{relative(source)}:{number}", line

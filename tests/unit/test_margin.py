@@ -87,7 +87,7 @@ def test_a_world_that_was_shaken_though_it_did_not_stand_has_the_smaller_margin(
     plan = SweepPlan(nominal_sweep(Simulation()), [STANDS])
     group = next(plan.groups())
     for at_rest, margin in ((placed, -0.2), (replace(make_outcome(), margin=0.5), 0.9)):
-        assert Settled(group, plan.scene(group), at_rest, ()).shaken(shaken).margin == margin
+        assert Settled(group, plan.scene(group), at_rest, ()).shaken(shaken, LIMITS).margin == margin
 
 
 def test_results_have_it(tmp_path: Path) -> None:

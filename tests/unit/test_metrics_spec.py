@@ -13,11 +13,12 @@ from support.outcomes import make_outcome, make_plan
 from petmjx.config import Thresholds
 from petmjx.metrics import spec
 from petmjx.metrics.spec import BoxMetric, OfWorld, Reduction, When, markdown, reduce_boxes
+from petmjx.pages.words import REASONS
 from petmjx.results.compare import compare_runs
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
 from petmjx.units import FloatArray
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict, judge
+from petmjx.verdict import INVALID_FLAGS, BoxMetrics, Flag, Outcome, Reason, Verdict, judge
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +33,10 @@ def test_the_documentation_has_the_tables_of_the_spec(documentation: str) -> Non
 def test_the_documentation_has_all_flags_and_reasons_in_their_order(documentation: str) -> None:
     for flag in Flag:
         assert f"| {flag.value} | {str(flag.name).lower().replace('_', '-')} |" in documentation
-    order = [Reason.FAILED, Reason.NONFINITE, Reason.OVERFLOW, Reason.OUT_OF_MEMORY, Reason.EXPLOSION]
-    order += [Reason.TIMEOUT, Reason.SINKING]
-    places = [documentation.index(f"| `{reason}` |") for reason in (*order, Reason.DROP, Reason.TILT, Reason.SHIFT)]
+    order = [*(reason for _, reason in INVALID_FLAGS), *LATER]
+    places = [documentation.index(f"| `{reason}` |") for reason in order]
     assert places == sorted(places)
-    assert len(places) == len(Reason) - 1
+    assert set(order) == set(Reason) - {Reason.NONE}
 
 
 def test_every_metric_has_a_field_and_every_field_a_metric() -> None:
@@ -58,9 +58,9 @@ def test_a_new_metric_reaches_files_units_and_comparison(tmp_path: Path, monkeyp
     columns = {"spin_x": "turns about x", "spin_y": "turns about y"}
     most = OfWorld("max_spin", Reduction.LARGEST, "most turns of any box")
     spin = BoxMetric("spin", "1", columns, When.SAMPLES, "turns", of_world=most, relative=True)
+    made = {"a": (make_outcome(), 1.0), "b": (make_outcome(), 1.5)}
     monkeypatch.setattr(spec, "METRICS", (*spec.METRICS, spin))
-    for folder, factor in (("a", 1.0), ("b", 1.5)):
-        outcome = make_outcome()
+    for folder, (outcome, factor) in made.items():
         values = np.array([[1.0, -2.0], [0.5, 0.0], [np.nan, np.nan]]) * 100 * factor
         outcome.boxes = MoreMetrics(**vars(outcome.boxes), spin=values)
         with RunWriter(tmp_path / folder, {}) as run:
@@ -114,17 +114,40 @@ def test_reasons_are_looked_at_in_their_order() -> None:
     ]
     flags = ~Flag.NONE
     boxes = everything_wrong()
+    before = (Verdict.UNSTABLE, Reason.TILT)
     for flag, reason in steps:
-        assert judge(flags, boxes, 3, Thresholds()) == (Verdict.INVALID, reason)
+        assert judge(flags, boxes, 3, Thresholds(), sank=True, placement=before) == (Verdict.INVALID, reason)
         flags &= ~flag
     harmless = Flag.EARLY_STOP | Flag.RERUN_AFTER_OVERFLOW | Flag.FORKED | Flag.SINKING | Flag.MOVING
     assert flags == harmless | Flag.KNIFE_EDGE | Flag.TIMESTEP
-    assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.DROP)
+    assert judge(flags, boxes, 3, Thresholds(), sank=True, placement=before) == (Verdict.INVALID, Reason.SINKING)
+    assert judge(flags, boxes, 3, Thresholds(), placement=before) == (Verdict.UNSTABLE, Reason.DROP)
     boxes.dropped[:] = False
     assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.TILT)
     boxes.max_tilt_deg[:] = 0
     assert judge(flags, boxes, 3, Thresholds()) == (Verdict.UNSTABLE, Reason.SHIFT)
+    assert judge(flags, boxes, 3, Thresholds(shift_m=0.03), placement=before) == before
     assert judge(flags, boxes, 3, Thresholds(shift_m=0.03)) == (Verdict.STABLE, Reason.NONE)
+    assert {reason for _, reason in steps} | {Reason.NONE, *LATER} == set(Reason)
+
+
+LATER = (Reason.SINKING, Reason.DROP, Reason.TILT, Reason.SHIFT)
+"""Reasons that no flag alone gives, in the order in which they are looked for."""
+
+
+def test_every_reason_has_its_words() -> None:
+    assert set(REASONS) == set(Reason)
+
+
+def test_what_was_not_measured_has_no_value() -> None:
+    found = BoxMetrics.measured(2, max_tilt_deg=np.ones(2))
+    assert found.max_tilt_deg.tolist() == [1.0, 1.0]
+    assert found.dropped.tolist() == [False, False]
+    assert np.isnan(found.quat).all()
+    assert found.quat.shape == (2, 4)
+    assert np.isnan(found.drop_s).tolist() == [True, True]
+    with pytest.raises(TypeError, match="max_tilt"):
+        BoxMetrics.measured(2, max_tilt=np.ones(2))
 
 
 def test_boxes_that_were_not_placed_are_not_judged() -> None:

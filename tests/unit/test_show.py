@@ -20,7 +20,7 @@ from petmjx.results.compare import compare_runs
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
 from petmjx.show.compare_tables import comparison_tables
-from petmjx.show.layout import Column, FittedTable, number, percent, print_each
+from petmjx.show.layout import FittedTable, TableColumn, number, percent, print_each
 from petmjx.show.progress import ProgressLines, progress
 from petmjx.show.story import story_tables
 from petmjx.show.sweep_tables import FEW_ROWS, MAX_VALUES, sweep_tables
@@ -107,11 +107,11 @@ def test_values_in_cells() -> None:
 
 def example() -> FittedTable:
     table = FittedTable(
-        Column("plan", "left", least=8, middle=True),
-        Column("note", "left", least=4),
-        Column("rest\nN", spare=2),
-        Column("at s", spare=1),
-        Column("shift mm"),
+        TableColumn("plan", "left", least=8, middle=True),
+        TableColumn("note", "left", least=4),
+        TableColumn("rest\nN", spare=2),
+        TableColumn("at s", spare=1),
+        TableColumn("shift mm"),
     )
     table.add(LONG, "a note of some length", "111.1", "0.40", "1,234,567.8")
     table.add("[red]m[/red]", "a\x1b[2Jb", "-", "-", "0.0")

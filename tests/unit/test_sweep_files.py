@@ -15,7 +15,7 @@ from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.file import MIN_TOLERANCE, Search, Sweep, load_sweep
 from petmjx.sweeps.grid import MAX_WORLDS, SweepPlan
-from petmjx.world.variants import Shape, Variant
+from petmjx.world.variants import DistributionShape, Variant
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 READY_MADE = sorted(path.name for path in SWEEPS.glob("*.toml"))
@@ -178,9 +178,9 @@ def test_distributions_are_read_and_shown(tmp_path: Path) -> None:
     assert {v.parameters["placement_error_x_mm"] for v in made} == {0.0, 2.0}
     assert {v.parameters["yaw_error_deg"] for v in made} == {"normal(0, 1)", "uniform(-1, 3)"}
     last = made[-1].placement
-    assert (last.x_mm.shape, last.x_mm.spread, last.y_mm.zero) == (Shape.NORMAL, 2.0, True)
-    assert (last.yaw_deg.shape, last.yaw_deg.centre, last.yaw_deg.spread) == (Shape.UNIFORM, 1.0, 2.0)
-    assert (last.drop_height_mm.shape, last.drop_height_mm.centre) == (Shape.FIXED, 3.0)
+    assert (last.x_mm.shape, last.x_mm.spread, last.y_mm.zero) == (DistributionShape.NORMAL, 2.0, True)
+    assert (last.yaw_deg.shape, last.yaw_deg.centre, last.yaw_deg.spread) == (DistributionShape.UNIFORM, 1.0, 2.0)
+    assert (last.drop_height_mm.shape, last.drop_height_mm.centre) == (DistributionShape.FIXED, 3.0)
 
 
 def test_a_search_numbers_its_worlds_by_what_they_test(tmp_path: Path) -> None:

@@ -18,14 +18,14 @@ from petmjx.world.variants import (
     MIN_FRICTION_FRACTION,
     MIN_MASS_FRACTION,
     Distribution,
+    DistributionShape,
     PlacementChange,
-    Shape,
     Variant,
     apply,
 )
 
 SCENE = make_scene(12)
-SD_10 = Distribution(Shape.NORMAL, 0.0, 0.1)
+SD_10 = Distribution(DistributionShape.NORMAL, 0.0, 0.1)
 
 
 def vary(replicate: int = 0, **change: Distribution | float) -> Scene:
@@ -37,7 +37,7 @@ def test_each_box_has_its_own_mass() -> None:
     assert len(np.unique(share)) == SCENE.n_boxes
     assert 0 < np.abs(share - 1).max() < 0.5
     np.testing.assert_allclose(
-        vary(mass_rel=Distribution(Shape.NORMAL, 0.0, 0.2)).mass / SCENE.mass - 1, 2 * (share - 1)
+        vary(mass_rel=Distribution(DistributionShape.NORMAL, 0.0, 0.2)).mass / SCENE.mass - 1, 2 * (share - 1)
     )
     np.testing.assert_allclose(vary(mass_rel=SD_10, mass_factor=1.5).mass, 1.5 * share * SCENE.mass)
 
@@ -57,14 +57,14 @@ def test_a_world_has_one_friction_for_boxes_and_carrier() -> None:
 
 
 def test_mass_and_friction_stay_positive() -> None:
-    light = vary(mass_rel=Distribution(Shape.FIXED, -1.0))
+    light = vary(mass_rel=Distribution(DistributionShape.FIXED, -1.0))
     np.testing.assert_allclose(light.mass, MIN_MASS_FRACTION * SCENE.mass)
-    slippery = vary(friction_rel=Distribution(Shape.FIXED, -1.0))
+    slippery = vary(friction_rel=Distribution(DistributionShape.FIXED, -1.0))
     assert slippery.friction == pytest.approx(MIN_FRICTION_FRACTION * SCENE.friction)
 
 
 def test_they_disturb_no_other_error() -> None:
-    shifted = Distribution(Shape.NORMAL, 0.0, 2.0)
+    shifted = Distribution(DistributionShape.NORMAL, 0.0, 2.0)
     alone, together = vary(x_mm=shifted), vary(x_mm=shifted, mass_rel=SD_10, friction_rel=SD_10)
     np.testing.assert_array_equal(alone.start_pos, together.start_pos)
     np.testing.assert_array_equal(alone.mass, SCENE.mass)

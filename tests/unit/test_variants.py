@@ -10,9 +10,9 @@ import pytest
 from petmjx.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, Shape, Variant, apply
+from petmjx.world.variants import Distribution, DistributionShape, DriveSpec, PlacementChange, Variant, apply
 
-NORMAL_5 = Distribution(Shape.NORMAL, 0.0, 5.0)
+NORMAL_5 = Distribution(DistributionShape.NORMAL, 0.0, 5.0)
 
 TOUCH_M = 1e-9
 """Float64 rounding of heights of some metres."""
@@ -78,7 +78,7 @@ def test_factors_scale_friction_and_masses_but_not_the_carrier_s_mass_or_the_flo
 
 def test_placement_errors_move_the_release_but_not_the_plan() -> None:
     scene = stack()
-    varied = vary(scene, x_mm=NORMAL_5, y_mm=Distribution(Shape.UNIFORM, 0.0, 2.0))
+    varied = vary(scene, x_mm=NORMAL_5, y_mm=Distribution(DistributionShape.UNIFORM, 0.0, 2.0))
     offset = varied.start_pos - scene.start_pos
     assert 1e-3 < np.abs(offset[:, 0]).max() < 0.03
     assert 0 < np.abs(offset[:, 1]).max() <= 0.002
@@ -91,7 +91,7 @@ def test_placement_errors_move_the_release_but_not_the_plan() -> None:
 
 def test_yaw_turns_boxes_about_the_vertical() -> None:
     scene = stack()
-    varied = vary(scene, yaw_deg=Distribution(Shape.FIXED, 90.0))
+    varied = vary(scene, yaw_deg=Distribution(DistributionShape.FIXED, 90.0))
     half = np.sqrt(0.5)
     np.testing.assert_allclose(varied.start_quat, np.tile([half, 0, 0, half], (scene.n_boxes, 1)), atol=1e-15)
     drawn = vary(scene, yaw_deg=NORMAL_5).start_quat
@@ -101,7 +101,7 @@ def test_yaw_turns_boxes_about_the_vertical() -> None:
 
 def test_drop_height_lifts_the_release_and_never_lowers_it() -> None:
     scene = stack()
-    lifted = vary(scene, drop_height_mm=Distribution(Shape.FIXED, 5.0))
+    lifted = vary(scene, drop_height_mm=Distribution(DistributionShape.FIXED, 5.0))
     np.testing.assert_allclose(lifted.start_pos[:, 2] - scene.start_pos[:, 2], 0.005)
     np.testing.assert_array_equal(lifted.target, scene.target)
     drawn = vary(scene, drop_height_mm=NORMAL_5)
@@ -109,7 +109,9 @@ def test_drop_height_lifts_the_release_and_never_lowers_it() -> None:
     assert (drawn.start_pos[:, 2] > scene.start_pos[:, 2]).any()
 
 
-@pytest.mark.parametrize("size", [NORMAL_5, Distribution(Shape.UNIFORM, 2.0, 2.0), Distribution(Shape.FIXED, -3.0)])
+@pytest.mark.parametrize(
+    "size", [NORMAL_5, Distribution(DistributionShape.UNIFORM, 2.0, 2.0), Distribution(DistributionShape.FIXED, -3.0)]
+)
 def test_sizes_that_change_are_set_down_on_the_actual_tops(size: Distribution) -> None:
     scene = stack()
     varied = vary(scene, size_mm=size)
@@ -127,9 +129,9 @@ def test_sizes_that_change_are_set_down_on_the_actual_tops(size: Distribution) -
 
 def test_relative_tolerance_scales_each_dimension() -> None:
     scene = stack()
-    varied = vary(scene, size_rel=Distribution(Shape.FIXED, 0.01))
+    varied = vary(scene, size_rel=Distribution(DistributionShape.FIXED, 0.01))
     np.testing.assert_allclose(varied.half_size, scene.half_size * 1.01)
-    tiny = vary(scene, size_rel=Distribution(Shape.FIXED, -5.0))
+    tiny = vary(scene, size_rel=Distribution(DistributionShape.FIXED, -5.0))
     np.testing.assert_allclose(tiny.half_size, scene.half_size * 0.1)
 
 
@@ -149,7 +151,9 @@ def test_a_box_pushed_over_a_slightly_higher_neighbour_is_set_on_it_and_a_wall_i
     corners = [[0, 0, 0], [400, 0, 0], [0, 0, 200], [0, 320, 0], [0, 320, 300]]
     sizes = [[400, 300, 200], [400, 300, 204], [400, 300, 200], [400, 300, 300], [400, 300, 100]]
     scene = build_scene(make_plan(corners, sizes), Simulation())
-    varied = vary(scene, x_mm=Distribution(Shape.FIXED, 10.0), y_mm=Distribution(Shape.FIXED, 0.0))
+    varied = vary(
+        scene, x_mm=Distribution(DistributionShape.FIXED, 10.0), y_mm=Distribution(DistributionShape.FIXED, 0.0)
+    )
     # All move alike, so box 2 comes over nothing new; moved alone it would stand on box 1, 4 mm higher.
     np.testing.assert_allclose(varied.start_pos[:, 2], scene.start_pos[:, 2], atol=TOUCH_M)
     for replicate in range(30):
@@ -182,7 +186,7 @@ def test_random_numbers_depend_on_seed_plan_and_replicate_alone() -> None:
 
 def test_levels_of_an_error_share_their_draws_and_axes_do_not_disturb_each_other() -> None:
     scene = stack()
-    small = vary(scene, x_mm=Distribution(Shape.NORMAL, 0.0, 1.0)).start_pos[:, 0] - scene.start_pos[:, 0]
+    small = vary(scene, x_mm=Distribution(DistributionShape.NORMAL, 0.0, 1.0)).start_pos[:, 0] - scene.start_pos[:, 0]
     large = vary(scene, x_mm=NORMAL_5, yaw_deg=NORMAL_5, drop_height_mm=NORMAL_5)
     np.testing.assert_allclose(large.start_pos[:, 0] - scene.start_pos[:, 0], 5 * small, atol=1e-12)
 
@@ -191,13 +195,13 @@ def test_distributions_have_their_moments() -> None:
     rng = np.random.default_rng(0)
     n = 20_000
     standard_error = 5.0 / np.sqrt(n)
-    normal = Distribution(Shape.NORMAL, 2.0, 5.0).draw(rng, (n,))
+    normal = Distribution(DistributionShape.NORMAL, 2.0, 5.0).draw(rng, (n,))
     assert abs(normal.mean() - 2.0) < 4 * standard_error
     assert normal.std() == pytest.approx(5.0, rel=0.03)
-    uniform = Distribution(Shape.UNIFORM, -1.0, 1.0).draw(rng, (n,))
+    uniform = Distribution(DistributionShape.UNIFORM, -1.0, 1.0).draw(rng, (n,))
     assert -2 <= uniform.min() < -1.99
     assert -0.01 < uniform.max() <= 0
-    assert Distribution(Shape.FIXED, 3.0).draw(rng, (2,)).tolist() == [3.0, 3.0]
+    assert Distribution(DistributionShape.FIXED, 3.0).draw(rng, (2,)).tolist() == [3.0, 3.0]
 
 
 def test_placement_key_separates_placements_and_merges_drives() -> None:
@@ -206,5 +210,5 @@ def test_placement_key_separates_placements_and_merges_drives() -> None:
     assert Variant(1, calm, replicate=0).placement_key == Variant(2, calm, replicate=5).placement_key
     assert Variant(1, shaky, replicate=0).placement_key != Variant(2, shaky, replicate=5).placement_key
     assert Variant(1, calm).placement_key != Variant(1).placement_key
-    never = PlacementChange(x_mm=Distribution(Shape.NORMAL, 0.0, 0.0))
+    never = PlacementChange(x_mm=Distribution(DistributionShape.NORMAL, 0.0, 0.0))
     assert Variant(1, never, replicate=0).placement_key == Variant(2, never, replicate=5).placement_key

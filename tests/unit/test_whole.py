@@ -58,6 +58,15 @@ def test_what_is_no_file_is_written_to_and_stays(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [fifo]
 
 
+def test_a_pipe_that_has_no_path_is_written_to() -> None:
+    reader, writer = os.pipe()
+    with whole_file(Path(f"/dev/fd/{writer}")) as same:
+        same.write_text("through")
+    os.close(writer)
+    with open(reader) as end:
+        assert end.read() == "through"
+
+
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere/plans\.json: cannot be written: "):
         write_samples(tmp_path / "nowhere" / "plans.json", 1, 0)

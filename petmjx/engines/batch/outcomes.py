@@ -104,7 +104,8 @@ def _outcomes(
         n = job.scene.n_boxes
         driven = job.drive is not None and host.driven_from[i] <= host.step[i]
         drops, pose = m.drop_step[i, :n], doubles(host.pose[i, :n])
-        boxes = BoxMetrics(
+        boxes = BoxMetrics.measured(
+            n,
             shift_m=doubles(found.shift[i, :n]),
             max_tilt_deg=doubles(found.max_tilt[i, :n]),
             max_lin_acc=doubles(m.max_lin_acc[i, :n]),

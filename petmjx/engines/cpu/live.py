@@ -16,10 +16,10 @@ from petmjx.engines.cpu.ordering import body_order
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
-from petmjx.world.body import turned
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
 from petmjx.world.release import Release, release_of
 from petmjx.world.scene import Scene
+from petmjx.world.turned import turned
 
 GROWTH_BLOCK = 8
 """Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a new compilation about 1 ms.

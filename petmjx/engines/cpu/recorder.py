@@ -31,7 +31,7 @@ class _Frame:
     contacts: Contacts
 
 
-class Recorder:
+class WorldRecorder:
     """The frames of one world.
 
     Args:

@@ -136,7 +136,8 @@ class OracleMetrics:
         with np.errstate(invalid="ignore"):  # the poses of a world with bad numbers
             np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
         rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
-        return BoxMetrics(
+        return BoxMetrics.measured(
+            n,
             shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m),
             max_tilt_deg=self.max_tilt_deg,
             max_lin_acc=self.max_lin_acc,

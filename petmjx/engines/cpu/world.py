@@ -13,7 +13,7 @@ from petmjx.engines.clock import Clock
 from petmjx.engines.cpu.drive import ActingDrive
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
-from petmjx.engines.cpu.recorder import Recorder
+from petmjx.engines.cpu.recorder import WorldRecorder
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.waits import NEVER, Waits
 from petmjx.units import seconds_to_steps
@@ -75,7 +75,7 @@ class WorldRun:
         self._drive: ActingDrive | None = None
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
-        self._recorder = Recorder(job.record, job, dt) if job.record is not None else None
+        self._recorder = WorldRecorder(job.record, job, dt) if job.record is not None else None
 
     # ------------------------------------------------------------------ life of a world
 

@@ -100,7 +100,8 @@ class March:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """States after a slice of time, the workspace, frames, and what was counted."""
+        """States after a slice of time, the workspace, frames, and what was counted. What the kernels do not know of a
+        state stays as it is."""
         kinds, shapes = array_types(Counts), records.array_shapes(Counts, {"queue": len(self.fleets)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         given = {**tables, **state, **counts, "workspace": workspace}
@@ -113,7 +114,7 @@ class March:
         )
         changed = call(self.id, *(given[name] for name in _INPUTS | _CHANGED))
         found = dict(zip(_CHANGED, changed, strict=True))
-        after = {name: found[name] for name in state}
+        after = {name: found.get(name, values) for name, values in state.items()}
         kept = {name: found[_of_frames(name)] for name in frames}
         return after, found["workspace"], kept, {name: found[name] for name in counts}
 

@@ -181,7 +181,7 @@ def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) 
         marks.append(element("text", f"{100 * value:.0f} %", x=px, y=height - 4, text_anchor="middle"))
     for at, (name, share, low, high, text) in enumerate(rows):
         y = at * TALL_ROW
-        marks.append(_named(name, y + 13))
+        marks.append(_row_name(name, y + 13))
         marks.append(element("text", text, x=WIDTH, y=y + 13, text_anchor="end", class_="halo"))
         if math.isnan(share):
             continue
@@ -196,7 +196,7 @@ def stacked(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]
     marks: list[Content] = []
     for at, (name, parts) in enumerate(rows):
         y = at * TALL_ROW
-        marks.append(_named(name, y + 13))
+        marks.append(_row_name(name, y + 13))
         whole = sum(count for _, count, _ in parts) or 1
         left = 0.0
         for class_, count, meaning in parts:
@@ -212,7 +212,7 @@ def stacked(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]
     return drawing(title, WIDTH, len(rows) * TALL_ROW + 4, *marks)
 
 
-def _named(name: str, y: float) -> Markup:
+def _row_name(name: str, y: float) -> Markup:
     """A row's name; all of it is told when pointed at."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"

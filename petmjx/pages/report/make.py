@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.arguments import list_of, path_of
-from petmjx.checked import reason
-from petmjx.errors import InputError
 from petmjx.pages.columns import block, whole
 from petmjx.pages.page import page
 from petmjx.pages.palette import category, ramp
@@ -25,10 +23,10 @@ from petmjx.pages.report.runs import Kind, ReportRun, open_runs
 from petmjx.pages.report.swept import sweep_answers
 from petmjx.pages.report.verdicts import headline, verdict_table
 from petmjx.results.compare import thresholds_of
-from petmjx.results.files import why_unwritable, write_text
 from petmjx.results.reader import RunResults
 from petmjx.text import counted, printable
 from petmjx.units import MM_PER_M
+from petmjx.whole import check_free, check_writable, whole_file
 
 N_CATEGORIES: Final = 21
 """Colours of articles, after which they come again."""
@@ -56,25 +54,19 @@ def report(
         The file's path.
 
     Raises:
-        InputError: a folder without a run, a damaged run, plans that cannot be read, ``out`` is there already, or
-            cannot be written.
+        InputError: a folder without a run, a damaged run, plans that cannot be read, ``out`` is there already, or its
+            folder is not, or it cannot be written.
     """
     path = path_of(out, "out")
-    if path.is_dir():
-        raise InputError(f"{printable(str(path))}: is a folder; name a file for the report")
-    if path.exists() and not overwrite:
-        raise InputError(f"{printable(str(path))}: exists already; name another file, or pass --overwrite")
-    if why := why_unwritable(path):  # now, and not after the work of a large report
-        raise InputError(f"{printable(str(path))}: cannot be written: {printable(why)}")
+    check_free(path, overwrite)
+    check_writable(path)  # now, and not after the work of a large report
     given: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )
     files = [plans] if isinstance(plans, str | Path) else list_of(plans, "plans", object, "paths")
     text = report_page(open_runs(given, [path_of(file, "plans") for file in files]))
-    try:
-        write_text(text, path)
-    except OSError as error:
-        raise InputError(f"{printable(str(path))}: cannot be written: {reason(error)}") from error
+    with whole_file(path) as file:
+        file.write_text(text, encoding="utf-8", errors="backslashreplace")
     return path
 
 

@@ -1,5 +1,6 @@
 // A camera that turns around a target. Angles in radians, lengths in metres, z is up.
 
+import { LOOK } from "./look.js";
 import { add, clamped, cross, dot, looking, perspective, product, scaled, sub, transformed, unit } from "./vectors.js";
 
 const SLOPE = Math.tan((32 * Math.PI) / 360); // half of a vertical angle of view of 32°
@@ -10,7 +11,7 @@ const UP = [0, 0, 1];
 export class Camera {
   constructor() {
     this.aspect = 1;
-    this.frame([-1, -1, -1], [1, 1, 1], -0.65, 0.4);
+    this.frame([-1, -1, -1], [1, 1, 1], LOOK.view.azimuth, LOOK.view.elevation);
   }
 
   // Looks at the box from `low` to `high` from the nearest place where all of it is seen. A corner c, from the box's

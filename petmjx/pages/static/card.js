@@ -38,7 +38,7 @@ export class Card {
       return;
     }
     this.viewer.setPoses(this.world.pos, this.world.quat);
-    this.viewer.frame(...bounds(this.world), { azimuth: -0.6, elevation: 0.42 });
+    this.viewer.frame(...bounds(this.world));
     this.viewer.onClick = (box) => this.choose(box);
     this.colour("article");
     this.mark();

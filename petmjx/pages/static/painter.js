@@ -2,6 +2,7 @@
 // so that after a lost context a new one is as good.
 
 import { Instances, depthMap, program } from "./gl.js";
+import { LOOK } from "./look.js";
 import { arrow, cube, square } from "./meshes.js";
 import * as shaders from "./shaders.js";
 import { add, looking, orthographic, product, scaled, unit } from "./vectors.js";
@@ -10,7 +11,7 @@ export const BOX_NUMBERS = [3, 4, 3, 4, 4]; // centre, quaternion, half size, co
 export const ARROW_NUMBERS = [3, 3, 4]; // start, vector, colour and radius
 
 const SHADOW_PIXELS = 2048;
-const SUNWARD = unit([-0.75, -0.5, 1.2]);
+const SUNWARD = unit(LOOK.sunward);
 const THEMES = {
   light: { ground: [0.93, 0.935, 0.94], ruled: [0.78, 0.79, 0.81], shade: 0.3 },
   dark: { ground: [0.135, 0.145, 0.165], ruled: [0.25, 0.27, 0.3], shade: 0.6 },

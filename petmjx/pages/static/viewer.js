@@ -31,12 +31,12 @@
 import { Camera } from "./camera.js";
 import { boardsAt, corners } from "./carrier.js";
 import { listen } from "./gestures.js";
+import { LOOK } from "./look.js";
 import { ARROW_NUMBERS, BOX_NUMBERS, Painter } from "./painter.js";
 import { add, dot, norm, sub, turned, turnedBack } from "./vectors.js";
 
 const BOX_STRIDE = BOX_NUMBERS.reduce((a, b) => a + b);
 const ARROW_STRIDE = ARROW_NUMBERS.reduce((a, b) => a + b);
-const WOOD = [0.66, 0.52, 0.36];
 const CARDBOARD = [0.8, 0.66, 0.47];
 const EDGE = { width: 1.1, light: [0.12, 0.1, 0.08], dark: [0.05, 0.05, 0.06] };
 const MARK_WIDTH = 3.5;
@@ -250,7 +250,7 @@ class Viewer {
     const glass = { values: this.glass, count: 0 };
     const into = this.opacity < 1 ? glass : solid;
     for (const box of this.farthestFirst()) this.write(into, this.box(box), this.colourOf(box), this.edgeOf(box, edge));
-    for (const board of this.boards) this.write(solid, board, [...WOOD, 1], edge);
+    for (const board of this.boards) this.write(solid, board, [...LOOK.wood, 1], edge);
     const marked = { values: new Float32Array(this.marks.length * BOX_STRIDE), count: 0 };
     for (const { box, colour } of this.marks) {
       const line = [...colour, MARK_WIDTH * this.density];

@@ -1,0 +1,8 @@
+// What boxes on pages look like, the same in the 3D view and in the still picture: petmjx/pages/palette.py reads it, too,
+// as JSON. Colours are sRGB from 0 to 1; `sunward` points to the sun; `view` is where pages begin to look from, radians.
+
+export const LOOK = {
+  "wood": [0.66, 0.52, 0.36],
+  "sunward": [-0.75, -0.5, 1.2],
+  "view": { "azimuth": -0.65, "elevation": 0.4 }
+};

@@ -1,0 +1,23 @@
+"""Where boxes meet: what two of them share along an axis, and whether one's top is at the other's bottom.
+
+Who looks for what lies on what adds what it means by it: the order of placement, the carrier, or a least width.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.units import FloatArray
+
+
+def shared(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(n, n) length that two boxes share along an axis, from their (n,) ends there; negative where they are apart."""
+    length: FloatArray = np.minimum.outer(high, high) - np.maximum.outer(low, low)
+    return length
+
+
+def meets(low: FloatArray, high: FloatArray, tolerance: float) -> NDArray[np.bool_]:
+    """(n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance."""
+    found: NDArray[np.bool_] = np.abs(np.subtract.outer(high, low)) <= tolerance
+    return found

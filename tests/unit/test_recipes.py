@@ -1,0 +1,162 @@
+"""The recipes of docs/extending.md, followed to the letter on a copy of the package."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+COPIED = ("petmjx", "docs", "sweeps", "tests", "README.md", "CHANGELOG.md", "pyproject.toml")
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+SECTION = re.compile(r"^## (.+)$", flags=re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A copy of the repository in which recipes are followed."""
+
+    folder: Path
+    document: str
+
+    def blocks(self, section: str, language: str) -> list[str]:
+        """The code blocks of a section."""
+        _, *parts = SECTION.split(self.document)
+        sections = dict(zip(parts[::2], parts[1::2], strict=True))
+        return [body for name, body in BLOCK.findall(sections[section]) if name == language]
+
+    def change(self, diff: str) -> None:
+        """Apply a diff, in which lines without a mark say where; ``@@`` stands between places in a file."""
+        for change in re.split(r"^--- ", diff, flags=re.MULTILINE)[1:]:
+            name, _, body = change.partition("\n")
+            path = self.folder / name
+            for hunk in re.split(r"^@@\n", body, flags=re.MULTILINE):
+                lines = hunk.splitlines(keepends=True)
+                old = "".join(line[1:] for line in lines if not line.startswith("+"))
+                new = "".join(line[1:] for line in lines if not line.startswith("-"))
+                text = path.read_text(encoding="utf-8")
+                assert text.count(old) == 1, f"docs/extending.md changes what is not in {name}, or twice:\n{old}"
+                path.write_text(text.replace(old, new), encoding="utf-8")
+
+    def follow(self, section: str) -> None:
+        for diff in self.blocks(section, "diff"):
+            self.change(diff)
+
+    def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(self.folder), str(self.folder / "tests")))}
+        command = [sys.executable, *arguments]
+        return subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True, check=False)
+
+    def printed_by(self, program: str) -> str:
+        done = self.run("-c", program)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def failing(self, *tests: str) -> Sequence[str]:
+        """Names of the tests that fail."""
+        done = self.run("-m", "pytest", "-q", "-p", "no:cacheprovider", *tests)
+        found = re.findall(r"^(?:FAILED|ERROR) \S+::(\S+)", done.stdout, flags=re.MULTILINE)
+        assert bool(found) == bool(done.returncode), done.stdout + done.stderr
+        return found
+
+
+@pytest.fixture
+def copy(tmp_path: Path, repository: Path) -> Copy:
+    for name in COPIED:
+        source, target = repository / name, tmp_path / name
+        if source.is_dir():
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__", "*.png", "*.gif"))
+        else:
+            shutil.copy(source, target)
+    return Copy(tmp_path, (repository / "docs" / "extending.md").read_text(encoding="utf-8"))
+
+
+STACK = """
+import numpy as np
+import petmjx
+plan = petmjx.Plan.from_boxes(
+    "stack", size_mm=[(400, 300, 200)] * 3, corner_mm=[(0, 0, 200 * k) for k in range(3)], mass_kg=[5.0] * 3
+)
+"""
+
+
+def test_an_engine_by_name(copy: Copy) -> None:
+    engine = "An engine of your own"
+    program, _ = copy.blocks(engine, "python")
+    (copy.folder / "petmjx/engines/centre_rule.py").write_text(program, encoding="utf-8")
+    copy.follow(engine)
+    printed = copy.printed_by(
+        f"{STACK}from petmjx.doctor import examine\n"
+        "run = petmjx.score(plan, engine='centre-rule')\n"
+        "print(run.worlds[['engine', 'verdict']].iloc[0].tolist())\n"
+        "print([report.works for report in examine().engines if report.name == 'centre-rule'])\n"
+    )
+    assert "['centre-rule', 'stable']\n[True]" in printed
+
+
+def test_a_profile(copy: Copy) -> None:
+    copy.follow("A profile of your own")
+    (copy.folder / "nudge.toml").write_text('[axes]\nprofile = "nudge"\nscale = [0.1, 30.0]\n', encoding="utf-8")
+    printed = copy.printed_by(
+        f"{STACK}print(petmjx.sweep('nudge.toml', plan, engine='mujoco').worlds.set_index('scale').verdict.to_dict())"
+    )
+    assert "{0.1: 'stable', 30.0: 'unstable'}" in printed
+
+
+ON_WARP = f"""{STACK}
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+sim = petmjx.Simulation(check='static', duration_s=0.2)
+(outcome,) = MjxWarpEngine(1, allow_cpu=True).run([Job(build_scene(plan, sim))], sim)
+print(np.isnan(outcome.boxes.max_rise_m).tolist())
+"""
+"""What the kernels of mjx-warp do not know has no value."""
+
+
+def test_a_column(copy: Copy) -> None:
+    pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+    scored = f"{STACK}for engine in {{}}: print(petmjx.score(plan, engine=engine, check='static', duration_s=0.2,"
+    scored += " sample_interval_s=0.1).boxes.max_rise_m.abs().lt(0.001).tolist())"
+    entry, *measured = copy.blocks("A column of your own", "diff")
+    copy.change(entry)
+    assert "[False, False, False]" in copy.printed_by(scored.format("['mujoco']"))
+    assert copy.failing("tests/unit/test_metrics_spec.py") == ["test_the_documentation_has_the_tables_of_the_spec"]
+    *before, kernel = measured
+    for diff in before:
+        copy.change(diff)
+    assert "[True, True, True]" in copy.printed_by(ON_WARP)
+    copy.change(kernel)
+    assert copy.printed_by(scored.format("['mujoco', 'mjx-jax']")).count("[True, True, True]") == 2
+    assert copy.failing("tests/oracle/test_warp_rules.py", "-k", "default") == []
+
+
+def test_a_reason(copy: Copy) -> None:
+    overloaded = f"""{STACK}
+run = petmjx.score(plan, engine='mujoco', thresholds={{'load_n': 60}}, out='out', overwrite=True)
+petmjx.report('out', 'report.html', overwrite=True)
+from petmjx.pages.words import reason_in_words
+print(run.worlds.reason[0], reason_in_words(petmjx.tell('stack', run)), petmjx.load_run('out').info['counts'])
+"""
+    decided, known = copy.blocks("A reason of your own", "diff")
+    copy.change(decided)
+    assert "load load" in copy.printed_by(overloaded)
+    places = ("tests/unit/test_metrics_spec.py", "tests/unit/test_docs.py")
+    narrow = ("-k", "reason or words or rules_name")
+    assert set(copy.failing(*places, *narrow)) == {
+        "test_reasons_are_looked_at_in_their_order",
+        "test_every_reason_has_its_words",
+        "test_the_documentation_has_all_flags_and_reasons_in_their_order",
+        "test_the_rules_name_every_option_of_a_run",
+    }
+    copy.change(known)
+    assert "load a box had to bear too much" in copy.printed_by(overloaded)
+    assert copy.failing(*places, *narrow) == []
