@@ -80,14 +80,23 @@ class Carrier(StrEnum):
     FOOTPRINT = "footprint"
     EURO_PALLET = "euro-pallet"
     ROLLCONTAINER = "rollcontainer"
+    EPAL_1 = "epal-1"
+    GMA_48X40 = "gma-48x40"
+    PET_EUR = "pet-eur"
 
 
 CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     Carrier.FOOTPRINT: None,
     Carrier.EURO_PALLET: (1.2, 0.8),
     Carrier.ROLLCONTAINER: (0.8, 0.7),
+    Carrier.EPAL_1: (1.2, 0.8),
+    Carrier.GMA_48X40: (1.219, 1.016),
+    Carrier.PET_EUR: (1.2, 0.8),
 }
-"""x–y extent of each carrier in metres: BED-BPP's two targets. None: the plan's bounding box."""
+"""x–y extent of each carrier in metres. None: the plan's bounding box."""
+
+TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
+"""Carriers that are BED-BPP's targets."""
 
 Triple = tuple[float, float, float]
 
@@ -309,7 +318,8 @@ class Simulation(Checked):
     carrier: Annotated[Carrier, CliFlag("--carrier")] = Field(
         Carrier.FOOTPRINT,
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
-        "rollcontainer: 800×700 mm (x × y)",
+        "rollcontainer: 800×700 mm (x × y); made of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
+        "(PET-Physics's)",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="boxes are smaller by this along x and y, so that neighbours start apart, mm"

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.arguments import list_of, text_of
-from petmjx.config import CARRIER_EXTENT_M, Carrier
+from petmjx.config import CARRIER_EXTENT_M, TARGETS, Carrier
 from petmjx.errors import InputError
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted, shown
@@ -126,7 +126,7 @@ def _target_area_m2(by_order: Any, carrier: Carrier) -> FloatArray:
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
-    known = [extent for extent in CARRIER_EXTENT_M.values() if extent is not None]
+    known = [extent for target in TARGETS if (extent := CARRIER_EXTENT_M[target]) is not None]
     if CARRIER_EXTENT_M[carrier] is not None:
         return np.full(len(area), np.prod(CARRIER_EXTENT_M[carrier] or ()))
     for length, width in sorted(known, key=lambda extent: -extent[0] * extent[1]):

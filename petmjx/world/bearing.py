@@ -19,6 +19,7 @@ from petmjx.history import CARRIER
 from petmjx.plans.overlap import meets
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.units import MM_PER_M, FloatArray
+from petmjx.world.body import Body
 from petmjx.world.scene import Scene
 
 IntArray = NDArray[np.intp]
@@ -150,23 +151,32 @@ def bearing_of(scene: Scene) -> Bearing:
 def find_bearing(scene: Scene) -> Bearing:
     """Who bears whom, by the planned places.
 
-    A box lies on the carrier if its bottom is not above its top, and on another box that begins lower if that one's top
-    is at the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
+    A box lies on a board of the carrier's deck if its bottom is not above its top, and on another box that begins lower
+    if that one's top is at the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    carrier_low, carrier_high = scene.carrier.low[:2], scene.carrier.high[:2]
+    deck_low, deck_high = _deck(scene.carrier)
     touching = meets(low[:, 2], high[:, 2], TOUCH_M)
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
-    on_carrier = np.flatnonzero(low[:, 2] <= TOUCH_M)
-    upper = np.concatenate([on_carrier, above])
-    lower = np.concatenate([np.full(len(on_carrier), CARRIER), below])
-    under_low = np.where((lower == CARRIER)[:, None], carrier_low, low[lower, :2])
-    under_high = np.where((lower == CARRIER)[:, None], carrier_high, high[lower, :2])
+    on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))
+    lying = low[on_deck, 2] <= TOUCH_M
+    on_deck, board = on_deck[lying], board[lying]
+    upper = np.concatenate([on_deck, above])
+    lower = np.concatenate([np.full(len(on_deck), CARRIER), below])
+    under_low = np.concatenate([deck_low[board], low[below, :2]])
+    under_high = np.concatenate([deck_high[board], high[below, :2]])
     area_low, area_high = np.maximum(low[upper, :2], under_low), np.minimum(high[upper, :2], under_high)
     order = np.lexsort((lower, upper))
     order = order[((area_high - area_low)[order] > _LEAST_OVERLAP_M).all(axis=1)]
     return Bearing(scene, upper[order], lower[order], area_low[order], area_high[order])
+
+
+def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
+    """(b, 2) lowest and (b, 2) highest corners of the boards whose tops are the carrier's, m."""
+    center = carrier.pos + carrier.shape_pos
+    deck = (center + carrier.half_size)[:, 2] >= -TOUCH_M
+    return (center - carrier.half_size)[deck, :2], (center + carrier.half_size)[deck, :2]
 
 
 @lru_cache(maxsize=256)

@@ -17,6 +17,7 @@ from petmjx.history import CARRIER
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
 from petmjx.world.body import Body, Shapes
+from petmjx.world.carriers import body_of, floor_z_m, pallet
 from petmjx.world.turned import turned
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
@@ -115,6 +116,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     size = plan.size_mm - sim.size_reduction_mm * np.array([1.0, 1.0, float(physics.falls_into_place)])
     half_size = round_to_micrometre(mm_to_m(size / 2))
     target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
+    boards = pallet(sim.carrier)
     return Scene(
         half_size=half_size,
         mass=plan.mass_kg.copy(),
@@ -122,9 +124,9 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         start_pos=target.copy(),
         start_quat=np.tile(np.array(IDENTITY_QUAT), (len(target), 1)),
         friction=np.tile(physics.box_friction, (len(target), 1)),
-        carrier=_slab(plan, sim),
+        carrier=_slab(plan, sim) if boards is None else body_of(boards, physics),
         floor_friction=physics.floor_friction,
-        floor_z=physics.floor_z_m,
+        floor_z=floor_z_m(sim),
     )
 
 

@@ -178,7 +178,11 @@ def test_bad_options_are_one_line(function: Any, tmp_path: Path) -> None:
     for options, line in (
         ({"intervall_s": 1.0}, "unknown option intervall_s; did you mean interval_s?"),
         ({"physics": {"gravity_m_s2": -9.81}}, "gravity_m_s2 must be > 0, got -9.81"),
-        ({"carrier": "raft"}, "carrier must be 'footprint', 'euro-pallet' or 'rollcontainer', got 'raft'"),
+        (
+            {"carrier": "raft"},
+            "carrier must be 'footprint', 'euro-pallet', 'rollcontainer', 'epal-1', 'gma-48x40' or 'pet-eur', "
+            "got 'raft'",
+        ),
         ({"threads": 0}, "threads must be ≥ 1, got 0"),
     ):
         with pytest.raises(InputError) as caught:

@@ -27,6 +27,7 @@ from petmjx.results.reader import RunResults
 from petmjx.text import counted, printable
 from petmjx.units import MM_PER_M
 from petmjx.whole import check_free, check_writable, whole_file
+from petmjx.world.carriers import floor_z_m
 
 N_CATEGORIES: Final = 21
 """Colours of articles, after which they come again."""
@@ -100,7 +101,7 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
     return {
         "name": run.name,
         "command": "sweep" if run.kind in (Kind.GRID, Kind.SEARCH) else "score",
-        "floorZ": simulation_of(run.info).physics.floor_z_m,
+        "floorZ": floor_z_m(simulation_of(run.info)),
         "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
         "missing": run.found.note,
         "folder": shlex.quote(printable(str(run.results.path))),

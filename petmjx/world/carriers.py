@@ -1,0 +1,116 @@
+"""Carriers made of boards: pallets as they are, with gaps between their boards.
+
+Boards are boxes, written in mm as (place of the front-left-bottom corner, size), with the pallet's front-left corner at
+the origin and its bottom at z = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from petmjx.config import Carrier, Physics, Simulation, Triple
+from petmjx.units import MM_PER_M, mm_to_m
+from petmjx.world.body import Body
+
+Board = tuple[Triple, Triple]
+
+
+@dataclass(frozen=True)
+class Pallet:
+    """A pallet of boards.
+
+    Attributes:
+        boards: corner and size of each, mm.
+        masses_kg: of each.
+        height_mm: from the floor to the top of its deck.
+    """
+
+    boards: tuple[Board, ...]
+    masses_kg: tuple[float, ...]
+    height_mm: float
+
+
+def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
+    """Where boards of these widths begin that lie along a length, mm: the outer ones flush, with equal gaps."""
+    gap = (length - sum(widths)) / (len(widths) - 1)
+    return [sum(widths[:k]) + k * gap for k in range(len(widths))]
+
+
+def _by_volume(boards: Sequence[Board], mass_kg: float) -> tuple[float, ...]:
+    """The mass of each board, if all are of one density."""
+    volume = np.array([size for _, size in boards]).prod(axis=1)
+    return tuple((mass_kg * volume / volume.sum()).tolist())
+
+
+def _epal_1() -> Pallet:
+    """EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. Five deck boards on three cross boards, nine blocks, three bottom
+    boards."""
+    length, width, board, block = 1200.0, 800.0, 22.0, 78.0
+    deck, rows, columns = (145.0, 100.0, 145.0, 100.0, 145.0), (100.0, 145.0, 100.0), (145.0, 145.0, 145.0)
+    x, y = _spread(length, columns), _spread(width, rows)
+    top = 2 * board + block
+    boards: list[Board] = []
+    boards += [((0, at, top), (length, wide, board)) for at, wide in zip(_spread(width, deck), deck, strict=True)]
+    boards += [((at, 0, board + block), (wide, width, board)) for at, wide in zip(x, columns, strict=True)]
+    for at_x, long in zip(x, columns, strict=True):
+        boards += [((at_x, at_y, board), (long, wide, block)) for at_y, wide in zip(y, rows, strict=True)]
+    boards += [((0, at, 0), (length, wide, board)) for at, wide in zip(y, rows, strict=True)]
+    return Pallet(tuple(boards), _by_volume(boards, 25.0), top + board)
+
+
+def _gma() -> Pallet:
+    """GMA 48 × 40 in as it is commonly built: seven deck boards, two of 140 and five of 89 mm, on three stringers of
+    38 × 89 mm, five bottom boards; boards 16 mm thick, 20 kg."""
+    length, width, board, stringer, high = 1219.0, 1016.0, 16.0, 38.0, 89.0
+    deck, bottom = (140.0, *[89.0] * 5, 140.0), (140.0, *[89.0] * 3, 140.0)
+    boards: list[Board] = []
+    boards += [
+        ((at, 0, board + high), (wide, width, board)) for at, wide in zip(_spread(length, deck), deck, strict=True)
+    ]
+    boards += [((0, at, board), (length, stringer, high)) for at in _spread(width, (stringer,) * 3)]
+    boards += [((at, 0, 0), (wide, width, board)) for at, wide in zip(_spread(length, bottom), bottom, strict=True)]
+    return Pallet(tuple(boards), _by_volume(boards, 20.0), 2 * board + high)
+
+
+def _pet_eur() -> Pallet:
+    """The pallet of PET-Physics (its ``eur-pallet.xml``, 7031863): 20 boxes of 2 kg, some of which are 4 mm deep in
+    each other. There its deck is 5 mm above z = 0; here it is at z = 0, as everywhere."""
+    middle, bottom_mm = np.array([600.0, 400.0, 0.0]), -72.0
+    half_and_place: list[tuple[Triple, Triple]] = [((600, 75, 15), (0, y, 62)) for y in (-325, 0, 325)]
+    half_and_place += [((600, 60, 15), (0, y, 62)) for y in (-162.5, 162.5)]
+    half_and_place += [((75, 400, 7), (x, 0, 44)) for x in (-525, 0, 525)]
+    half_and_place += [((68, 58, 44.5), (x, y, -7.5)) for x in (-532, 0, 532) for y in (-342, 0, 342)]
+    half_and_place += [((600, 58, 10), (0, y, -62)) for y in (-342, 0, 342)]
+    boards = []
+    for half, place in half_and_place:
+        x, y, z = (middle + place - half).tolist()
+        boards.append(((x, y, z - bottom_mm), (2 * half[0], 2 * half[1], 2 * half[2])))
+    return Pallet(tuple(boards), (2.0,) * len(boards), 149.0)
+
+
+PALLETS: Final = {Carrier.EPAL_1: _epal_1, Carrier.GMA_48X40: _gma, Carrier.PET_EUR: _pet_eur}
+
+
+@cache
+def pallet(carrier: Carrier) -> Pallet | None:
+    """The boards of a carrier; None of those that are slabs."""
+    return PALLETS[carrier]() if carrier in PALLETS else None
+
+
+def body_of(found: Pallet, physics: Physics) -> Body:
+    """A pallet as a body, with its deck at z = 0."""
+    corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*found.boards, strict=True))
+    corner[:, 2] -= found.height_mm / MM_PER_M
+    friction = np.tile(physics.carrier_friction, (len(size), 1))
+    return Body.of_boards(corner + size / 2, size / 2, np.array(found.masses_kg), friction)
+
+
+def floor_z_m(sim: Simulation) -> float:
+    """Height of the floor, m: where pallets of boards stand, else as the physics says."""
+    found = pallet(sim.carrier)
+    return sim.physics.floor_z_m if found is None else -found.height_mm / MM_PER_M

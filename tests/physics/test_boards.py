@@ -1,0 +1,59 @@
+"""Carriers made of boards: as large and as heavy as they say, and a board bears while a gap does not."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from support.plans import Box, make_plan
+
+import petmjx
+from petmjx.config import CARRIER_EXTENT_M, PHYSICS, Carrier
+from petmjx.units import MM_PER_M
+from petmjx.verdict import Verdict
+from petmjx.world.carriers import PALLETS, body_of, pallet
+
+DECK_EDGE_MM = 145.0
+"""Of the first deck board of ``epal-1`` along y; the gap behind it is 41 mm wide."""
+POST_MM = (60.0, 60.0, 200.0)
+
+
+@pytest.mark.parametrize("carrier", PALLETS)
+def test_a_pallet_is_as_large_as_it_says_and_of_one_piece(carrier: Carrier) -> None:
+    found = pallet(carrier)
+    assert found is not None
+    body = body_of(found, PHYSICS["pallet"])
+    np.testing.assert_allclose(body.low, [0, 0, -found.height_mm / MM_PER_M], atol=1e-12)
+    np.testing.assert_allclose(body.high, [*(CARRIER_EXTENT_M[carrier] or ()), 0.0], atol=1e-12)
+    assert body.mass == pytest.approx({"epal-1": 25.0, "gma-48x40": 20.0, "pet-eur": 40.0}[carrier])
+    center, half = body.pos + body.shape_pos, body.half_size
+    inside = half[:, None] + half - np.abs(center[:, None] - center)
+    for one, two in itertools.combinations(range(len(half)), 2):
+        deep = inside[one, two].min()
+        assert deep < (0.0041 if carrier is Carrier.PET_EUR else 1e-9), f"boards {one} and {two} lie in each other"
+    joined = {0}
+    for _ in half:  # from the first board on, over those that touch
+        touching = (inside >= -1e-9).all(axis=2)
+        joined |= set(np.flatnonzero(touching[sorted(joined)].any(axis=0)).tolist())
+    assert joined == set(range(len(half)))
+
+
+def post(beyond_mm: float) -> tuple[Box, ...]:
+    """A slender box whose centre is this far beyond the edge of the board on which it stands."""
+    return ((POST_MM, (600.0, DECK_EDGE_MM - POST_MM[1] / 2 + beyond_mm, 0.0), 3.0),)
+
+
+@pytest.mark.parametrize(("beyond_mm", "verdict"), [(-4.0, Verdict.STABLE), (4.0, Verdict.UNSTABLE)])
+def test_a_box_over_a_gap_stands_or_tips_by_its_centre(beyond_mm: float, verdict: Verdict) -> None:
+    plan = make_plan("post", post(beyond_mm))
+    worlds = petmjx.score([plan], engine="mujoco", threads=1, carrier="epal-1").worlds
+    assert worlds.verdict[0] == verdict
+    assert worlds.plan_edge_m[0] == pytest.approx(-beyond_mm / MM_PER_M, abs=1e-4)
+
+
+def test_a_box_that_bridges_a_gap_stands() -> None:
+    plan = make_plan("wide", (((100.0, 100.0, 200.0), (600.0, DECK_EDGE_MM - 25.0, 0.0), 3.0),))
+    worlds = petmjx.score([plan], engine="mujoco", threads=1, carrier="epal-1").worlds
+    assert worlds.verdict[0] == Verdict.STABLE
+    assert worlds.plan_edge_m[0] == pytest.approx(0.05, abs=1e-3)
