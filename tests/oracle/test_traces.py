@@ -36,10 +36,10 @@ CAPACITY, BATCH = 2, 8
 """Boxes of the largest world on mjx-jax, and its worlds: programs take long to compile, and steps long to take."""
 
 NEAR = {"mjx-jax": ("falls 60 mm flat",)}
-"""Worlds whose events are up to two looks earlier or later: MJX makes four contacts of two faces and C up to eight, so a
-box that falls 60 mm comes to rest in another way. In all others events are at the same step: they are at looks, at samples
-or at steps that are known beforehand, so float32 changes a step only where a speed or a pose is within rounding of a
-threshold at a look."""
+"""Worlds whose events are up to two looks earlier or later: MJX makes four contacts of two faces and C up to eight, so
+a box that falls 60 mm comes to rest in another way. In all others events are at the same step: they are at looks, at
+samples or at steps that are known beforehand, so float32 changes a step only where a speed or a pose is within rounding
+of a threshold at a look."""
 
 
 def push(kind: str, level: float) -> Drive:
