@@ -20,7 +20,7 @@ from petmjx.engines.batch.upload import is_out_of_memory, load, round_up, tables
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
-from petmjx.engines.warp.march import SLICE_NS, Fleet
+from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
@@ -32,22 +32,12 @@ from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
-PAIRS_PER_BOX = 10
-"""Pairs of near geoms reserved per box, and per board of a carrier."""
-
-CONTACTS_PER_BOX = 8
-"""Contacts reserved per box. Full real pallets have 4.5; the most that any of 2,000 sample plans needed was 6.4, in a
-collapse."""
-
 SPARE_ROWS = 4
 """Rows of a table of jobs that grow in number, as a multiple of those that there are at first; what has no row is
 simulated when the others have ended."""
 
 MORE_AT_ONCE = 64
 """Jobs that are put into a table at the same time. XLA compiles a program for each number."""
-
-MORE_BOXES = 2
-"""The carrier, and one that small plans need more."""
 
 MIN_LANES = 16
 """With fewer lanes than this, no useful amount of memory is saved."""

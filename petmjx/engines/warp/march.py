@@ -39,6 +39,17 @@ SLICE_NS = 250_000_000
 """Time of a call: short enough for a progress bar, and to stop."""
 
 
+PAIRS_PER_BOX = 10
+"""Pairs of near geoms reserved per box, and per board of a carrier."""
+
+CONTACTS_PER_BOX = 8
+"""Contacts reserved per box. Full real pallets have 4.5; the most that any of 2,000 sample plans needed was 6.4, in a
+collapse."""
+
+MORE_BOXES = 2
+"""The carrier, and one that small plans need more."""
+
+
 @dataclass(frozen=True)
 class Fleet:
     """Lanes of one size.

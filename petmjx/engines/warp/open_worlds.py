@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.batch.outcomes import outcomes, pick
-from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import (
     NEVER,
@@ -32,12 +31,12 @@ from petmjx.engines.batch.state import (
     uploaded,
 )
 from petmjx.engines.batch.timetable import Timetable, build_timetable
-from petmjx.engines.batch.upload import round_up
+from petmjx.engines.batch.upload import load, round_up
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import Reading
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
-from petmjx.engines.warp.march import SLICE_NS, Fleet, March
+from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
 from petmjx.engines.warp.rollout import constants
 from petmjx.engines.warp.shape import Shape
 from petmjx.verdict import Flag, Outcome
@@ -63,8 +62,9 @@ class Simulator:
 
     def __init__(self, sim: Simulation, timetable: Timetable, most_boxes: int, boards: int, room: int = 1) -> None:
         shape = Shape.here(most_boxes)
-        geoms = most_boxes + boards + 1
-        fleet = Fleet(shape, shape.lanes, most_boxes, boards, 10 * room * geoms, 8 * room * geoms)
+        shapes = room * (most_boxes + MORE_BOXES) + boards - 1
+        pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
+        fleet = Fleet(shape, shape.lanes, most_boxes, boards, pairs, contacts)
         self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False)
@@ -110,29 +110,42 @@ class Simulator:
 
     def go_on(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
         """Let worlds go on until each has paused or ended, or has no room in its buffers."""
+
+        def going(open_: Open) -> Bool[Array, ""]:
+            return self.going(open_)
+
+        def on(open_: Open) -> Open:
+            return self.slice_of_time(open_, profiles)
+
+        return jax.lax.while_loop(going, on, open_)
+
+    @staticmethod
+    def going(open_: Open) -> Bool[Array, ""]:
+        """Whether any world goes on."""
+        state, driven = open_.state, open_.worlds.driven
+        return (state.running | ((state.status == Status.SETTLED) & driven)).any()
+
+    def slice_of_time(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
+        """Let worlds go on for a slice of time."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
         tables = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
-        shapes = records.array_shapes(records.Frames, {"frame": 1, "box": worlds.half.shape[1], "world": n})
-        kinds = {name: kind.dtype for name, kind in records.array_types(records.Frames).items()}
-
-        def running(state: State) -> Bool[Array, ""]:
-            return (state.running | ((state.status == Status.SETTLED) & worlds.driven)).any()
-
-        def slice_of_time(state: State) -> State:
-            state = self._driving.begin_drives(state, worlds)
-            flat = state._asdict()
-            flat |= flat.pop("metrics")._asdict()
-            frames = {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name])) for name, shape in shapes.items()}
-            after, *_ = self._march(tables, flat, self._march.workspace(), frames)
-            metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
-            return State(**after, metrics=metrics)
-
-        return Open(worlds, jax.lax.while_loop(running, slice_of_time, open_.state))
+        flat = self._driving.begin_drives(open_.state, worlds)._asdict()
+        flat |= flat.pop("metrics")._asdict()
+        after, *_ = self._march(tables, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
+        metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
+        return Open(worlds, State(**after, metrics=metrics))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
         """The flag of worlds that go on although they are not at rest."""
         moves = goes & (state.metrics.culprit < 0) & (state.quiet_steps < self._sim.quiet.steps)
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
+
+
+def _no_frames(n_worlds: int, n_boxes: int) -> dict[str, jax.Array]:
+    """Room for frames where no world is recorded."""
+    shapes = records.array_shapes(records.Frames, {"frame": 1, "box": n_boxes, "world": n_worlds})
+    kinds = records.array_types(records.Frames)
+    return {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}
 
 
 def fork(open_: Open, sources: Int[Array, " row"], into: Int[Array, " row"]) -> Open:
@@ -168,15 +181,15 @@ class WarpWorlds:
         self._timetable = build_timetable(sim, self._width)
         self._room = 1
         self._make_simulator()
-        worlds = self._constants([Job(scene) for scene in scenes], {}, pauses=True)
-        self.open = Open(worlds, self.simulator.begin(worlds))
+        worlds = self._constants(scenes)
+        self.open = Open(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
 
     def __len__(self) -> int:
         return len(self._scenes)
 
     def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         """As in the protocol."""
-        fresh = self._constants([Job(scene) for scene in scenes], {}, pauses=True)
+        fresh = self._constants(scenes)
         rows = self._rows(worlds, len(fresh.n_boxes))
         self.open = Open(
             put_rows(self.open.worlds, rows, fresh), put_rows(self.open.state, rows, self.simulator.begin(fresh))
@@ -193,18 +206,18 @@ class WarpWorlds:
             if scene.n_boxes <= n:
                 raise ValueError(f"the scene must have more than {n} boxes, and has {scene.n_boxes}")
         if len(worlds):
-            more = self._constants([Job(scene) for scene in scenes], {}, pauses=True)
+            more = self._constants(scenes)
             self.open = self._put(self.open, self._rows(worlds, len(more.n_boxes)), more)
             self._keep(worlds, scenes)
 
     def go_on(self) -> None:
         """As in the protocol."""
-        self.open = self._to_the_end(self.open, np.zeros((1, 1, 3), np.float32))
+        self.open = self._to_the_end(self.open, jnp.zeros((1, 1, 3)))
 
     def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
         """As in the protocol."""
         if len(sources):
-            rows = 1 << (len(sources) - 1).bit_length()
+            rows = _padded(len(sources))
             self.open = _fork(self.open, self._rows(sources, rows), self._rows(into, rows))
             self._keep(into, [self._scenes[world] for world in sources])
 
@@ -237,26 +250,20 @@ class WarpWorlds:
             raise ValueError("a world without boxes has no verdict")
         self.go_on()
         jobs = [Job(scene, drive) for scene, drive in zip(scenes, drives or [None] * len(scenes), strict=True)]
-        excitations = list({id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}.values())
-        steps = max((len(each.samples) for each in excitations), default=1)
-        profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
-        for row, each in enumerate(excitations):
-            profiles[row, : len(each.samples)] = each.samples
-        constants_ = self._constants(jobs, {id(each): row for row, each in enumerate(excitations)}, pauses=False)
-        sources = self._rows([*worlds, *[worlds[0]] * (len(constants_.n_boxes) - len(worlds))], len(constants_.n_boxes))
-        begun = Open(constants_, take_rows(self.open.state, sources))
-        ended = self._to_the_end(Open(constants_, self._finish(begun)), profiles)
-        rows = np.arange(len(jobs))
+        batch = load(jobs, _padded(len(jobs)), self._width, self._sim, self._timetable)
+        state = _without_padding(take_rows(self.open.state, self._rows(worlds, _padded(len(jobs)))), len(jobs))
+        begun = Open(batch.worlds, self._finish(Open(batch.worlds, state)))
+        ended, rows = self._to_the_end(begun, batch.profiles), np.arange(len(jobs))
         picked = pick(rows, ended.state, ended.worlds, self._sim)
-        return list(outcomes(rows, picked, jobs, 0, self._sim, Recorder(jobs, self._sim)))
+        return list(outcomes(rows, picked, jobs, 0, self._sim, batch.recorder))
 
-    def _to_the_end(self, open_: Open, profiles: np.ndarray[Any, Any]) -> Open:
+    def _to_the_end(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
         """Let worlds go on; those whose buffers are too small again in larger ones."""
-        while True:
-            open_ = self._go_on(open_, uploaded(profiles))
+        while bool(self.simulator.going(open_)):
+            open_ = self._slice(open_, profiles)
             full = open_.state.status == Status.OVERFLOWED
             if not np.asarray(full).any():
-                return open_
+                continue
             enough = self._room < MAX_GROWTH
             flags = (open_.state.flags & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
             state = open_.state._replace(
@@ -267,22 +274,24 @@ class WarpWorlds:
             if enough:
                 self._room *= 2
                 self._make_simulator()
+        return open_
 
     def _make_simulator(self) -> None:
         self.simulator = Simulator(self._sim, self._timetable, self._width, self._boards, self._room)
         self.simulator.load()
-        self._go_on, self._put, self._finish = (
-            jax.jit(function) for function in (self.simulator.go_on, self.simulator.put, self.simulator.finish)
+        self._slice, self._put, self._finish = (
+            jax.jit(function) for function in (self.simulator.slice_of_time, self.simulator.put, self.simulator.finish)
         )
 
-    def _constants(self, jobs: Sequence[Job], profiles: dict[int, int], *, pauses: bool) -> Worlds:
-        """Constants of worlds, padded to a power of two, so that few programs are compiled."""
-        most = max(job.scene.n_boxes for job in jobs)
+    def _constants(self, scenes: Sequence[Scene]) -> Worlds:
+        """Constants of open worlds."""
+        most = max(scene.n_boxes for scene in scenes)
         if most > self._width:
             raise ValueError(f"there is room for {self._width} boxes in a world, and one has {most}")
-        rows = 1 << (len(jobs) - 1).bit_length()
-        worlds = upload_worlds(jobs, rows, self._width, profiles, self._sim, self._boards)
-        return worlds._replace(pauses=uploaded(np.full(rows, pauses)))
+        rows = _padded(len(scenes))
+        jobs = [Job(scene) for scene in scenes]
+        worlds = upload_worlds(jobs, rows, self._width, {}, self._sim, self._boards)
+        return worlds._replace(pauses=uploaded(np.ones(rows, np.bool_)))
 
     def _rows(self, worlds: Sequence[int], length: int) -> Int[Array, " row"]:
         """Rows of the tables, padded with rows that there are not."""
@@ -296,3 +305,14 @@ class WarpWorlds:
 
 
 _fork = jax.jit(fork)
+
+
+def _padded(count: int) -> int:
+    """Rows for so many worlds: a power of two, so that few programs are compiled."""
+    return 1 << (count - 1).bit_length()
+
+
+def _without_padding(state: State, count: int) -> State:
+    """The states of so many worlds; what is behind them does not go on."""
+    padding = jnp.arange(len(state.status)) >= count
+    return state._replace(status=jnp.where(padding, Status.FINISHED, state.status))
