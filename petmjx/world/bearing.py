@@ -65,7 +65,8 @@ class Bearing:
     def weights(self) -> FloatArray:
         """(n, 4) the boxes' own weights, as ``loads`` has them."""
         scene = self.scene
-        own: FloatArray = scene.mass[:, None] * np.c_[np.ones(scene.n_boxes), scene.target]
+        center = scene.target if scene.mass_center is None else scene.target + scene.mass_center
+        own: FloatArray = scene.mass[:, None] * np.c_[np.ones(scene.n_boxes), center]
         return own
 
     def edges_m(self, load: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,3 +117,10 @@ def test_the_order_of_boxes_does_not_matter() -> None:
     for order in ([3, 2, 1, 0], [2, 0, 3, 1]):
         found = edges_mm(scene_of(*(boxes[k] for k in order)))
         assert [found[order.index(k)] for k in range(4)] == pytest.approx(expected)
+
+
+def test_a_load_acts_at_the_centre_of_mass() -> None:
+    scene = scene_of(((400, 300, 200), (0, 0, 0), 5.0))
+    aside = replace(scene, mass_center=np.array([[0.0, 0.1, 0.0]]))
+    assert edges_mm(scene) == pytest.approx([150.0])
+    assert edges_mm(aside) == pytest.approx([50.0])
