@@ -155,20 +155,18 @@ Record = TypeVar("Record", Worlds, Metrics, State)
 
 
 def per_box(record: type[Any]) -> tuple[str, ...]:
-    """Names of a record's fields whose second axis grows with the boxes, from their annotations."""
+    """Names of a record's fields whose second axis is ``box``, from their annotations."""
     shapes = {name: getattr(kind, "dim_str", "") for name, kind in get_type_hints(record).items()}
-    growing = {"box", "body", "body_end", "shape"}
-    return tuple(name for name, shape in shapes.items() if growing & set(shape.split()[1:2]))
+    return tuple(name for name, shape in shapes.items() if shape.split()[1:2] == ["box"])
 
 
-def narrow(record: Record, capacity: int) -> Record:
-    """A record with columns for the first ``capacity`` boxes."""
-    spare = (record.half if isinstance(record, Worlds) else record[0]).shape[1] - capacity
-    cut = slice(-spare) if spare else slice(None)
-    columns: dict[str, Any] = {name: getattr(record, name)[:, cut] for name in per_box(type(record))}
-    if isinstance(record, State):
-        columns["metrics"] = narrow(record.metrics, capacity)
-    return record._replace(**columns)
+def narrow(state: State, capacity: int) -> State:
+    """States with columns for the first ``capacity`` boxes."""
+
+    def cut(record: State | Metrics) -> dict[str, Any]:
+        return {name: getattr(record, name)[:, :capacity] for name in per_box(type(record))}
+
+    return state._replace(**cut(state), metrics=state.metrics._replace(**cut(state.metrics)))
 
 
 def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:

@@ -67,10 +67,16 @@ def load(jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Tim
 
 
 def tables(
-    jobs: Sequence[Job], rows: int, width: int, profile_rows: dict[int, int], sim: Simulation, timetable: Timetable
+    jobs: Sequence[Job],
+    rows: int,
+    width: int,
+    profile_rows: dict[int, int],
+    sim: Simulation,
+    timetable: Timetable,
+    boards: int = 1,
 ) -> tuple[Worlds, State]:
-    """Constants and first states of jobs."""
-    worlds = upload_worlds(jobs, rows, width, profile_rows, sim)
+    """Constants and first states of jobs; ``boards`` as of ``upload_worlds``."""
+    worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards)
     static = sim.check is Check.STATIC
     ends = np.full(rows, NEVER, np.int32)
     if sim.schedule is Schedule.FIXED:

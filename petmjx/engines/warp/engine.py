@@ -260,7 +260,7 @@ class MjxWarpEngine(Engine):
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
             has_lanes = job.scene.n_boxes <= group.run.widths.get(_size(job), 0)
-            has_lanes = has_lanes and len(job.scene.carrier.half_size) <= group.boards
+            has_lanes &= len(job.scene.carrier.half_size) <= group.boards
             has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
             return known and has_lanes and has_times and job.record is None and group.recorder.idle
 
@@ -272,7 +272,8 @@ class MjxWarpEngine(Engine):
         for first in range(0, len(taken), MORE_AT_ONCE):
             some = taken[first : first + MORE_AT_ONCE]
             width, run = group.table.pose.shape[1], group.run
-            group.add(some, *tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable))
+            made = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
+            group.add(some, *made)
         return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
