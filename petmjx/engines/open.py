@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
+import numpy as np
+
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive
@@ -36,8 +38,50 @@ class Reading:
     culprit: int
 
 
+def check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -> None:
+    """Whether these are worlds that there are.
+
+    Raises:
+        ValueError: one is not, or is named twice where each must be another one.
+    """
+    for world in worlds:
+        if not isinstance(world, int | np.integer) or not 0 <= world < count:
+            raise ValueError(f"there are worlds 0 to {count - 1}, and no {world!r}")
+    if distinct and len(set(worlds)) < len(worlds):
+        raise ValueError(f"a world is named twice: {list(worlds)}")
+
+
+def check_as_many(worlds: Sequence[int], others: Sequence[object], what: str) -> None:
+    """Raises ValueError unless there is one of these for each world."""
+    if len(worlds) != len(others):
+        raise ValueError(f"{len(worlds)} worlds need as many {what}, and there are {len(others)}")
+
+
+def check_grown(before: Scene, after: Scene) -> None:
+    """Whether a scene has the boxes of another one, on the same carrier, and more.
+
+    Raises:
+        ValueError: it has not.
+    """
+    n = before.n_boxes
+    if after.n_boxes <= n:
+        raise ValueError(f"the scene must have more than {n} boxes, and has {after.n_boxes}")
+    same = after.first(n)
+    of_boxes = [name for name, value in vars(before).items() if isinstance(value, np.ndarray) and name in _OF_BOXES]
+    if not all(np.array_equal(getattr(before, name), getattr(same, name)) for name in of_boxes):
+        raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
+    if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
+        raise ValueError("the scene must have the world's carrier")
+
+
+_OF_BOXES: Final = ("half_size", "mass", "target", "start_pos", "start_quat", "friction")
+
+
 class OpenWorlds(Protocol):
     """Worlds that go on independently, and keep their states between calls.
+
+    Worlds are named by their numbers, from 0. What is refused (ValueError: a world that there is not, or is named
+    twice, a scene too few) changes nothing.
 
     A world goes on by the rules of the placement (docs/rules.md): each of its boxes is placed when those before it
     rest, and when the last one rests it pauses. Then more boxes can be put into it. What a world does depends on its
@@ -61,7 +105,7 @@ class OpenWorlds(Protocol):
         ...
 
     def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """Give worlds the states of others, from which they go on by themselves."""
+        """Give worlds the states of others, of which some may be named more than once; they go on by themselves."""
         ...
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
@@ -71,6 +115,10 @@ class OpenWorlds(Protocol):
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
         """What becomes of worlds when nothing more is put into them, by all the rules, with or without a drive. The
         worlds themselves stay as they are. ``Outcome.job`` counts the worlds asked for.
+
+        It is one simulation, as of ``Engine.run``: no world is simulated again with other settings, as a score does
+        (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, is waited for
+        as without one, which may be some steps shorter than in a run.
 
         Raises:
             ValueError: a world has no boxes.

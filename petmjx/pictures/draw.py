@@ -78,7 +78,8 @@ class Painter:
         self.story, self.colours, self.newtons_per_m = colours.story, colours, newtons_per_m
         contacts = colours.story.history.contacts
         most_arrows = 0 if newtons_per_m is None or contacts is None else _most_in_a_frame(contacts)
-        self.canvas = Canvas(size, line_px, 4 * self.story.plan.n_boxes + most_arrows + 5)
+        most_boxes = self.story.plan.n_boxes + len(self.story.scene.carrier.half_size)
+        self.canvas = Canvas(size, line_px, 4 * most_boxes + most_arrows + 1)
 
     def __enter__(self) -> Self:
         self.canvas.__enter__()

@@ -122,6 +122,24 @@ def test_what_cannot_be_is_refused(engine: MujocoEngine | MjxWarpEngine) -> None
         worlds.finish([0])
     with pytest.raises(ValueError, match="more than 0 boxes"):
         worlds.put([0], [scene.first(0)])
+    for wrong, message in (([1], "no 1"), ([-1], "no -1"), ([0, 0], "named twice")):
+        with pytest.raises(ValueError, match=message):
+            worlds.put(wrong, [scene.first(1)] * len(wrong))
+        with pytest.raises(ValueError, match=message):
+            worlds.fork([0] * len(wrong), wrong)
+    with pytest.raises(ValueError, match="as many scenes"):
+        worlds.put([0], [])
+    worlds.put([0], [scene.first(1)])
+    for other, message in (
+        (replace(scene, mass=2 * scene.mass), "first 1 boxes"),
+        (replace(scene, carrier=replace(scene.carrier, mass=1.0)), "world's carrier"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            worlds.put([0], [other.first(2)])
+    worlds.go_on()
+    assert len(worlds.read([0])[0].pos) == 1, "what was refused changed nothing"
+    with pytest.raises(ValueError, match="a world at least"):
+        engine.open([], SIM)
     with pytest.raises(ValueError, match="fixed schedule"):
         engine.open([scene], Simulation(schedule=Schedule.FIXED))
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
+from support.pictures import needs_pictures
 from support.plans import Box, make_plan
 
 import petmjx
@@ -57,3 +59,10 @@ def test_a_box_that_bridges_a_gap_stands() -> None:
     worlds = petmjx.score([plan], engine="mujoco", threads=1, carrier="epal-1").worlds
     assert worlds.verdict[0] == Verdict.STABLE
     assert worlds.plan_edge_m[0] == pytest.approx(0.05, abs=1e-3)
+
+
+@needs_pictures()
+def test_a_picture_has_room_for_all_boards(tmp_path: Path) -> None:
+    story = petmjx.tell("post", [make_plan("post", post(-4.0))], carrier="epal-1")
+    petmjx.draw(story, tmp_path / "post.png")
+    assert (tmp_path / "post.png").stat().st_size > 1000

@@ -11,7 +11,7 @@ import numpy as np
 
 from petmjx.config import Schedule, Simulation
 from petmjx.engines.cpu.world import WorldRun
-from petmjx.engines.open import Reading
+from petmjx.engines.open import Reading, check_grown
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
@@ -55,16 +55,19 @@ class OpenWorld(WorldRun):
         Raises:
             ValueError: it has no more boxes, or the world has ended.
         """
-        if self.ended:
-            raise ValueError("the world has ended: nothing can be put into it")
-        if scene.n_boxes <= self._scene.n_boxes:
-            raise ValueError(f"the scene must have more than {self._scene.n_boxes} boxes, and has {scene.n_boxes}")
+        self.check_put(scene)
         self._scene, self._job = scene, replace(self._job, scene=scene)
         self._live.extend(scene)
         self._metrics.extend(scene)
         self._quiet.extend(scene)
         self._still_pose = np.vstack((self._still_pose, np.zeros((scene.n_boxes - len(self._still_pose), 7))))
         self._leave_pause()
+
+    def check_put(self, scene: Scene) -> None:
+        """Raises ValueError if the boxes of a scene cannot be put into the world."""
+        if self.ended:
+            raise ValueError("the world has ended: nothing can be put into it")
+        check_grown(self._scene, scene)
 
     def fork(self) -> Self:
         """A twin in the same state, which goes on by itself."""

@@ -10,7 +10,7 @@ from typing import TypeVar
 from petmjx.config import Simulation
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_world import OpenWorld
-from petmjx.engines.open import Reading
+from petmjx.engines.open import Reading, check_as_many, check_worlds
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive
 from petmjx.world.scene import Scene
@@ -28,6 +28,8 @@ class MujocoWorlds:
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, threads: int) -> None:
+        if not scenes:
+            raise ValueError("there must be a world at least")
         self._sim, self._threads = sim, threads
         self._stop = threading.Event()
         self._worlds = self._each(self._begin, scenes)
@@ -37,11 +39,17 @@ class MujocoWorlds:
 
     def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         """As in the protocol."""
+        check_worlds(worlds, len(self))
+        check_as_many(worlds, scenes, "scenes")
         for world, begun in zip(worlds, self._each(self._begin, scenes), strict=True):
             self._worlds[world] = begun
 
     def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         """As in the protocol."""
+        check_worlds(worlds, len(self))
+        check_as_many(worlds, scenes, "scenes")
+        for world, scene in zip(worlds, scenes, strict=True):
+            self._worlds[world].check_put(scene)
         for world, scene in zip(worlds, scenes, strict=True):
             self._worlds[world].put(scene)
 
@@ -51,16 +59,23 @@ class MujocoWorlds:
 
     def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
         """As in the protocol."""
+        check_worlds(sources, len(self), distinct=False)
+        check_worlds(into, len(self))
+        check_as_many(sources, into, "worlds to fork into")
         twins = [self._worlds[world].fork() for world in sources]
         for world, twin in zip(into, twins, strict=True):
             self._worlds[world] = twin
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
         """As in the protocol."""
+        check_worlds(worlds, len(self), distinct=False)
         return [self._worlds[world].read() for world in worlds]
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
         """As in the protocol."""
+        check_worlds(worlds, len(self), distinct=False)
+        if drives is not None:
+            check_as_many(worlds, drives, "drives")
 
         def end(number: int, world: int, drive: Drive | None) -> Outcome:
             return self._worlds[world].fork().finish(number, drive)

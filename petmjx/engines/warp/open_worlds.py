@@ -33,7 +33,7 @@ from petmjx.engines.batch.state import (
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.engines.batch.upload import load, round_up
 from petmjx.engines.clock import Clock
-from petmjx.engines.open import Reading
+from petmjx.engines.open import Reading, check_as_many, check_grown, check_worlds
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
@@ -175,6 +175,10 @@ class WarpWorlds:
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int) -> None:
         if sim.schedule is Schedule.FIXED:
             raise ValueError("worlds with the fixed schedule do not stay open")
+        if not scenes:
+            raise ValueError("there must be a world at least")
+        if not 1 <= most_boxes <= records.MAX_BOXES:
+            raise ValueError(f"most_boxes must be from 1 to {records.MAX_BOXES}, got {most_boxes!r}")
         self._sim, self._scenes = sim, list(scenes)
         self._width = round_up(most_boxes)
         self._boards = max(len(scene.carrier.half_size) for scene in scenes)
@@ -189,6 +193,10 @@ class WarpWorlds:
 
     def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         """As in the protocol."""
+        check_worlds(worlds, len(self))
+        check_as_many(worlds, scenes, "scenes")
+        if not len(worlds):
+            return
         fresh = self._constants(scenes)
         rows = self._rows(worlds, len(fresh.n_boxes))
         self.open = Open(
@@ -198,13 +206,13 @@ class WarpWorlds:
 
     def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         """As in the protocol."""
+        check_worlds(worlds, len(self))
+        check_as_many(worlds, scenes, "scenes")
         ended = np.asarray(self.open.state.status) == Status.FINISHED
         for world, scene in zip(worlds, scenes, strict=True):
-            n = self._scenes[world].n_boxes
             if ended[world]:
                 raise ValueError("the world has ended: nothing can be put into it")
-            if scene.n_boxes <= n:
-                raise ValueError(f"the scene must have more than {n} boxes, and has {scene.n_boxes}")
+            check_grown(self._scenes[world], scene)
         if len(worlds):
             more = self._constants(scenes)
             self.open = self._put(self.open, self._rows(worlds, len(more.n_boxes)), more)
@@ -216,6 +224,9 @@ class WarpWorlds:
 
     def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
         """As in the protocol."""
+        check_worlds(sources, len(self), distinct=False)
+        check_worlds(into, len(self))
+        check_as_many(sources, into, "worlds to fork into")
         if len(sources):
             rows = _padded(len(sources))
             self.open = _fork(self.open, self._rows(sources, rows), self._rows(into, rows))
@@ -223,6 +234,7 @@ class WarpWorlds:
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
         """As in the protocol."""
+        check_worlds(worlds, len(self), distinct=False)
         state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
         found = []
         for world in worlds:
@@ -243,6 +255,9 @@ class WarpWorlds:
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
         """As in the protocol."""
+        check_worlds(worlds, len(self), distinct=False)
+        if drives is not None:
+            check_as_many(worlds, drives, "drives")
         if not len(worlds):
             return []
         scenes = [self._scenes[world] for world in worlds]
@@ -288,6 +303,9 @@ class WarpWorlds:
         most = max(scene.n_boxes for scene in scenes)
         if most > self._width:
             raise ValueError(f"there is room for {self._width} boxes in a world, and one has {most}")
+        boards = max(len(scene.carrier.half_size) for scene in scenes)
+        if boards > self._boards:
+            raise ValueError(f"there is room for carriers of {self._boards} boards, and one has {boards}")
         rows = _padded(len(scenes))
         jobs = [Job(scene) for scene in scenes]
         worlds = upload_worlds(jobs, rows, self._width, {}, self._sim, self._boards)
