@@ -37,6 +37,19 @@ _LONGEST_TOKEN: Final = 12
 """Characters of a token other than a string or a number (``-Infinity``, an escape) that a window's end may cut."""
 
 
+class Repeating(dict[str, Any]):
+    """A JSON object in which a field stands twice, and its last value.
+
+    Attributes:
+        field: the first one that does.
+    """
+
+    def __init__(self, pairs: list[tuple[str, Any]]) -> None:
+        super().__init__(pairs)
+        names = [name for name, _ in pairs]
+        self.field = next(name for number, name in enumerate(names) if name in names[:number])
+
+
 class NotPlans(InputError):
     """Text that is no JSON, or no object. Says in which plan, at which line and column (in bytes, both from 1)."""
 
@@ -158,8 +171,13 @@ def _parse_any_integer(digits: str) -> int | float:
     return int(digits) if len(digits) < 400 else float(digits)
 
 
-_DECODER: Final = json.JSONDecoder()
-_PATIENT_DECODER: Final = json.JSONDecoder(parse_int=_parse_any_integer)
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    return found if len(found) == len(pairs) else Repeating(pairs)
+
+
+_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object)
+_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object, parse_int=_parse_any_integer)
 
 
 def _decode_start(text: str) -> tuple[Any, int]:

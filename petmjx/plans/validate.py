@@ -29,6 +29,7 @@ from petmjx.plans.fields import (
 )
 from petmjx.plans.given import USUAL, Given
 from petmjx.plans.plan import Plan
+from petmjx.plans.scan import Repeating
 from petmjx.text import is_text, shown
 
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
@@ -119,6 +120,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
     coordinates = list(chain.from_iterable(corners))
     well_typed = (
         corner_lengths == {3}
+        and not any(isinstance(each, Repeating) for each in chain(value, items))
         and set(map(type, corners)) == {list}
         and set(map(type, chain(coordinates, *columns))) <= _NUMBERS
         and set(map(type, chain(orientations, sequences))) == {int}
@@ -166,6 +168,9 @@ def find_fault(placement: object, given: Given = USUAL) -> str | None:
     """What is wrong with one placement, in the order of the fields; None if nothing is."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
+    for each, of in ((placement, ""), (placement.get("item"), "item.")):
+        if isinstance(each, Repeating):
+            return f"{of}{shown(each.field)} stands twice"
     missing = _missing(placement)
     if missing:
         return missing_fault(missing)

@@ -118,6 +118,20 @@ def test_a_bad_plan_is_named_and_costs_only_itself(value: Any, message: str) -> 
     assert [str(skipped) for skipped in found.skipped] == [f"plans.json: {message}"]
 
 
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [('"flb_coordinates"', "flb_coordinates stands twice"), ('"weight/kg"', "item.weight/kg stands twice")],
+)
+def test_a_field_that_stands_twice_is_named(field: str, message: str) -> None:
+    text = json.dumps({"good": tower(2), "odd": tower(2)})
+    at = text.index(field, text.index('"odd"'))
+    value = {'"flb_coordinates"': "[5000, 0, 500]", '"weight/kg"': "9.5"}[field]
+    write(Path("plans.json"), f"{text[:at]}{field}: {value}, {text[at:]}")
+    read = load_plans("plans.json")
+    assert [plan.plan_id for plan in read.plans] == ["good"]
+    assert [skipped.message for skipped in read.skipped] == [f"plans.json: plan odd, placement 0: {message}"]
+
+
 def test_max_boxes_is_a_parameter() -> None:
     file = write(Path("plans.json"), {"A": tower(3), "B": tower(4)})
     assert [plan.plan_id for plan in load_plans(file, max_boxes=3)] == ["A"]
