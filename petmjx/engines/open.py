@@ -11,7 +11,7 @@ import numpy as np
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive
-from petmjx.world.scene import Scene
+from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
 """Boxes for which an open world has room, unless it is told otherwise: those of the small lanes of mjx-warp."""
@@ -67,14 +67,10 @@ def check_grown(before: Scene, after: Scene) -> None:
     if after.n_boxes <= n:
         raise ValueError(f"the scene must have more than {n} boxes, and has {after.n_boxes}")
     same = after.first(n)
-    of_boxes = [name for name, value in vars(before).items() if isinstance(value, np.ndarray) and name in _OF_BOXES]
-    if not all(np.array_equal(getattr(before, name), getattr(same, name)) for name in of_boxes):
+    if not all(np.array_equal(getattr(before, name), getattr(same, name)) for name in OF_BOXES):
         raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the world's carrier")
-
-
-_OF_BOXES: Final = ("half_size", "mass", "target", "start_pos", "start_quat", "friction")
 
 
 class OpenWorlds(Protocol):

@@ -27,12 +27,15 @@ class Pallet:
     Attributes:
         boards: corner and size of each, mm.
         masses_kg: of each.
-        height_mm: from the floor to the top of its deck.
     """
 
     boards: tuple[Board, ...]
     masses_kg: tuple[float, ...]
-    height_mm: float
+
+    @property
+    def height_mm(self) -> float:
+        """From the floor to the top of its deck."""
+        return max(corner[2] + size[2] for corner, size in self.boards)
 
 
 def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
@@ -60,7 +63,7 @@ def _epal_1() -> Pallet:
     for at_x, long in zip(x, columns, strict=True):
         boards += [((at_x, at_y, board), (long, wide, block)) for at_y, wide in zip(y, rows, strict=True)]
     boards += [((0, at, 0), (length, wide, board)) for at, wide in zip(y, rows, strict=True)]
-    return Pallet(tuple(boards), _by_volume(boards, 25.0), top + board)
+    return Pallet(tuple(boards), _by_volume(boards, 25.0))
 
 
 def _gma() -> Pallet:
@@ -74,7 +77,7 @@ def _gma() -> Pallet:
     ]
     boards += [((0, at, board), (length, stringer, high)) for at in _spread(width, (stringer,) * 3)]
     boards += [((at, 0, 0), (wide, width, board)) for at, wide in zip(_spread(length, bottom), bottom, strict=True)]
-    return Pallet(tuple(boards), _by_volume(boards, 20.0), 2 * board + high)
+    return Pallet(tuple(boards), _by_volume(boards, 20.0))
 
 
 def _pet_eur() -> Pallet:
@@ -90,7 +93,7 @@ def _pet_eur() -> Pallet:
     for half, place in half_and_place:
         x, y, z = (middle + place - half).tolist()
         boards.append(((x, y, z - bottom_mm), (2 * half[0], 2 * half[1], 2 * half[2])))
-    return Pallet(tuple(boards), (2.0,) * len(boards), 149.0)
+    return Pallet(tuple(boards), (2.0,) * len(boards))
 
 
 PALLETS: Final = {Carrier.EPAL_1: _epal_1, Carrier.GMA_48X40: _gma, Carrier.PET_EUR: _pet_eur}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -69,7 +68,6 @@ def build_spec(
         raise ValueError(f"n_boxes must be 0…{scene.n_boxes}, got {count}")
     spec = mujoco.MjSpec()
     _set_options(spec, physics)
-    pairs = _Pairs(spec, physics)
     carrier = scene.carrier
     pose = (carrier.pos, IDENTITY_QUAT) if held_carrier is None else (held_carrier.pos, held_carrier.quat)
     body = spec.worldbody.add_body(name=CARRIER_NAME, pos=pose[0], quat=pose[1])
@@ -90,7 +88,8 @@ def build_spec(
         pos=(0.0, 0.0, scene.floor_z),
     )
     if held_carrier is None:
-        pairs.declare([_floor(scene)], _partners(scene, physics)[CARRIER])
+        of_body = _partners(scene, physics)
+        _declare_pairs(spec, physics, of_body[FLOOR], of_body[CARRIER])
     add_boxes(spec, scene, physics, range(count))
     return spec
 
@@ -99,15 +98,14 @@ def add_boxes(
     spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequence[int], before: Sequence[int] = ()
 ) -> None:
     """Add boxes, whose bodies then have this order, to a spec that already holds those before them."""
-    pairs = _Pairs(spec, physics)
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics)
-    others = [_floor(scene)] + [shape for body in (CARRIER, *before) for shape in of_body[body]]
+    others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
     for box in boxes:
         body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
         body.add_freejoint(name=box_name(box))
         _add_shapes(body, scene, physics, box, _BOX_COLOURS[box % len(_BOX_COLOURS)])
         _set_inertia(body, scene, physics, box)
-        pairs.declare(others, of_body[box])
+        _declare_pairs(spec, physics, others, of_body[box])
         others += of_body[box]
 
 
@@ -133,47 +131,33 @@ class _Partner:
     skin_m: float
 
 
-class _Pairs:
-    """Declares which geoms touch, if their friction has a time constant of its own: MuJoCo gives it to declared pairs
-    only. All else is what it would be without: MuJoCo takes the larger friction of two geoms."""
+def _declare_pairs(spec: mujoco.MjSpec, physics: Physics, these: Sequence[_Partner], those: Sequence[_Partner]) -> None:
+    """Each of these touches each of those.
 
-    def __init__(self, spec: mujoco.MjSpec, physics: Physics) -> None:
-        self._spec, self._declares = spec, physics.has_own_friction
-        self._values = lru_cache(maxsize=None)(_pair_values(physics))
-
-    def declare(self, these: Iterable[_Partner], those: Sequence[_Partner]) -> None:
-        """Each of these touches each of those."""
-        if not self._declares:
-            return
-        for one in these:
-            for two in those:
-                skin_m = one.skin_m + two.skin_m
-                values = self._values(one.friction, two.friction, skin_m)
-                self._spec.add_pair(geomname1=one.name, geomname2=two.name, **values)
-
-
-def _pair_values(physics: Physics) -> Callable[[Triple, Triple, float], dict[str, Any]]:
-    def values(one: Triple, two: Triple, skin_m: float) -> dict[str, Any]:
-        sliding, torsional, rolling = map(max, one, two)
-        return {
-            "margin": -skin_m,
-            "friction": [sliding, sliding, torsional, rolling, rolling],
-            "solref": physics.solref,
-            "solreffriction": physics.solreffriction,
-            "solimp": physics.solimp + _SOLIMP_TAIL,
-        }
-
-    return values
-
-
-def _floor(scene: Scene) -> _Partner:
-    return _Partner(FLOOR_NAME, scene.floor_friction, 0.0)
+    Pairs are declared if friction has a time constant of its own: MuJoCo gives it to declared pairs only. All else is
+    what it would be without: MuJoCo takes the larger friction of two geoms.
+    """
+    if not physics.has_own_friction:
+        return
+    solimp = physics.solimp + _SOLIMP_TAIL
+    for one in these:
+        for two in those:
+            sliding, torsional, rolling = map(max, one.friction, two.friction)
+            spec.add_pair(
+                geomname1=one.name,
+                geomname2=two.name,
+                margin=-(one.skin_m + two.skin_m),
+                friction=[sliding, sliding, torsional, rolling, rolling],
+                solref=physics.solref,
+                solreffriction=physics.solreffriction,
+                solimp=solimp,
+            )
 
 
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics) -> dict[int, list[_Partner]]:
-    """The shapes of each body, by name."""
-    found: dict[int, list[_Partner]] = {}
+    """The shapes of each body and the floor."""
+    found = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)]}
     shapes = scene.shapes
     for body, friction in zip(shapes.body.tolist(), shapes.friction.tolist(), strict=True):
         skin_m = physics.carrier_skin_m if body == CARRIER else physics.skin_m
@@ -266,5 +250,5 @@ def _add_geom(
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
     if physics.has_own_friction:
-        geom.contype = geom.conaffinity = 0  # touches what it is declared to touch (_Pairs), and that only once
+        geom.contype = geom.conaffinity = 0  # touches what it is declared to touch (_declare_pairs), and that only once
     return geom

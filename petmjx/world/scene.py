@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,18 @@ from petmjx.world.carriers import body_of, floor_z_m, pallet
 from petmjx.world.turned import turned
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
+
+OF_BOXES: Final = (
+    "half_size",
+    "mass",
+    "target",
+    "start_pos",
+    "start_quat",
+    "friction",
+    "mass_center",
+    "inertia_box",
+)
+"""What of a scene has a row for each box, or is None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +74,7 @@ class Scene:
 
     def first(self, count: int) -> Scene:
         """The scene with its first boxes alone."""
-        of_boxes = ("half_size", "mass", "target", "start_pos", "start_quat", "friction", "mass_center", "inertia_box")
-        cut = {name: values[:count] for name in of_boxes if (values := getattr(self, name)) is not None}
+        cut = {name: values[:count] for name in OF_BOXES if (values := getattr(self, name)) is not None}
         return replace(self, **cut)
 
     @property
@@ -86,6 +98,13 @@ class Scene:
         if self.mass_center is None:
             return middle
         return middle - turned(quat, self.middle[: middle.shape[-2]])
+
+    def start_frame(self, box: int, middle: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3,) origin of a box's frame when its middle is here and it is turned as at its release, m."""
+        if self.mass_center is None:
+            return middle
+        origin: NDArray[np.float64] = middle - turned(self.start_quat[box], self.middle[box])
+        return origin
 
     @cached_property
     def shapes(self) -> Shapes:

@@ -19,7 +19,6 @@ from petmjx.verdict import Flag
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
 from petmjx.world.release import Release, release_of
 from petmjx.world.scene import Scene
-from petmjx.world.turned import turned
 
 GROWTH_BLOCK = 8
 """Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a new compilation about 1 ms.
@@ -206,7 +205,7 @@ class LiveWorld:
         box = self.n_placed
         row = self._row[box]
         place = self.release.place_of(box, self.scene, self.pose[:, 2], self.carrier_pose[2])
-        self._poses[row, :3] = place - turned(self.scene.start_quat[box : box + 1], self.scene.middle[box : box + 1])[0]
+        self._poses[row, :3] = self.scene.start_frame(box, place)
         self._poses[row, 3:] = self.scene.start_quat[box]
         self._velocities[row] = 0.0
         self._warmstarts[row] = 0.0
