@@ -132,6 +132,7 @@ def test_what_cannot_be_is_refused(engine: MujocoEngine | MjxWarpEngine) -> None
     worlds.put([0], [scene.first(1)])
     for other, message in (
         (replace(scene, mass=2 * scene.mass), "first 1 boxes"),
+        (replace(scene, mass_center=np.full_like(scene.target, 0.01)), "first 1 boxes"),
         (replace(scene, carrier=replace(scene.carrier, mass=1.0)), "world's carrier"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -9,9 +9,9 @@ from typing import Self
 
 import numpy as np
 
-from petmjx.config import Schedule, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.cpu.world import WorldRun
-from petmjx.engines.open import Reading, check_grown
+from petmjx.engines.open import Reading
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
@@ -25,14 +25,9 @@ class OpenWorld(WorldRun):
     Attributes:
         paused: whether boxes can be put into it.
         ended: whether it has failed, so that it does not go on.
-
-    Raises:
-        ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
     """
 
     def __init__(self, scene: Scene, sim: Simulation, cancelled: Callable[[], bool]) -> None:
-        if sim.schedule is Schedule.FIXED:
-            raise ValueError("worlds with the fixed schedule do not stay open")
         super().__init__(0, Job(scene), sim, cancelled)
         self._pauses = True
         self.ended = not self._start()
@@ -51,23 +46,13 @@ class OpenWorld(WorldRun):
 
         Args:
             scene: the world's, with more boxes behind its own.
-
-        Raises:
-            ValueError: it has no more boxes, or the world has ended.
         """
-        self.check_put(scene)
         self._scene, self._job = scene, replace(self._job, scene=scene)
         self._live.extend(scene)
         self._metrics.extend(scene)
         self._quiet.extend(scene)
         self._still_pose = np.vstack((self._still_pose, np.zeros((scene.n_boxes - len(self._still_pose), 7))))
         self._leave_pause()
-
-    def check_put(self, scene: Scene) -> None:
-        """Raises ValueError if the boxes of a scene cannot be put into the world."""
-        if self.ended:
-            raise ValueError("the world has ended: nothing can be put into it")
-        check_grown(self._scene, scene)
 
     def fork(self) -> Self:
         """A twin in the same state, which goes on by itself."""
@@ -77,14 +62,13 @@ class OpenWorld(WorldRun):
         return twin
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
-        """Go on to the end: the rest window and, if there is one, the drive. The world is then no longer open.
+        """Go on to the end of a world that has boxes: the rest window and, if there is one, the drive.
+
+        The world is then no longer open.
 
         Raises:
             Cancelled: the run was interrupted.
-            ValueError: the world has no boxes.
         """
-        if not self._scene.n_boxes:
-            raise ValueError("a world without boxes has no verdict")
         self.go_on()
         self._index, self._pauses = index, False
         self._job = replace(self._job, drive=drive)

@@ -10,7 +10,7 @@ from typing import TypeVar
 from petmjx.config import Simulation
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_world import OpenWorld
-from petmjx.engines.open import Reading, check_as_many, check_worlds
+from petmjx.engines.open import OpenWorlds, Reading
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive
 from petmjx.world.scene import Scene
@@ -19,8 +19,8 @@ Given = TypeVar("Given")
 Made = TypeVar("Made")
 
 
-class MujocoWorlds:
-    """The protocol ``OpenWorlds`` on CPU threads. Called by one thread at a time.
+class MujocoWorlds(OpenWorlds):
+    """Open worlds on CPU threads.
 
     Args:
         scenes: of the worlds, which begin at once.
@@ -28,59 +28,39 @@ class MujocoWorlds:
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, threads: int) -> None:
-        if not scenes:
-            raise ValueError("there must be a world at least")
+        super().__init__(scenes, sim)
         self._sim, self._threads = sim, threads
         self._stop = threading.Event()
         self._worlds = self._each(self._begin, scenes)
 
-    def __len__(self) -> int:
-        return len(self._worlds)
+    def go_on(self) -> None:
+        """As for all engines."""
+        self._each(OpenWorld.go_on, self._worlds)
 
-    def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """As in the protocol."""
-        check_worlds(worlds, len(self))
-        check_as_many(worlds, scenes, "scenes")
+    def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         for world, begun in zip(worlds, self._each(self._begin, scenes), strict=True):
             self._worlds[world] = begun
 
-    def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """As in the protocol."""
-        check_worlds(worlds, len(self))
-        check_as_many(worlds, scenes, "scenes")
-        for world, scene in zip(worlds, scenes, strict=True):
-            self._worlds[world].check_put(scene)
+    def _ended(self, worlds: Sequence[int]) -> list[bool]:
+        return [self._worlds[world].ended for world in worlds]
+
+    def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         for world, scene in zip(worlds, scenes, strict=True):
             self._worlds[world].put(scene)
 
-    def go_on(self) -> None:
-        """As in the protocol."""
-        self._each(OpenWorld.go_on, self._worlds)
-
-    def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """As in the protocol."""
-        check_worlds(sources, len(self), distinct=False)
-        check_worlds(into, len(self))
-        check_as_many(sources, into, "worlds to fork into")
+    def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
         twins = [self._worlds[world].fork() for world in sources]
         for world, twin in zip(into, twins, strict=True):
             self._worlds[world] = twin
 
-    def read(self, worlds: Sequence[int]) -> list[Reading]:
-        """As in the protocol."""
-        check_worlds(worlds, len(self), distinct=False)
+    def _read(self, worlds: Sequence[int]) -> list[Reading]:
         return [self._worlds[world].read() for world in worlds]
 
-    def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """As in the protocol."""
-        check_worlds(worlds, len(self), distinct=False)
-        if drives is not None:
-            check_as_many(worlds, drives, "drives")
-
+    def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         def end(number: int, world: int, drive: Drive | None) -> Outcome:
             return self._worlds[world].fork().finish(number, drive)
 
-        numbered = zip(range(len(worlds)), worlds, drives or [None] * len(worlds), strict=True)
+        numbered = zip(range(len(worlds)), worlds, drives, strict=True)
         return self._each(lambda each: end(*each), numbered)
 
     def _begin(self, scene: Scene) -> OpenWorld:

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.config import Check, Simulation
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import (
@@ -33,7 +33,7 @@ from petmjx.engines.batch.state import (
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.engines.batch.upload import load, round_up
 from petmjx.engines.clock import Clock
-from petmjx.engines.open import Reading, check_as_many, check_grown, check_worlds
+from petmjx.engines.open import OpenWorlds, Reading
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
@@ -157,8 +157,8 @@ def fork(open_: Open, sources: Int[Array, " row"], into: Int[Array, " row"]) -> 
     )
 
 
-class WarpWorlds:
-    """The protocol ``OpenWorlds`` on the engine mjx-warp. Called by one thread at a time.
+class WarpWorlds(OpenWorlds):
+    """Open worlds on the engine mjx-warp.
 
     Args:
         scenes: of the worlds.
@@ -167,19 +167,13 @@ class WarpWorlds:
     Attributes:
         open: the worlds.
         simulator: its pure functions go on with them in a jitted program.
-
-    Raises:
-        ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int) -> None:
-        if sim.schedule is Schedule.FIXED:
-            raise ValueError("worlds with the fixed schedule do not stay open")
-        if not scenes:
-            raise ValueError("there must be a world at least")
+        super().__init__(scenes, sim)
         if not 1 <= most_boxes <= records.MAX_BOXES:
             raise ValueError(f"most_boxes must be from 1 to {records.MAX_BOXES}, got {most_boxes!r}")
-        self._sim, self._scenes = sim, list(scenes)
+        self._sim = sim
         self._width = round_up(most_boxes)
         self._boards = max(len(scene.carrier.half_size) for scene in scenes)
         self._timetable = build_timetable(sim, self._width)
@@ -188,53 +182,30 @@ class WarpWorlds:
         worlds = self._constants(scenes)
         self.open = Open(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
 
-    def __len__(self) -> int:
-        return len(self._scenes)
+    def go_on(self) -> None:
+        """As for all engines."""
+        self.open = self._to_the_end(self.open, jnp.zeros((1, 1, 3)))
 
-    def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """As in the protocol."""
-        check_worlds(worlds, len(self))
-        check_as_many(worlds, scenes, "scenes")
-        if not len(worlds):
-            return
+    def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         fresh = self._constants(scenes)
         rows = self._rows(worlds, len(fresh.n_boxes))
         self.open = Open(
             put_rows(self.open.worlds, rows, fresh), put_rows(self.open.state, rows, self.simulator.begin(fresh))
         )
-        self._keep(worlds, scenes)
 
-    def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """As in the protocol."""
-        check_worlds(worlds, len(self))
-        check_as_many(worlds, scenes, "scenes")
+    def _ended(self, worlds: Sequence[int]) -> list[bool]:
         ended = np.asarray(self.open.state.status) == Status.FINISHED
-        for world, scene in zip(worlds, scenes, strict=True):
-            if ended[world]:
-                raise ValueError("the world has ended: nothing can be put into it")
-            check_grown(self._scenes[world], scene)
-        if len(worlds):
-            more = self._constants(scenes)
-            self.open = self._put(self.open, self._rows(worlds, len(more.n_boxes)), more)
-            self._keep(worlds, scenes)
+        return [bool(ended[world]) for world in worlds]
 
-    def go_on(self) -> None:
-        """As in the protocol."""
-        self.open = self._to_the_end(self.open, jnp.zeros((1, 1, 3)))
+    def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        more = self._constants(scenes)
+        self.open = self._jitted_put(self.open, self._rows(worlds, len(more.n_boxes)), more)
 
-    def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """As in the protocol."""
-        check_worlds(sources, len(self), distinct=False)
-        check_worlds(into, len(self))
-        check_as_many(sources, into, "worlds to fork into")
-        if len(sources):
-            rows = _padded(len(sources))
-            self.open = _fork(self.open, self._rows(sources, rows), self._rows(into, rows))
-            self._keep(into, [self._scenes[world] for world in sources])
+    def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
+        rows = _padded(len(sources))
+        self.open = _jitted_fork(self.open, self._rows(sources, rows), self._rows(into, rows))
 
-    def read(self, worlds: Sequence[int]) -> list[Reading]:
-        """As in the protocol."""
-        check_worlds(worlds, len(self), distinct=False)
+    def _read(self, worlds: Sequence[int]) -> list[Reading]:
         state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
         found = []
         for world in worlds:
@@ -253,21 +224,12 @@ class WarpWorlds:
             )
         return found
 
-    def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """As in the protocol."""
-        check_worlds(worlds, len(self), distinct=False)
-        if drives is not None:
-            check_as_many(worlds, drives, "drives")
-        if not len(worlds):
-            return []
-        scenes = [self._scenes[world] for world in worlds]
-        if any(not scene.n_boxes for scene in scenes):
-            raise ValueError("a world without boxes has no verdict")
+    def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         self.go_on()
-        jobs = [Job(scene, drive) for scene, drive in zip(scenes, drives or [None] * len(scenes), strict=True)]
+        jobs = [Job(self._scenes[world], drive) for world, drive in zip(worlds, drives, strict=True)]
         batch = load(jobs, _padded(len(jobs)), self._width, self._sim, self._timetable)
         state = _without_padding(take_rows(self.open.state, self._rows(worlds, _padded(len(jobs)))), len(jobs))
-        begun = Open(batch.worlds, self._finish(Open(batch.worlds, state)))
+        begun = Open(batch.worlds, self._jitted_finish(Open(batch.worlds, state)))
         ended, rows = self._to_the_end(begun, batch.profiles), np.arange(len(jobs))
         picked = pick(rows, ended.state, ended.worlds, self._sim)
         return list(outcomes(rows, picked, jobs, 0, self._sim, batch.recorder))
@@ -275,7 +237,7 @@ class WarpWorlds:
     def _to_the_end(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
         """Let worlds go on; those whose buffers are too small again in larger ones."""
         while bool(self.simulator.going(open_)):
-            open_ = self._slice(open_, profiles)
+            open_ = self._jitted_slice(open_, profiles)
             full = open_.state.status == Status.OVERFLOWED
             if not np.asarray(full).any():
                 continue
@@ -294,7 +256,7 @@ class WarpWorlds:
     def _make_simulator(self) -> None:
         self.simulator = Simulator(self._sim, self._timetable, self._width, self._boards, self._room)
         self.simulator.load()
-        self._slice, self._put, self._finish = (
+        self._jitted_slice, self._jitted_put, self._jitted_finish = (
             jax.jit(function) for function in (self.simulator.slice_of_time, self.simulator.put, self.simulator.finish)
         )
 
@@ -317,12 +279,8 @@ class WarpWorlds:
         rows[: len(worlds)] = worlds
         return uploaded(rows)
 
-    def _keep(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        for world, scene in zip(worlds, scenes, strict=True):
-            self._scenes[world] = scene
 
-
-_fork = jax.jit(fork)
+_jitted_fork = jax.jit(fork)
 
 
 def _padded(count: int) -> int:
