@@ -40,6 +40,10 @@ of boxes that statics lets stand and soft contacts let fall the farthest was at 
 STIFF_SAFETY: Final = 40.0
 """The same in stiffer contacts, in which the loss is a fortieth: the farthest was at 28 times it."""
 
+SURE: Final = 1.0
+"""The same where the plan has a load of the pile beyond the edge: hard contacts do not hold such a pile either, so that
+soft ones count only where they alone tip a load over."""
+
 KNIFE_EDGE_M: Final = 0.0004
 """Nearer to an edge nothing can be said: half a millimetre of the plan, less what boxes are smaller by."""
 
@@ -106,11 +110,13 @@ def leans(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
     edge = bearing.edges_m(load)
     found = leaning_of(bearing, load, edge, sim.physics)
     limits = sim.thresholds
-    safety = STIFF_SAFETY if sim.physics.solimp[0] >= MOST_IMPEDANCE else SAFETY
     far = found.shift_m[:placed].max(initial=0.0) > BOUND_SHARE * limits.shift_m
     if far or np.degrees(found.angle_rad[:placed].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
         return True
     pile = _pile_of(bearing, outcome.culprit) if outcome.culprit >= 0 else list(range(placed))
+    safety = STIFF_SAFETY if sim.physics.solimp[0] >= MOST_IMPEDANCE else SAFETY
+    if (edge[pile] < -KNIFE_EDGE_M).any():
+        safety = SURE
     return bool(((edge[pile] > KNIFE_EDGE_M) & (edge[pile] <= safety * found.loss_m[pile])).any())
 
 

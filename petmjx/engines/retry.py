@@ -60,6 +60,10 @@ class AttemptRecipe:
     checks: bool = False
     """Whether it leaves the verdict as it is, and says whether it would be another one (``Flag.TIMESTEP``)."""
 
+    doubles: bool = False
+    """Whether it wants double precision: an invalid world may be so by single precision, and in contacts of a twentieth
+    of the time constant boxes sink by less than it resolves."""
+
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give what the one before did not. More time is not given to a world."""
         if self.checks:
@@ -105,12 +109,12 @@ class AttemptRecipe:
 
 ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(1, None),
-    AttemptRecipe(2, Solver.NEWTON, careful=True),
-    AttemptRecipe(3, Solver.CG),
-    AttemptRecipe(4, Solver.CG, careful=True),
-    AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2),
+    AttemptRecipe(2, Solver.NEWTON, careful=True, doubles=True),
+    AttemptRecipe(3, Solver.CG, doubles=True),
+    AttemptRecipe(4, Solver.CG, careful=True, doubles=True),
+    AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2, doubles=True),
     AttemptRecipe(6, None, stiff=0.5),
-    AttemptRecipe(7, None, stiff=0.05, timestep_divisor=8),
+    AttemptRecipe(7, None, stiff=0.05, timestep_divisor=8, doubles=True),
     AttemptRecipe(8, None, timestep_divisor=2, checks=True),
 )
 """The attempts, in order. Attempts 1 and 6 to 8 use the run's own solver (Newton by default)."""
@@ -245,7 +249,7 @@ class _Making(Generic[AnyWorld]):
             yield self._made(pending, failed, maker)
 
     def _engine_for(self, world: AnyWorld) -> Engine:
-        return self.engines.for_job(world.job, self.sim, again=self.attempt.number > 1)
+        return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles)
 
     def _run_on(
         self, engine: Engine, batch: list[_Pending[AnyWorld]]

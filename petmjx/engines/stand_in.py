@@ -1,7 +1,7 @@
 """Which engine simulates a world: that of the run, or its stand-in, C MuJoCo, where that cannot.
 
-The MJX engines work in single precision, and ``mjx-warp`` has Newton's method alone. So C MuJoCo makes their further
-attempts at invalid worlds, simulates with conjugate gradients, and takes over what an error of theirs left unanswered.
+The MJX engines work in single precision, and ``mjx-warp`` has Newton's method alone. So C MuJoCo makes the attempts
+that want double precision, simulates with conjugate gradients, and takes over what an error of theirs left unanswered.
 ``mujoco`` itself and an engine of the user's own have no stand-in.
 """
 
@@ -33,12 +33,12 @@ class Engines:
         name = STAND_INS.get(self.own.name)
         return make_engine(name) if name is not None else None
 
-    def for_job(self, job: Job, sim: Simulation, *, again: bool) -> Engine:
-        """Who simulates a job; ``again``: at a further attempt."""
+    def for_job(self, job: Job, sim: Simulation, *, doubles: bool) -> Engine:
+        """Who simulates a job; ``doubles``: at an attempt that wants double precision."""
         foreign = isinstance(job.start, KeptState) and job.start.engine != self.own.name
-        if (again or foreign or sim.solver is Solver.CG) and self.stand_in is not None:
-            if again:
-                self.note(f"worlds were simulated again on {self.stand_in.name}: further attempts are its")
+        if (doubles or foreign or sim.solver is Solver.CG) and self.stand_in is not None:
+            if doubles:
+                self.note(f"worlds were simulated again on {self.stand_in.name}, in double precision")
             elif sim.solver is Solver.CG:
                 self.note(f"worlds were simulated on {self.stand_in.name}: the solver cg is its")
             return self.stand_in

@@ -98,6 +98,18 @@ def test_slender_piles_do_not_fall_because_contacts_are_soft(boxes: Sequence[Box
     assert score(boxes, check=check).outcome.verdict is Verdict.STABLE
 
 
+def test_a_pile_that_no_contacts_hold_is_not_asked_about_soft_ones() -> None:
+    """A light box bears a heavy one near its edge, which soft contacts may decide; what falls stands 20 mm too far out."""
+    boxes: list[Box] = [
+        ((200, 300, 200), (0, 0, 0), 0.5),
+        ((200, 300, 200), (98, 0, 200), 30.0),
+        ((200, 300, 100), (218, 0, 400), 0.01),
+    ]
+    result = score(boxes)
+    assert [(a.attempt, a.verdict) for a in result.attempts] == [(1, "unstable")]
+    assert result.outcome.culprit == 2
+
+
 def test_statics_answer_to_small_stacks() -> None:
     """The first of ``python -m benchmarks small-stacks``."""
     for check in CHECKS:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene
-from test_stand_in import Scripted, in_run, never, scored
+from test_stand_in import Scripted, never, scored
 
 import petmjx
 from petmjx.config import Simulation
@@ -65,14 +65,14 @@ def test_worlds_near_a_threshold_are_checked_at_half_the_timestep(
                 falls = {"verdict": Verdict.UNSTABLE, "reason": Reason.SHIFT} if changed else {}
                 yield near(-0.1 if changed else margin, job=index, **falls)
 
-    own, c_engine = Near("mjx-warp", never), Near("mujoco", in_run(0))
-    results, notes = scored(own, c_engine, monkeypatch, Simulation(check_timestep=True))
+    own = Near("mjx-warp", never)
+    results, notes = scored(own, Near("mujoco", never), monkeypatch, Simulation(check_timestep=True))
     assert {result.outcome.verdict for result in results} == {Verdict.STABLE}
     assert [a.attempt for a in results[0].attempts] == ([1, 8] if checked else [1])
     changed = [result.world.plan.plan_id for result in results if result.outcome.flags & Flag.TIMESTEP]
     assert changed == (["p1"] if checked else [])
     assert ("p1: stable, and unstable at half the timestep" in notes) is checked
-    assert [sim.physics.timestep_s for sim in c_engine.sims] == ([0.001] if checked else [])
+    assert [sim.physics.timestep_s for sim in own.sims] == ([0.002, 0.001] if checked else [0.002])
 
 
 def test_nothing_is_checked_unless_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

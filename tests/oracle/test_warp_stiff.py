@@ -1,0 +1,47 @@
+"""Worlds that soft contacts may have decided are simulated again in stiffer ones, by mjx-warp itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.plans import make_plan, make_world, stack
+from support.tiny_worlds import shared_engine
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.retry import WorldResult, score_worlds
+from petmjx.verdict import Verdict
+
+SIM = Simulation()
+
+FORCE_SHARE = 0.01
+"""Of forces at rest: contacts that are 40 times as stiff, in single precision."""
+
+LIGHT_UNDER_HEAVY = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
+
+PILES = {
+    "stands": LIGHT_UNDER_HEAVY,
+    "tips": (*LIGHT_UNDER_HEAVY, ((400, 300, 200), (220, 0, 400), 5.0)),
+    "slender": (((131, 300, 402), (0, 0, 0), 0.32), ((131, 300, 800), (64, 0, 402), 7.2)),
+}
+
+
+def scored(engine: Engine) -> dict[str, WorldResult]:
+    worlds = [make_world(make_plan(name, boxes), SIM) for name, boxes in PILES.items()]
+    return {result.world.plan.plan_id: result for result in score_worlds(worlds, SIM, engine)}
+
+
+@pytest.mark.slow
+def test_the_kernel_s_further_attempts_end_as_c_mujoco_s() -> None:
+    expected = scored(MujocoEngine(1))
+    for name, result in scored(shared_engine()).items():
+        assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp")], name
+        oracle = expected[name].outcome
+        assert (result.outcome.verdict, result.outcome.culprit) == (oracle.verdict, oracle.culprit), name
+        if oracle.verdict is Verdict.STABLE:
+            found, wanted = result.outcome.boxes.rest_top_force_n, oracle.boxes.rest_top_force_n
+            np.testing.assert_allclose(found, wanted, rtol=FORCE_SHARE, atol=FORCE_SHARE * wanted.max(), err_msg=name)
+    assert {name: result.outcome.verdict for name, result in expected.items()} == {
+        "stands": Verdict.STABLE, "tips": Verdict.UNSTABLE, "slender": Verdict.STABLE,
+    }  # fmt: skip
