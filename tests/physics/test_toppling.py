@@ -99,7 +99,7 @@ def test_slender_piles_do_not_fall_because_contacts_are_soft(boxes: Sequence[Box
 
 
 def test_a_pile_that_no_contacts_hold_is_not_asked_about_soft_ones() -> None:
-    """A light box bears a heavy one near its edge, which soft contacts may decide; what falls stands 20 mm too far out."""
+    """A light box bears a heavy one near its edge, which soft contacts may decide; what falls stands too far out."""
     boxes: list[Box] = [
         ((200, 300, 200), (0, 0, 0), 0.5),
         ((200, 300, 200), (98, 0, 200), 30.0),
