@@ -156,6 +156,13 @@ def test_what_reads_results_loads_no_simulator(module: str) -> None:
     assert loaded_by(f"import {module}") == set()
 
 
+def test_mjx_warp_does_not_wait_for_mjx() -> None:
+    """``import mujoco.mjx`` takes longer than all else that one plan needs on a GPU."""
+    code = "import sys, petmjx.engines.warp.engine\nprint(*{'mujoco.mjx', 'trimesh'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
 def test_a_score_imports_nothing_beside_its_way() -> None:
     code = "import sys, petmjx.api\nprint(*{name.split('.')[1] for name in sys.modules if name.startswith('petmjx.')})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

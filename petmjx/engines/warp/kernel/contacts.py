@@ -11,8 +11,6 @@ does not move.
 from __future__ import annotations
 
 import warp as wp
-from mujoco.mjx.third_party.mujoco_warp._src.collision_primitive_core import box_box, mat83f, plane_box, vec8f
-from mujoco.mjx.third_party.mujoco_warp._src.math import make_frame
 
 from petmjx.engines.warp.kernel.block import any_of_all, prefix_sums, wait_for_all, warp_by_warp
 from petmjx.engines.warp.kernel.motion import (
@@ -25,6 +23,7 @@ from petmjx.engines.warp.kernel.motion import (
     linear_velocity,
     skin_of,
 )
+from petmjx.engines.warp.kernel.mujoco_warp import box_box, make_frame, mat83f, plane_box, vec8f
 from petmjx.engines.warp.kernel.ordering import block_position
 from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
 
