@@ -40,17 +40,20 @@ _HTTP2_SETTINGS = b"\x00\x00\x00\x04"
 _HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
 """What a client says first, with an empty frame of settings."""
 
-_PRINTER = "print_to_stdstream"
+_SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
+"""Ray's variable for lines that it does not print; it is read when the package is imported."""
 
 
 def import_ray() -> Any:
-    """The package Ray.
+    """The package Ray. Imported here first, it does not tell of workers that died on standard output, where only
+    results belong.
 
     Raises:
         EngineUnavailable: it is not installed, or cannot be imported.
     """
     try:
         with _left_as_it_was():
+            os.environ[_SKIPPED_LINES] = "^"
             return importlib.import_module("ray")
     except ImportError as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name == "ray"
@@ -89,7 +92,6 @@ class _Ours:
     thread: ThreadPoolExecutor
     folder: Path | None = None
     users: int = 0
-    _print: Any = None
 
     def start(self) -> None:
         """Start Ray or join the cluster; in the thread.
@@ -123,17 +125,11 @@ class _Ours:
                     hint = "a cluster that wants a token needs RAY_AUTH_MODE=token"
                     raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error
                 raise EngineUnavailable(f"workers cannot run here: Ray does not start: {one_line(error)}") from error
-        # It prints to standard output, where only results belong, that a worker has died. There is no option for it.
-        module = self.ray._private.worker
-        self._print = getattr(module, _PRINTER, None)
-        setattr(module, _PRINTER, lambda *_, **__: None)
 
     def end(self) -> None:
         """Stop Ray or leave the cluster; in the thread."""
         with _left_as_it_was():
             self.ray.shutdown()
-        if self._print is not None:
-            setattr(self.ray._private.worker, _PRINTER, self._print)
         self._remove_folder()
 
     def _remove_folder(self) -> None:
