@@ -260,7 +260,7 @@ class _Making(Generic[AnyWorld]):
         if takes_more:
             jobs = GrowingJobs(jobs)
         unanswered = set(range(len(batch)))
-        answers = engine.run(jobs, self.sim, self.engines.progress)
+        answers = iter(engine.run(jobs, self.sim, self.engines.progress))
         while True:
             try:
                 answer = next(answers, None)
