@@ -24,7 +24,7 @@ from support.fake_stepper import fake_scene
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton, records
 from petmjx.engines.warp.kernel.rules import after_step
-from petmjx.engines.warp.records import Lane, Model, Tables, Workspace, array_types, filled
+from petmjx.engines.warp.records import Model, Tables, Thread, Workspace, array_types, filled
 from petmjx.engines.warp.rollout import constants
 from petmjx.engines.warp.shape import with_cpp
 
@@ -37,8 +37,8 @@ SAME = 1e-5
 
 @wp.func
 def _one(model: Model, tables: Tables, state: records.State, work: Workspace, world: int, astray: bool) -> None:
-    at = Lane()
-    at.lane = world
+    at = Thread()
+    at.block = world
     at.thread = 0
     at.threads = 1
     at.world = world

@@ -186,8 +186,8 @@ def test_damping_of_friction_as_mujoco_has_it(changes: dict[str, Any], damping: 
     assert friction_damping(PHYSICS["pallet"].changed(**changes)) == pytest.approx(damping)
 
 
-def test_sizes_of_lanes_fit_tables_and_blocks() -> None:
-    """A table's width must say which lanes its worlds have; C++ has room for the sums of 8 warps."""
+def test_sizes_fit_tables_and_thread_blocks() -> None:
+    """A table's width must say which blocks its worlds have; C++ has room for the sums of 8 warps."""
     most = [size.most_boxes for size in shape.SIZES]
     assert most == sorted(most)
     assert most[-1] == MAX_BOXES

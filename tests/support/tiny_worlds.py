@@ -28,7 +28,7 @@ TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "co
 SHORT = Simulation(interval_s=0.1, rest_window_s=0.1, settle_s=0.3)
 
 LONG_NS = 10**15
-"""A slice of time in which all worlds of a test end."""
+"""A time slice in which all worlds of a test end."""
 
 devices = pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=pytest.mark.gpu)])
 
@@ -63,13 +63,13 @@ def assert_equal_worlds(found: dict[str, Outcome], expected: dict[str, Outcome])
 
 
 def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, int], None]) -> list[Rollout]:
-    """Before programs and buffers are made ``look`` sees each fleet: most boxes, most contacts, lanes. It may raise.
+    """Before programs and buffers are made ``look`` sees each fleet: most boxes, most contacts, blocks. It may raise.
     Returns a list of what is made."""
     made: list[Rollout] = []
 
     def rollout(run: Run, fleets: Sequence[Fleet], slice_ns: int) -> Rollout:
         for fleet in fleets:
-            look(fleet.n_boxes, fleet.room, fleet.lanes)
+            look(fleet.n_boxes, fleet.room, fleet.blocks)
         made.append(Rollout(run, fleets, slice_ns))
         return made[-1]
 
@@ -78,7 +78,7 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
 
 
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
-    """Lanes of two sizes also for tiny worlds, with as many threads each."""
+    """Blocks of two sizes also for tiny worlds, with as many threads each."""
     small, large = shape.SIZES
     alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
     monkeypatch.setattr(shape, "SIZES", alike)

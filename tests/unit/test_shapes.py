@@ -183,6 +183,6 @@ def test_axes_have_the_names_that_are_listed(repository: Path) -> None:
     folders = ("petmjx/engines/batch", "petmjx/metrics", "petmjx/engines/warp")
     modules = [path for folder in folders for path in sorted((repository / folder).glob("*.py"))]
     used = {name: path.name for path in modules for name in annotated_axes(path)}
-    assert {"lane", "world", "box"} <= used.keys()
+    assert {"world", "box"} <= used.keys()
     assert {name: path for name, path in used.items() if name not in listed} == {}
     assert listed - used.keys() == set()

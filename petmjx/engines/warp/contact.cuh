@@ -33,9 +33,9 @@ inline CUDA_CALLABLE void load_arms(const float* contact, int side, float (&arms
     for (int i = 0; i < 9; ++i) arms[i] = side ? near[2 + i] : near[1 + i];
 }
 
-// J·x of one contact, (3,). `block`: the numbers of its two blocks, negative if the body does not move.
-inline CUDA_CALLABLE void relative(const float* contact, const int* block, const double* x, double* out) {
-    const int one = 6 * block[0], two = 6 * block[1];
+// J·x of one contact, (3,). `body`: the numbers of its two bodies, negative if one does not move.
+inline CUDA_CALLABLE void relative(const float* contact, const int* body, const double* x, double* out) {
+    const int one = 6 * body[0], two = 6 * body[1];
     float axes[28];
     #pragma unroll
     for (int i = 0; i < 28; i += 4) load_four(axes + i, contact + i);

@@ -1,11 +1,11 @@
 """The JAX call that launches the kernels of mjx-warp, in which every world goes at its own pace.
 
-A thread block is a lane. Lanes of one size are a fleet, with a kernel of its own (petmjx/engines/warp/shape.py); all
-fleets work at the same time, on the same tables. A lane takes a world from its fleet's queue, steps it to its end (or
+Thread blocks for worlds of one size are a fleet, with a kernel of its own (petmjx/engines/warp/shape.py); all fleets
+work at the same time, on the same tables. A block takes a world from its fleet's queue, steps it to its end (or
 until its drive begins, or until the call's time is over), and takes the next one. Nothing is done in lockstep: a world
 costs what its own boxes cost, and a step takes as long as its own solver needs. States lie in the tables of
 petmjx/engines/batch/state.py, and a world that was cut off goes on in the next call. So results depend neither on
-lanes, nor on the order of worlds, nor on time.
+blocks, nor on the order of worlds, nor on time.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ MORE_BOXES = 2
 
 @dataclass(frozen=True)
 class Fleet:
-    """Lanes of one size.
+    """Thread blocks for worlds of one size.
 
     Attributes:
-        shape: of the lanes.
-        lanes: worlds at the same time.
+        shape: of the blocks.
+        blocks: how many; each has one world at a time.
         n_boxes, boards, pairs, room: most boxes, shapes of a carrier, pairs of near geoms, and contacts of a world.
     """
 
     shape: Shape
-    lanes: int
+    blocks: int
     n_boxes: int
     boards: int
     pairs: int
@@ -70,7 +70,7 @@ class Fleet:
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of the axes of its workspace."""
-        return records.axes(self.lanes, self.n_boxes, self.boards, self.pairs, self.room)
+        return records.axes(self.blocks, self.n_boxes, self.boards, self.pairs, self.room)
 
 
 class March:
@@ -79,7 +79,7 @@ class March:
     Args:
         constants: fields of ``records.Model`` but for those of a fleet.
         fleets: by number of the queue from which they take worlds; those for the largest worlds first.
-        slice_ns: time of a call, ns; with 0 each lane takes one step.
+        slice_ns: time of a call, ns; with 0 each block takes one step.
     """
 
     def __init__(self, constants: Mapping[str, Any], fleets: Sequence[Fleet], slice_ns: int = SLICE_NS) -> None:
@@ -88,13 +88,13 @@ class March:
             filled(Model, {**constants, "queue": queue, "pairs": fleet.pairs, "room": fleet.room})
             for queue, fleet in enumerate(fleets)
         ]
-        self.lanes = sum(fleet.lanes for fleet in fleets)
+        self.blocks = sum(fleet.blocks for fleet in fleets)
         self.slice_ns = slice_ns
         self.id = next(_IDS)
         _MARCHES[self.id] = self
 
     def workspace(self) -> jax.Array:
-        """The lanes' memory. It has to be given to each call."""
+        """The workspace of all blocks. It has to be given to each call."""
         rows = sum(records.buffer_rows(fleet.sizes) for fleet in self.fleets)
         return jnp.zeros((rows, records.BUFFER_WORDS), jnp.float32)
 
@@ -111,7 +111,7 @@ class March:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """States after a slice of time, the workspace, frames, and what was counted. What the kernels do not know of a
+        """States after a time slice, the workspace, frames, and what was counted. What the kernels do not know of a
         state stays as it is."""
         kinds, shapes = array_types(Counts), records.array_shapes(Counts, {"queue": len(self.fleets)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
@@ -139,8 +139,8 @@ class March:
                 threads, sizes = fleet.shape.threads, fleet.sizes
                 work = filled(Workspace, records.in_buffer(arrays["workspace"], sizes, row))
                 row += records.buffer_rows(sizes)
-                inputs = [threads, self.lanes, self.slice_ns, model, tables, state, work, frames, counts]
-                dim = fleet.lanes, threads
+                inputs = [threads, self.blocks, self.slice_ns, model, tables, state, work, frames, counts]
+                dim = fleet.blocks, threads
                 wp.launch(kernel(fleet.shape), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
 
 

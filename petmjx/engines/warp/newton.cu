@@ -1,4 +1,4 @@
-// The constraint solver of mjx-warp for the world of a lane: Newton's method, as newton.py explains it.
+// The constraint solver of mjx-warp for the world of a thread block: Newton's method, as newton.py explains it.
 //
 // Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it. Loops are not unrolled where they
 // could be: a GPU waits for instructions more than for results (docs/performance.md).
@@ -9,11 +9,11 @@
 
 namespace petmjx {
 
-// Views of one world's arrays, which records.py describes.
+// Views of one world's arrays, which records.py describes. Its bodies are the free ones.
 struct World {
     int contacts, bodies, n;
     const float* row;      // (contact, ROW)
-    const int* block;      // (contact, 2)
+    const int* body;       // (contact, 2) negative: does not move
     const int* begin_of;   // (body + 1,) where each body's links begin
     const int* link;       // 2·contact + side, body after body
     const int* position;   // (body,) of its rows in the system, in bodies
@@ -79,8 +79,8 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
     return bound;
 }
 
-// A body's diagonal block of the Hessian: 21 entries, summed over its contacts by SHARE threads.
-inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, int thread, int threads) {
+// A body's own entries of the Hessian, 21 of its 6 × 6, summed over its contacts by SHARE threads.
+inline CUDA_CALLABLE void own_entries(const World& world, const System& system, int thread, int threads) {
     #pragma unroll 1
     for (int base = 0; base < world.bodies * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
@@ -129,14 +129,14 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
     }
 }
 
-// The block of two bodies that touch: one row per thread, summed over their contacts.
-inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, int pairs, int thread, int threads) {
-    const int* block = world.block;
+// The 6 × 6 entries of two bodies that touch: one row per thread, summed over their contacts.
+inline CUDA_CALLABLE void pair_entries(const World& world, const System& system, int pairs, int thread, int threads) {
+    const int* body = world.body;
     #pragma unroll 1
     for (int item = thread; item < 6 * pairs; item += threads) {
         const int p = item % 6;
         int k = world.pair[item / 6];
-        const int one = block[2 * k], two = block[2 * k + 1];
+        const int one = body[2 * k], two = body[2 * k + 1];
         float shared[6] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
         do {
             const float* c = world.row + ROW * k;
@@ -155,7 +155,7 @@ inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, 
                 shared[3 + i] -= arms[i] * bx + arms[3 + i] * by + arms[6 + i] * bz;
             }
             ++k;
-        } while (k < world.contacts && block[2 * k] == one && block[2 * k + 1] == two);
+        } while (k < world.contacts && body[2 * k] == one && body[2 * k + 1] == two);
         const int upper = world.position[one], lower = world.position[two];
         const bool ahead = upper < lower;
         const Columns columns = system.columns(ahead ? lower : upper);
@@ -178,13 +178,13 @@ inline CUDA_CALLABLE void hessian(const World& world, const System& system, int 
         system.entry(c, c) = 1.0f;
         system.rhs[c] = 0.0f;
     }
-    own_blocks(world, system, thread, threads);
-    pair_blocks(world, system, pairs, thread, threads);
+    own_entries(world, system, thread, threads);
+    pair_entries(world, system, pairs, thread, threads);
     wait_for_all();
 }
 
-// What a lane's system looks like, from call to call: found again when a world's contacts or the order of its bodies have
-// changed. They always have in a lane's first step of a world.
+// What a block's system looks like, from call to call: found again when a world's contacts or the order of its bodies have
+// changed. They always have in a block's first step of a world.
 template <int PANELS>
 struct Layout {
     int top[PANELS], base[PANELS + 1];  // of the system
@@ -220,11 +220,11 @@ inline CUDA_CALLABLE void lay_out(
         for (int J = K + at_once; J < panels; ++J) reaching += top[J] < K + at_once;
         take_larger(layout.widest, reaching);
     }
-    const int* block = world.block;
+    const int* body = world.body;
     #pragma unroll 1
     for (int k = thread; k < world.contacts; k += threads) {
-        const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
-        if (begins && block[2 * k] >= 0) world.pair[take_number(layout.pairs)] = k;
+        const bool begins = k == 0 || body[2 * k] != body[2 * k - 2] || body[2 * k + 1] != body[2 * k - 1];
+        if (begins && body[2 * k] >= 0) world.pair[take_number(layout.pairs)] = k;
     }
     double trace[1] = {0.0};
     #pragma unroll 1
@@ -234,14 +234,14 @@ inline CUDA_CALLABLE void lay_out(
     wait_for_all();
 }
 
-// Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
+// Accelerations and contact forces of a block's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
 // sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
 // last call. `forces`: those of the accelerations that it ends with are wanted, too. `near`: shared memory for
 // `near_words` numbers, where the strip and the Hessian go if they fit.
 template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    int lane, int thread, int threads, int limit, bool changed, bool forces, const Model& model, const Workspace& work,
+    int block, int thread, int threads, int limit, bool changed, bool forces, const Model& model, const Workspace& work,
     float* near, int near_words
 ) {
     static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
@@ -254,13 +254,13 @@ inline CUDA_CALLABLE void newton(
 
     const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
-    const size_t at = lane, room = model.room;
+    const size_t at = block, room = model.room;
     World world;
     world.contacts = work.contacts.data[at];
-    world.bodies = work.n_blocks.data[at];
+    world.bodies = work.n_free.data[at];
     world.n = 6 * world.bodies;
     world.row = work.rows.data + at * room * ROW;
-    world.block = work.blocks.data + at * room * 2;
+    world.body = work.contact_bodies.data + at * room * 2;
     world.begin_of = work.link_begin.data + at * work.link_begin.shape[1];
     world.link = work.links.data + at * work.links.shape[1];
     world.position = work.position.data + at * work.position.shape[1];
@@ -278,7 +278,7 @@ inline CUDA_CALLABLE void newton(
     const int* low = work.lowest.data + at * work.lowest.shape[1];
     const int contacts = world.contacts, bodies = world.bodies, n = world.n;
     const float* row = world.row;
-    const int* block = world.block;
+    const int* body = world.body;
     double* a = world.a;
     double* step = world.step;
     double* jar = world.jar;
@@ -304,7 +304,7 @@ inline CUDA_CALLABLE void newton(
     system.A = fits ? near + strip_words : work.hessian.data + at * work.hessian.shape[1];
     #pragma unroll 1
     for (int k = thread; k < contacts; k += threads) {
-        relative(row + ROW * k, block + 2 * k, a, jar + 3 * k);
+        relative(row + ROW * k, body + 2 * k, a, jar + 3 * k);
         for (int r = 0; r < 3; ++r) jar[3 * k + r] -= row[ROW * k + 27 + r];
     }
     bool last = false;
@@ -346,7 +346,7 @@ inline CUDA_CALLABLE void newton(
         const double start = along[0];
         if (!(start < 0.0 && start > -INFINITE)) break;
         #pragma unroll 1
-        for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
+        for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, body + 2 * k, step, jv + 3 * k);
         double length = 1.0, shortest = 0.0, longest = 1.0, first = start;
         #pragma unroll 1
         for (int trial = 0; trial < model.trials; ++trial) {

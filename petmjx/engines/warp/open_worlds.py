@@ -64,7 +64,7 @@ class Simulator:
         shape = Shape.here(most_boxes)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        fleet = Fleet(shape, shape.lanes, most_boxes, boards, pairs, contacts)
+        fleet = Fleet(shape, shape.blocks, most_boxes, boards, pairs, contacts)
         self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False)
@@ -115,7 +115,7 @@ class Simulator:
             return self.going(open_)
 
         def on(open_: Open) -> Open:
-            return self.slice_of_time(open_, profiles)
+            return self.time_slice(open_, profiles)
 
         return jax.lax.while_loop(going, on, open_)
 
@@ -125,8 +125,8 @@ class Simulator:
         state, driven = open_.state, open_.worlds.driven
         return (state.running | ((state.status == Status.SETTLED) & driven)).any()
 
-    def slice_of_time(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
-        """Let worlds go on for a slice of time."""
+    def time_slice(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
+        """Let worlds go on for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
         tables = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds)._asdict()
@@ -257,7 +257,7 @@ class WarpWorlds(OpenWorlds):
         self.simulator = Simulator(self._sim, self._timetable, self._width, self._boards, self._room)
         self.simulator.load()
         self._jitted_slice, self._jitted_put, self._jitted_finish = (
-            jax.jit(function) for function in (self.simulator.slice_of_time, self.simulator.put, self.simulator.finish)
+            jax.jit(function) for function in (self.simulator.time_slice, self.simulator.put, self.simulator.finish)
         )
 
     def _constants(self, scenes: Sequence[Scene]) -> Worlds:

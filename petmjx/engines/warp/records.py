@@ -4,9 +4,9 @@ Each array is declared only here, with its element type and its axes. The kernel
 passes the arrays of ``Tables`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
 the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
 
-Axes. ``world``: a row of the tables. ``lane``: a thread block, which has one world at a time. ``queue``: of worlds for
-lanes of one size. ``body``: the carrier, then the boxes in packing order; ``block``: a body that moves; ``dof``: one of
-its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
+Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
+of one size. ``body``: the carrier, then the boxes in packing order; ``free_body``: one that moves; ``dof``: one
+of its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
 ``slot``: a contact. Units are SI.
 """
 
@@ -65,7 +65,7 @@ class Model:
     driven_limit: int  # the same in a drive
     trials: int  # most iterations of its line search
 
-    queue: int  # from which these lanes take worlds
+    queue: int  # from which these blocks take worlds
     pairs: int  # most pairs of near geoms of a world
     room: int  # most contacts of a world
 
@@ -129,7 +129,7 @@ class Tables:
     settles: Annotated[wp.array[wp.bool], "world"]
     pauses: Annotated[wp.array[wp.bool], "world"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take lanes; behind them negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
 
 
 @record
@@ -177,56 +177,56 @@ class State:
 
 @record
 class Workspace:
-    """Arrays of a lane, used within a step. Each array begins at a multiple of 16 bytes."""
+    """Arrays of a thread block, used within a step. Each array begins at a multiple of 16 bytes."""
 
-    acceleration: Annotated[wp.array2d[wp.float64], "lane dof"]
-    direction: Annotated[wp.array2d[wp.float64], "lane dof"]
-    gradient: Annotated[wp.array2d[wp.float64], "lane dof"]
-    residual: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # J·a − r
-    slope: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # J·direction
-    force: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # of a contact, in its frame
-    worst: Annotated[wp.array[wp.int64], "lane"]  # the largest excess and its box
-    hessian: Annotated[wp.array2d[float], "lane entry"]  # its envelope, if shared memory has no room for it
-    strip: Annotated[wp.array2d[float], "lane part"]  # rows of its factor, if shared memory has no room for them
-    rows: Annotated[wp.array3d[float], "lane slot row_word"]
-    curvature: Annotated[wp.array3d[float], "lane slot 6"]
-    inertia: Annotated[wp.array2d[float], "lane dof"]  # diagonal of the inertia matrix
-    smooth: Annotated[wp.array2d[float], "lane dof"]  # accelerations without contacts
-    drag: Annotated[wp.array3d[float], "lane slot 2"]  # of a contact: contact.cuh
-    place: Annotated[wp.array2d[wp.vec3], "lane geom"]  # centres
-    turn: Annotated[wp.array2d[wp.mat33], "lane geom"]
-    reach: Annotated[wp.array2d[wp.vec3], "lane geom"]  # half extents of the box around a geom, along x, y, z
-    home: Annotated[wp.array2d[wp.vec3], "lane geom"]  # place and reach when pairs were listed
-    home_reach: Annotated[wp.array2d[wp.vec3], "lane geom"]
-    seen: Annotated[wp.array3d[float], "lane box 7"]  # poses at the beginning of a step
-    top_force: Annotated[wp.array2d[float], "lane box"]
-    first: Annotated[wp.array2d[int], "lane pair"]  # the lower geom of a pair
-    second: Annotated[wp.array2d[int], "lane pair"]
-    normal: Annotated[wp.array2d[wp.vec3], "lane pair"]
-    points: Annotated[wp.array3d[wp.vec4], "lane pair 8"]  # where a pair touches, and its distance there
-    pair_of: Annotated[wp.array2d[int], "lane geom_end"]  # the first pair of each lower geom
-    lower: Annotated[wp.array2d[int], "lane pair"]  # the pairs of each higher geom
-    lower_of: Annotated[wp.array2d[int], "lane geom_end"]  # where they begin
-    touching: Annotated[wp.array2d[int], "lane pair"]  # contacts of each pair
-    contact_of: Annotated[wp.array2d[int], "lane pair_end"]  # the first contact of each pair
-    pair_at: Annotated[wp.array2d[int], "lane slot"]  # of a contact
-    blocks: Annotated[wp.array3d[int], "lane slot 2"]  # of a contact, lower first; negative: does not move
-    links: Annotated[wp.array2d[int], "lane link"]  # 2 × slot + side, block after block
-    link_begin: Annotated[wp.array2d[int], "lane block_end"]
-    level: Annotated[wp.array2d[int], "lane block"]  # of the carrier and the boxes, when blocks are put in order
-    position: Annotated[wp.array2d[int], "lane block"]  # of a block in the solver's system
-    lowest: Annotated[wp.array2d[int], "lane block"]  # by position: the lowest that its block touches, or its own
-    pair_begin: Annotated[wp.array2d[int], "lane slot"]  # first contact of each pair of blocks, in no order
-    contacts: Annotated[wp.array[int], "lane"]
-    n_blocks: Annotated[wp.array[int], "lane"]
-    iterations: Annotated[wp.array[int], "lane"]  # of the solver
-    world: Annotated[wp.array[int], "lane"]  # which a lane has; negative: none
-    frame: Annotated[wp.array[int], "lane"]  # which a lane writes
+    acceleration: Annotated[wp.array2d[wp.float64], "block dof"]
+    direction: Annotated[wp.array2d[wp.float64], "block dof"]
+    gradient: Annotated[wp.array2d[wp.float64], "block dof"]
+    residual: Annotated[wp.array3d[wp.float64], "block slot 3"]  # J·a − r
+    slope: Annotated[wp.array3d[wp.float64], "block slot 3"]  # J·direction
+    force: Annotated[wp.array3d[wp.float64], "block slot 3"]  # of a contact, in its frame
+    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
+    hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if shared memory has no room for it
+    strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if shared memory has no room for them
+    rows: Annotated[wp.array3d[float], "block slot row_word"]
+    curvature: Annotated[wp.array3d[float], "block slot 6"]
+    inertia: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
+    smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
+    drag: Annotated[wp.array3d[float], "block slot 2"]  # of a contact: contact.cuh
+    place: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
+    turn: Annotated[wp.array2d[wp.mat33], "block geom"]
+    reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
+    home: Annotated[wp.array2d[wp.vec3], "block geom"]  # place and reach when pairs were listed
+    home_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
+    seen: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
+    top_force: Annotated[wp.array2d[float], "block box"]
+    first: Annotated[wp.array2d[int], "block pair"]  # the lower geom of a pair
+    second: Annotated[wp.array2d[int], "block pair"]
+    normal: Annotated[wp.array2d[wp.vec3], "block pair"]
+    points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
+    pair_of: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
+    lower: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
+    lower_of: Annotated[wp.array2d[int], "block geom_end"]  # where they begin
+    touching: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
+    contact_of: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
+    pair_at: Annotated[wp.array2d[int], "block slot"]  # of a contact
+    contact_bodies: Annotated[wp.array3d[int], "block slot 2"]  # free bodies, lower first; negative: does not move
+    links: Annotated[wp.array2d[int], "block link"]  # 2 × slot + side, body after body
+    link_begin: Annotated[wp.array2d[int], "block free_body_end"]
+    level: Annotated[wp.array2d[int], "block body"]  # of the carrier and the boxes, when bodies are put in order
+    position: Annotated[wp.array2d[int], "block free_body"]  # of a body in the solver's system
+    lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: the lowest that its body touches, or its own
+    pair_begin: Annotated[wp.array2d[int], "block slot"]  # first contact of each pair of free bodies, in no order
+    contacts: Annotated[wp.array[int], "block"]
+    n_free: Annotated[wp.array[int], "block"]  # free bodies
+    iterations: Annotated[wp.array[int], "block"]  # of the solver
+    world: Annotated[wp.array[int], "block"]  # which a block has; negative: none
+    frame: Annotated[wp.array[int], "block"]  # which a block writes
 
 
 @record
 class Frames:
-    """Frames of recorded worlds, in the order in which lanes write them; all worlds of a call share the room."""
+    """Frames of recorded worlds, in the order in which blocks write them; all worlds of a call share the room."""
 
     every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: it is not recorded
     used: Annotated[wp.array[int], "1"]
@@ -242,7 +242,7 @@ class Frames:
 class Counts:
     """What a call counts."""
 
-    taken: Annotated[wp.array[int], "queue"]  # worlds that lanes have taken, so far
+    taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken, so far
     clock: Annotated[wp.array[int], "1"]  # when it began: block.cuh
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
@@ -250,16 +250,16 @@ class Counts:
 
 
 @record
-class Lane:
-    """A thread of a lane, and its lane's world."""
+class Thread:
+    """A thread of a block, and the world that its block has."""
 
-    lane: int
+    block: int
     thread: int
     threads: int
     world: int
     placed: int  # boxes that stand
     geoms: int  # the floor and the shapes of the carrier and of these boxes
-    held: int  # 1 if the carrier is held fast: its body is then no block
+    held: int  # 1 if the carrier is held fast: it is then no free body
 
 
 def most_panels(n_boxes: int) -> int:
@@ -267,8 +267,8 @@ def most_panels(n_boxes: int) -> int:
     return -(-6 * (n_boxes + 1) // PANEL)
 
 
-def axes(lanes: int, n_boxes: int, boards: int, pairs: int, room: int) -> dict[str, int]:
-    """Sizes of the axes of a lane.
+def axes(blocks: int, n_boxes: int, boards: int, pairs: int, room: int) -> dict[str, int]:
+    """Sizes of the axes of some blocks' workspace.
 
     Args:
         n_boxes: most boxes of a world.
@@ -276,16 +276,16 @@ def axes(lanes: int, n_boxes: int, boards: int, pairs: int, room: int) -> dict[s
         pairs: most pairs of near geoms of a world.
         room: most contacts of a world.
     """
-    n_blocks = n_boxes + 1
     panels = most_panels(n_boxes)
     return {
-        "lane": lanes,
+        "block": blocks,
         "box": n_boxes,
         "geom": n_boxes + boards + 1,
         "geom_end": n_boxes + boards + 2,
-        "block": n_blocks,
-        "block_end": n_blocks + 1,
-        "dof": 6 * n_blocks,
+        "body": n_boxes + 1,
+        "free_body": n_boxes + 1,
+        "free_body_end": n_boxes + 2,
+        "dof": 6 * (n_boxes + 1),
         "entry": panels * (panels + 1) // 2 * PANEL**2,
         "part": panels * 2 * PANEL**2,
         "pair": pairs,
@@ -326,7 +326,7 @@ def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...]
 
 
 def buffer_rows(sizes: Mapping[str, int]) -> int:
-    """Rows of ``BUFFER_WORDS`` that hold the workspace of some lanes; in them lane lies after lane within each array.
+    """Rows of ``BUFFER_WORDS`` that hold the workspace of some blocks; within each array block lies after block.
 
     Args:
         sizes: axis → size.
@@ -344,6 +344,6 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict
     return views
 
 
-def lane_bytes(n_boxes: int, boards: int, pairs: int, room: int) -> int:
-    """Device memory of a lane, bytes."""
+def block_bytes(n_boxes: int, boards: int, pairs: int, room: int) -> int:
+    """Device memory of a block, bytes."""
     return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, boards, pairs, room)))

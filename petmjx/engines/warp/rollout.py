@@ -1,4 +1,4 @@
-"""Runs of mjx-warp: slices of time in which every world of a group goes on, and the outcomes of those that end."""
+"""Runs of mjx-warp: time slices in which every world of a group goes on, and the outcomes of those that end."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 
 class Slice(NamedTuple):
-    """What a slice of time gives beside states, when it has ended. ``began``: when the host began it, s."""
+    """What a time slice gives beside states, when it has ended. ``began``: when the host began it, s."""
 
     began: float
     status: Int[Array, " world"]
@@ -106,7 +106,7 @@ class Slice(NamedTuple):
 
 
 class Rollout:
-    """Programs and buffers of a run, and its slices of time that are under way, in their order.
+    """Programs and buffers of a run, and its time slices that are under way, in their order.
 
     Args:
         fleets: those for the largest worlds first.
@@ -128,10 +128,10 @@ class Rollout:
         return len(self._slices)
 
     def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
-        """Begin a slice of time for all worlds of a group that run: behind those that are under way."""
-        lanes = self.march.lanes
-        if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
-            group.frames = room_for(group, lanes)
+        """Begin a time slice for all worlds of a group that run: behind those that are under way."""
+        blocks = self.march.blocks
+        if group.frames is None or (len(group.frames["of"]) < blocks and not group.recorder.idle):
+            group.frames = room_for(group, blocks)
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
         shapes = (*order.shape, *group.profiles.shape, len(group.frames["of"]))
         if shapes not in self._programs:
@@ -155,7 +155,7 @@ class Rollout:
             self.wait(group)
 
     def close(self) -> None:
-        """Wait for slices that are under way, and free the lanes' memory."""
+        """Wait for slices that are under way, and free the workspace."""
         while self._slices:
             with suppress(jax.errors.JaxRuntimeError):  # it may be because of this error that it is closed
                 self._slices.popleft().status.block_until_ready()
@@ -178,7 +178,7 @@ class Rollout:
         sums = {"seconds": self._last_end - began, "steps": steps, "iterations": iterations}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
-        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
+        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.blocks)
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
         return status, ended
 
@@ -191,7 +191,7 @@ class Rollout:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
-        """A slice of time. Returns states, workspace, a copy of the statuses, frames, and counts."""
+        """A time slice. Returns states, workspace, a copy of the statuses, frames, and counts."""
         table = self.rules.begin_drives(table, worlds)
         flat = table._asdict()
         flat |= flat.pop("metrics")._asdict()

@@ -1,7 +1,7 @@
-"""How a device runs lanes of mjx-warp, and the kernel for that: by the size of the world.
+"""How a device runs the thread blocks of mjx-warp, and the kernel for that: by the size of the world.
 
 A step of forty boxes is latency for the most part, and needs another world beside it; one of two hundred is work for
-many threads. So there are two sizes of lanes, each with a kernel of its own. A world's size depends on its number of
+many threads. So there are blocks of two sizes, each with a kernel of its own. A world's size depends on its number of
 boxes alone: the number of threads decides the order of sums, and with it the last bits of results.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 import warp as wp
 
 from petmjx.engines.warp import newton
-from petmjx.engines.warp.kernel.lane import run_lane
+from petmjx.engines.warp.kernel.worlds import run_worlds
 from petmjx.engines.warp.records import (
     MAX_BOXES,
     PANEL,
@@ -31,14 +31,14 @@ from petmjx.engines.warp.records import (
 
 @dataclass(frozen=True)
 class Size:
-    """Lanes for worlds of a size.
+    """Thread blocks for worlds of a size.
 
     Attributes:
         most_boxes: of a world.
-        threads: of a lane: a multiple of 32, from 64 to 256.
-        together: lanes that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
-        near_bytes: shared memory for rows of a lane's factor and for its Hessian, if they fit. Of 256 kB a
-            multiprocessor has for all its lanes the rest is cache.
+        threads: of a block: a multiple of 32, from 64 to 256.
+        together: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
+        near_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
+            multiprocessor has for all its blocks the rest is cache.
     """
 
     most_boxes: int
@@ -52,22 +52,22 @@ SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 
 
 def size_for(n_boxes: int) -> Size:
-    """Of the lanes for a world."""
+    """Of the block for a world."""
     return next(size for size in SIZES if n_boxes <= size.most_boxes)
 
 
 @dataclass(frozen=True)
 class Shape:
-    """How a device runs lanes.
+    """How a device runs thread blocks.
 
     Attributes:
-        lanes: worlds at the same time.
+        blocks: at the same time; each has one world.
         threads, together: as in ``Size``.
-        near_words: shared memory for rows of a lane's factor and its Hessian, in numbers of four bytes.
+        near_words: shared memory for rows of a block's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
     """
 
-    lanes: int
+    blocks: int
     threads: int
     together: int
     near_words: int
@@ -75,7 +75,7 @@ class Shape:
 
     @classmethod
     def here(cls, n_boxes: int) -> Shape:
-        """For worlds of up to so many boxes on Warp's current device. On a CPU a lane is one thread: Warp runs the
+        """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread: Warp runs the
         threads of a block one after the other, so a barrier cannot work."""
         device = wp.get_device()
         size = size_for(n_boxes)
@@ -88,12 +88,12 @@ class Shape:
 
 @functools.cache
 def kernel(shape: Shape) -> Any:
-    """The kernel for a shape of lanes; ``kernel.lane.run_lane`` is what its threads do."""
+    """The kernel for a shape of blocks; ``kernel.worlds.run_worlds`` is what its threads do."""
     near_words = shape.near_words
 
     def march(
         threads: int,
-        n_lanes: int,
+        n_blocks: int,
         slice_ns: wp.int64,
         model: Model,
         tables: Tables,
@@ -102,10 +102,10 @@ def kernel(shape: Shape) -> Any:
         frames: Frames,
         counts: Counts,
     ) -> None:
-        lane, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
+        block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
         near = wp.tile_zeros(shape=near_words, dtype=float, storage="shared")
-        run_lane(
-            lane, thread, threads, n_lanes, slice_ns,
+        run_worlds(
+            block, thread, threads, n_blocks, slice_ns,
             model, tables, state, work, frames, counts, near, near_words,
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Contacts of a world: pairs of geoms that are near, where they touch, their rows, and the contacts of each block.
+"""Contacts of a world: pairs of geoms that are near, where they touch, their rows, and the contacts of each body.
 
 Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
 over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX. Contacts have
@@ -25,8 +25,8 @@ from petmjx.engines.warp.kernel.motion import (
     linear_velocity,
     skin_of,
 )
-from petmjx.engines.warp.kernel.ordering import block_position
-from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.kernel.ordering import free_position
+from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP, mjMINMU), and its power and midpoint of impedances (solimp).
 MIN_VALUE = wp.constant(1e-15)
@@ -43,90 +43,90 @@ its room, so that it need not be made in each step."""
 
 
 @wp.func
-def _first_partner(tables: Tables, at: Lane, geom: int) -> int:
+def _first_partner(tables: Tables, at: Thread, geom: int) -> int:
     """The first of the geoms behind this one that may touch it: of another body, and not held fast to the floor."""
     body = wp.max(body_of(tables, at.world, geom), wp.where(at.held != 0, 0, -1))
     return first_geom(tables, at.world, body + 1)
 
 
 @wp.func
-def _near(work: Workspace, at: Lane, one: int, two: int, apart: float) -> bool:
+def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool:
     """Whether the boxes around two geoms are no further apart than this along each axis, m."""
-    reach = work.reach[at.lane, two]
-    place = work.place[at.lane, two]
+    reach = work.reach[at.block, two]
+    place = work.place[at.block, two]
     if one == 0:
-        return place[2] - reach[2] <= work.place[at.lane, 0][2] + apart
-    gap = wp.abs(place - work.place[at.lane, one]) - reach - work.reach[at.lane, one]
+        return place[2] - reach[2] <= work.place[at.block, 0][2] + apart
+    gap = wp.abs(place - work.place[at.block, one]) - reach - work.reach[at.block, one]
     return wp.max(gap[0], wp.max(gap[1], gap[2])) <= apart
 
 
 @wp.func
-def list_pairs(model: Model, tables: Tables, work: Workspace, at: Lane, apart: float) -> int:
+def list_pairs(model: Model, tables: Tables, work: Workspace, at: Thread, apart: float) -> int:
     """List pairs of geoms that are no further apart than this, m; returns their number, which may be more than fit.
 
     ``pair_of`` says where the pairs of each lower geom begin. ``lower`` has the pairs of each higher geom, from
     ``lower_of``, in order.
     """
-    lane = at.lane
+    block = at.block
     n = at.geoms
     for one in range(at.thread, n, at.threads):
-        work.home[lane, one] = work.place[lane, one]
-        work.home_reach[lane, one] = work.reach[lane, one]
+        work.home[block, one] = work.place[block, one]
+        work.home_reach[block, one] = work.reach[block, one]
         count = int(0)
         for two in range(_first_partner(tables, at, one), n):
             count += wp.where(_near(work, at, one, two, apart), 1, 0)
-        work.pair_of[lane, one] = count
+        work.pair_of[block, one] = count
     wait_for_all()
-    prefix_sums(work.pair_of, lane, n, at.thread)
+    prefix_sums(work.pair_of, block, n, at.thread)
     wait_for_all()
-    n_pairs = work.pair_of[lane, n]
+    n_pairs = work.pair_of[block, n]
     if n_pairs > model.pairs:
         return n_pairs
     for one in range(at.thread, n, at.threads):
-        pair = work.pair_of[lane, one]
+        pair = work.pair_of[block, one]
         for two in range(_first_partner(tables, at, one), n):
             if _near(work, at, one, two, apart):
-                work.first[lane, pair] = one
-                work.second[lane, pair] = two
+                work.first[block, pair] = one
+                work.second[block, pair] = two
                 pair += 1
     wait_for_all()
     for two in range(at.thread, n, at.threads):
         count = int(0)
-        for pair in range(work.pair_of[lane, two]):
-            count += wp.where(work.second[lane, pair] == two, 1, 0)
-        work.lower_of[lane, two] = count
+        for pair in range(work.pair_of[block, two]):
+            count += wp.where(work.second[block, pair] == two, 1, 0)
+        work.lower_of[block, two] = count
     wait_for_all()
-    prefix_sums(work.lower_of, lane, n, at.thread)
+    prefix_sums(work.lower_of, block, n, at.thread)
     wait_for_all()
     for two in range(at.thread, n, at.threads):
-        entry = work.lower_of[lane, two]
-        for pair in range(work.pair_of[lane, two]):
-            if work.second[lane, pair] == two:
-                work.lower[lane, entry] = pair
+        entry = work.lower_of[block, two]
+        for pair in range(work.pair_of[block, two]):
+            if work.second[block, pair] == two:
+                work.lower[block, entry] = pair
                 entry += 1
     wait_for_all()
     return n_pairs
 
 
 @wp.func
-def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: int, anew: bool) -> bool:
+def collide(model: Model, tables: Tables, work: Workspace, at: Thread, n_pairs: int, anew: bool) -> bool:
     """Find where pairs touch; returns whether contacts have other slots than a step ago.
 
     Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
-    petmjx/world/model.py). ``contact_of[lane, n_pairs]`` is the number of contacts, which may be more than fit.
+    petmjx/world/model.py). ``contact_of[block, n_pairs]`` is the number of contacts, which may be more than fit.
     ``pair_at`` is the pair of each contact that fits.
 
     Args:
         anew: pairs were listed for this step.
     """
-    lane = at.lane
+    block = at.block
     changed = bool(anew)
     for pair in range(warp_by_warp(at), n_pairs, at.threads):
-        one = work.first[lane, pair]
-        two = work.second[lane, pair]
+        one = work.first[block, pair]
+        two = work.second[block, pair]
         if not _near(work, at, one, two, NEAR):
-            changed = changed or work.touching[lane, pair] != 0
-            work.touching[lane, pair] = 0
+            changed = changed or work.touching[block, pair] != 0
+            work.touching[block, pair] = 0
             continue
         found = int(8)
         distances = vec8f()
@@ -138,15 +138,15 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         margin = -lower_skin - skin
         if one == 0:
             distances, places, normal = plane_box(
-                normal, work.place[lane, 0], work.place[lane, two], work.turn[lane, two], half
+                normal, work.place[block, 0], work.place[block, two], work.turn[block, two], half
             )
         else:
             found, distances, places, normal = box_box(
-                work.place[lane, one],
-                work.turn[lane, one],
+                work.place[block, one],
+                work.turn[block, one],
                 geom_half(tables, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
-                work.place[lane, two],
-                work.turn[lane, two],
+                work.place[block, two],
+                work.turn[block, two],
                 half,
                 margin,
             )
@@ -154,23 +154,23 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         for i in range(found):
             distance = distances[i] - margin
             if distance < 0.0:
-                work.points[lane, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
+                work.points[block, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
                 count += 1
-        work.normal[lane, pair] = normal
-        changed = changed or work.touching[lane, pair] != count
-        work.touching[lane, pair] = count
+        work.normal[block, pair] = normal
+        changed = changed or work.touching[block, pair] != count
+        work.touching[block, pair] = count
     if not any_of_all(changed):
         return False
     for pair in range(at.thread, n_pairs, at.threads):
-        work.contact_of[lane, pair] = work.touching[lane, pair]
+        work.contact_of[block, pair] = work.touching[block, pair]
     wait_for_all()
-    prefix_sums(work.contact_of, lane, n_pairs, at.thread)
+    prefix_sums(work.contact_of, block, n_pairs, at.thread)
     wait_for_all()
     for pair in range(at.thread, n_pairs, at.threads):
-        begin = work.contact_of[lane, pair]
-        end = wp.min(work.contact_of[lane, pair + 1], model.room)
+        begin = work.contact_of[block, pair]
+        end = wp.min(work.contact_of[block, pair + 1], model.room)
         for slot in range(begin, end):
-            work.pair_at[lane, slot] = pair
+            work.pair_at[block, slot] = pair
     wait_for_all()
     return True
 
@@ -202,7 +202,7 @@ def _moment_arms(axes: wp.mat33, lever: wp.vec3, turn: wp.mat33) -> wp.mat33:
 
 
 @wp.func
-def _give(tables: Tables, at: Lane, body: int) -> float:
+def _give(tables: Tables, at: Thread, body: int) -> float:
     """MuJoCo's inverse weight of a body, 1/kg; 0 if it does not move."""
     if body - at.held < 0:
         return 0.0
@@ -218,21 +218,21 @@ def _friction(tables: Tables, world: int, geom: int) -> float:
 
 
 @wp.func
-def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: Lane, n_contacts: int) -> None:
+def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: Thread, n_contacts: int) -> None:
     """Rows of all contacts.
 
-    Rows give the acceleration of the second block relative to the first, along normal and tangents. Moment arms are in
+    Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
     the frames of the bodies. With pyramidal cones the rows of the four edges are normal ± friction × tangent; they are
     not stored.
     """
-    lane = at.lane
+    block = at.block
     world = at.world
     for slot in range(at.thread, n_contacts, at.threads):
-        pair = work.pair_at[lane, slot]
-        first = work.first[lane, pair]
-        second = work.second[lane, pair]
-        point = work.points[lane, pair, slot - work.contact_of[lane, pair]]
-        axes = make_frame(work.normal[lane, pair])
+        pair = work.pair_at[block, slot]
+        first = work.first[block, pair]
+        second = work.second[block, pair]
+        point = work.points[block, pair, slot - work.contact_of[block, pair]]
+        axes = make_frame(work.normal[block, pair])
         body_one = body_of(tables, world, first)
         body_two = body_of(tables, world, second)
         one = body_one - at.held
@@ -246,77 +246,79 @@ def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: L
         arms_two = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         velocity = wp.vec3(0.0, 0.0, 0.0)
         if one >= 0:
-            arms_one = _moment_arms(axes, touch - center(state, world, body_one), work.turn[lane, first])
+            arms_one = _moment_arms(axes, touch - center(state, world, body_one), work.turn[block, first])
             along = axes * linear_velocity(state, world, body_one)
             velocity -= along + arms_one * angular_velocity(state, world, body_one)
         if two >= 0:
-            arms_two = _moment_arms(axes, touch - center(state, world, body_two), work.turn[lane, second])
+            arms_two = _moment_arms(axes, touch - center(state, world, body_two), work.turn[block, second])
             along = axes * linear_velocity(state, world, body_two)
             velocity += along + arms_two * angular_velocity(state, world, body_two)
         kbi = _reference(model, point[3])
         damping = wp.where(model.friction_damping > 0.0, model.friction_damping, kbi[1])
         for r in range(3):
             for i in range(3):
-                work.rows[lane, slot, 3 * r + i] = axes[r, i]
-                work.rows[lane, slot, 9 + 3 * r + i] = arms_one[r, i]
-                work.rows[lane, slot, 18 + 3 * r + i] = arms_two[r, i]
-        work.rows[lane, slot, 27] = -kbi[1] * velocity[0] - kbi[0] * kbi[2] * point[3]
-        work.rows[lane, slot, 28] = -damping * velocity[1]
-        work.rows[lane, slot, 29] = -damping * velocity[2]
-        work.rows[lane, slot, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)
-        work.rows[lane, slot, 31] = mu
-        work.blocks[lane, slot, 0] = one
-        work.blocks[lane, slot, 1] = two
+                work.rows[block, slot, 3 * r + i] = axes[r, i]
+                work.rows[block, slot, 9 + 3 * r + i] = arms_one[r, i]
+                work.rows[block, slot, 18 + 3 * r + i] = arms_two[r, i]
+        work.rows[block, slot, 27] = -kbi[1] * velocity[0] - kbi[0] * kbi[2] * point[3]
+        work.rows[block, slot, 28] = -damping * velocity[1]
+        work.rows[block, slot, 29] = -damping * velocity[2]
+        work.rows[block, slot, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)
+        work.rows[block, slot, 31] = mu
+        work.contact_bodies[block, slot, 0] = one
+        work.contact_bodies[block, slot, 1] = two
     wait_for_all()
 
 
 @wp.func
-def link_blocks(tables: Tables, state: State, work: Workspace, at: Lane) -> None:
-    """The contacts of each block, as links: 2 × contact + side.
+def link_contacts(tables: Tables, state: State, work: Workspace, at: Thread) -> None:
+    """The contacts of each free body, as links: 2 × contact + side.
 
-    ``links[lane, link_begin[lane, b]:link_begin[lane, b + 1]]`` belong to block b, in the order of the contacts:
-    first those in which b is the second body. ``lowest`` says, by a block's position in the system, what is the lowest
-    position of the blocks that it touches and of itself.
+    ``links[block, link_begin[block, b]:link_begin[block, b + 1]]`` belong to free body b, in the order of the contacts:
+    first those in which b is the second body. ``lowest`` says, by a body's position in the system, what is the lowest
+    position of the free bodies that it touches and of itself.
     """
-    lane = at.lane
-    n_blocks = work.n_blocks[lane]
-    for block in range(at.thread, n_blocks, at.threads):
-        geom = first_geom(tables, at.world, block + at.held)
-        end_geom = first_geom(tables, at.world, block + at.held + 1)
-        count = work.contact_of[lane, work.pair_of[lane, end_geom]] - work.contact_of[lane, work.pair_of[lane, geom]]
-        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, end_geom]):
-            pair = work.lower[lane, entry]
-            count += work.contact_of[lane, pair + 1] - work.contact_of[lane, pair]
-        work.link_begin[lane, block] = count
+    block = at.block
+    n_free = work.n_free[block]
+    for free_body in range(at.thread, n_free, at.threads):
+        geom = first_geom(tables, at.world, free_body + at.held)
+        end_geom = first_geom(tables, at.world, free_body + at.held + 1)
+        count = (
+            work.contact_of[block, work.pair_of[block, end_geom]] - work.contact_of[block, work.pair_of[block, geom]]
+        )
+        for entry in range(work.lower_of[block, geom], work.lower_of[block, end_geom]):
+            pair = work.lower[block, entry]
+            count += work.contact_of[block, pair + 1] - work.contact_of[block, pair]
+        work.link_begin[block, free_body] = count
     wait_for_all()
-    prefix_sums(work.link_begin, lane, n_blocks, at.thread)
+    prefix_sums(work.link_begin, block, n_free, at.thread)
     wait_for_all()
-    for block in range(at.thread, n_blocks, at.threads):
-        geom = first_geom(tables, at.world, block + at.held)
-        end_geom = first_geom(tables, at.world, block + at.held + 1)
-        position = block_position(state, at, block)
+    for free_body in range(at.thread, n_free, at.threads):
+        geom = first_geom(tables, at.world, free_body + at.held)
+        end_geom = first_geom(tables, at.world, free_body + at.held + 1)
+        position = free_position(state, at, free_body)
         low = int(position)
-        link = work.link_begin[lane, block]
-        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, end_geom]):
-            pair = work.lower[lane, entry]
-            begin = work.contact_of[lane, pair]
-            end = work.contact_of[lane, pair + 1]
+        link = work.link_begin[block, free_body]
+        for entry in range(work.lower_of[block, geom], work.lower_of[block, end_geom]):
+            pair = work.lower[block, entry]
+            begin = work.contact_of[block, pair]
+            end = work.contact_of[block, pair + 1]
             for slot in range(begin, end):
-                work.links[lane, link] = 2 * slot + 1
+                work.links[block, link] = 2 * slot + 1
                 link += 1
-            other = body_of(tables, at.world, work.first[lane, pair]) - at.held
+            other = body_of(tables, at.world, work.first[block, pair]) - at.held
             if end > begin and other >= 0:
-                low = wp.min(low, block_position(state, at, other))
-        for pair in range(work.pair_of[lane, geom], work.pair_of[lane, end_geom]):
-            begin = work.contact_of[lane, pair]
-            end = work.contact_of[lane, pair + 1]
+                low = wp.min(low, free_position(state, at, other))
+        for pair in range(work.pair_of[block, geom], work.pair_of[block, end_geom]):
+            begin = work.contact_of[block, pair]
+            end = work.contact_of[block, pair + 1]
             for slot in range(begin, end):
-                work.links[lane, link] = 2 * slot
+                work.links[block, link] = 2 * slot
                 link += 1
             if end > begin:
                 low = wp.min(
-                    low, block_position(state, at, body_of(tables, at.world, work.second[lane, pair]) - at.held)
+                    low, free_position(state, at, body_of(tables, at.world, work.second[block, pair]) - at.held)
                 )
-        work.position[lane, block] = position
-        work.lowest[lane, position] = low
+        work.position[block, free_body] = position
+        work.lowest[block, position] = low
     wait_for_all()

@@ -1,9 +1,9 @@
 """Motion of a world's bodies: from poses to accelerations without contacts, and from accelerations to the next poses.
 
 Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body.py). Body 0 is the carrier, which is free or
-held fast, and box k is body k + 1. A block is a body that moves; it has six rows in the equations. Blocks are all
-bodies, or only the boxes if the carrier is held: the block of a body is its number, less one if the carrier is held.
-Negative blocks do not move. Geom 0 is the floor, and shape k is geom k + 1.
+held fast, and box k is body k + 1. A free body moves and has six rows in the equations. All bodies are free, or only
+the boxes if the carrier is held: a free body's number is that of the body, less one if the carrier is held. A negative
+one does not move. Geom 0 is the floor, and shape k is geom k + 1.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.batch.rules import UNBELIEVABLE
-from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
 from petmjx.metrics import force_jax as force_metrics
 
 VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
@@ -132,7 +132,14 @@ def rotation(q: wp.vec4) -> wp.mat33:
 
 @wp.func
 def begin_step(
-    model: Model, tables: Tables, state: State, work: Workspace, at: Lane, gravity: wp.vec3, push: wp.vec3, sample: bool
+    model: Model,
+    tables: Tables,
+    state: State,
+    work: Workspace,
+    at: Thread,
+    gravity: wp.vec3,
+    push: wp.vec3,
+    sample: bool,
 ) -> bool:
     """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts, the solver's start.
 
@@ -146,15 +153,15 @@ def begin_step(
     Returns:
         Whether a thread's bodies have left the room for which pairs were listed.
     """
-    lane = at.lane
+    block = at.block
     world = at.world
     left = bool(False)
     if at.thread == 0:
-        work.place[lane, 0] = wp.vec3(0.0, 0.0, tables.floor_z[world])
-        work.turn[lane, 0] = wp.identity(n=3, dtype=float)
-        work.reach[lane, 0] = wp.vec3(0.0, 0.0, 0.0)
-        work.n_blocks[lane] = at.placed + 1 - at.held
-        work.worst[lane] = wp.int64(0)
+        work.place[block, 0] = wp.vec3(0.0, 0.0, tables.floor_z[world])
+        work.turn[block, 0] = wp.identity(n=3, dtype=float)
+        work.reach[block, 0] = wp.vec3(0.0, 0.0, 0.0)
+        work.n_free[block] = at.placed + 1 - at.held
+        work.worst[block] = wp.int64(0)
     for geom in range(1 + at.thread, at.geoms, at.threads):
         body = body_of(tables, world, geom)
         frame = center(state, world, body)
@@ -164,8 +171,8 @@ def begin_step(
         offset = tables.shape_pos[world, geom - 1]
         mass = tables.mass[world, body]
         equal = tables.inertia_box[world, body]
-        home = work.home[lane, geom]
-        home_reach = work.home_reach[lane, geom]
+        home = work.home[block, geom]
+        home_reach = work.home_reach[block, geom]
         leads = first_geom(tables, world, body) == geom
         start = vec6()
         for i in range(6):
@@ -186,30 +193,30 @@ def begin_step(
         out = wp.abs(place - home) + reach - home_reach
         if wp.max(out[0], wp.max(out[1], out[2])) > ROOM:
             left = True
-        work.place[lane, geom] = place
-        work.turn[lane, geom] = turn
-        work.reach[lane, geom] = reach
-        block = body - at.held
+        work.place[block, geom] = place
+        work.turn[block, geom] = turn
+        work.reach[block, geom] = reach
+        free_body = body - at.held
         if not leads:
             continue
         if sample and body >= 1:
             for i in range(3):
-                work.seen[lane, body - 1, i] = frame[i]
+                work.seen[block, body - 1, i] = frame[i]
             for i in range(4):
-                work.seen[lane, body - 1, 3 + i] = q[i]
-        if block < 0:
+                work.seen[block, body - 1, 3 + i] = q[i]
+        if free_body < 0:
             continue
         inertia = moments(wp.vec3(equal[0], equal[1], equal[2]), mass)
         torque = -wp.cross(spin, wp.cw_mul(inertia, spin))
-        dof = 6 * block
+        dof = 6 * free_body
         for i in range(3):
             force = wp.where(body == 0, push[i], 0.0)
-            work.inertia[lane, dof + i] = mass
-            work.inertia[lane, dof + 3 + i] = inertia[i]
-            work.smooth[lane, dof + i] = gravity[i] + force / mass
-            work.smooth[lane, dof + 3 + i] = torque[i] / inertia[i]
+            work.inertia[block, dof + i] = mass
+            work.inertia[block, dof + 3 + i] = inertia[i]
+            work.smooth[block, dof + i] = gravity[i] + force / mass
+            work.smooth[block, dof + 3 + i] = torque[i] / inertia[i]
         for i in range(6):
-            work.acceleration[lane, dof + i] = wp.float64(start[i])
+            work.acceleration[block, dof + i] = wp.float64(start[i])
     return left
 
 
@@ -220,7 +227,7 @@ def _is_number(x: float) -> bool:
 
 
 @wp.func
-def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bool) -> bool:
+def end_step(model: Model, state: State, work: Workspace, at: Thread, measured: bool) -> bool:
     """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
 
     The solver's next start continues the line through the accelerations of the last step and this one. From there it
@@ -229,15 +236,15 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
     Args:
         measured: find the force on each box's top, too.
     """
-    lane = at.lane
+    block = at.block
     world = at.world
     astray = bool(False)
     for body in range(at.held + at.thread, at.placed + 1, at.threads):
-        block = body - at.held
-        dof = 6 * block
+        free_body = body - at.held
+        dof = 6 * free_body
         a = vec6()
         for i in range(6):
-            a[i] = float(work.acceleration[lane, dof + i])
+            a[i] = float(work.acceleration[block, dof + i])
         linear = linear_velocity(state, world, body)
         spin = angular_velocity(state, world, body)
         for i in range(3):
@@ -286,25 +293,25 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
                 state.ahead[world, box, i] = 2.0 * a[i] - state.warm[world, box, i]
                 state.warm[world, box, i] = a[i]
             if measured:
-                work.top_force[lane, box] = _top_force(work, lane, block)
+                work.top_force[block, box] = _top_force(work, block, free_body)
     return astray
 
 
 @wp.func
-def _top_force(work: Workspace, lane: int, block: int) -> float:
+def _top_force(work: Workspace, block: int, free_body: int) -> float:
     """Force that presses on a box from above, N: of contacts within 45° of level with geoms whose centre is higher."""
     total = wp.float64(0.0)
-    for entry in range(work.link_begin[lane, block], work.link_begin[lane, block + 1]):
-        link = work.links[lane, entry]
+    for entry in range(work.link_begin[block, free_body], work.link_begin[block, free_body + 1]):
+        link = work.links[block, entry]
         k = link // 2
         side = link % 2
-        pair = work.pair_at[lane, k]
-        first_z = work.place[lane, work.first[lane, pair]][2]
-        second_z = work.place[lane, work.second[lane, pair]][2]
+        pair = work.pair_at[block, k]
+        first_z = work.place[block, work.first[block, pair]][2]
+        second_z = work.place[block, work.second[block, pair]][2]
         lower = wp.where(side == 1, second_z <= first_z, first_z < second_z)
-        if lower and wp.abs(work.rows[lane, k, 2]) >= VERTICAL_COSINE:
+        if lower and wp.abs(work.rows[block, k, 2]) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):
-                up += wp.float64(work.rows[lane, k, 3 * r + 2]) * work.force[lane, k, r]
+                up += wp.float64(work.rows[block, k, 3 * r + 2]) * work.force[block, k, r]
             total += wp.where(side == 1, -up, up)
     return float(total)

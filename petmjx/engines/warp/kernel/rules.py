@@ -1,6 +1,6 @@
 """The rules of a run for one world, after each of its steps: sampling, placing, resting, ending (docs/rules.md).
 
-Twin of petmjx/engines/batch/rules.py, which does the same for all lanes of a batch at a time. Threads share the boxes.
+Twin of petmjx/engines/batch/rules.py, which does the same for all worlds of a batch at a time. Threads share the boxes.
 All read the world's counters before the first barrier, and the first thread changes them after the last one.
 """
 
@@ -12,7 +12,7 @@ from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation, rotation
-from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
 from petmjx.verdict import Flag
 from petmjx.world import release
 
@@ -68,7 +68,7 @@ def _look(
     tables: Tables,
     state: State,
     work: Workspace,
-    at: Lane,
+    at: Thread,
     box: int,
     step: int,
     sample: bool,
@@ -79,9 +79,9 @@ def _look(
     place = wp.vec3(0.0, 0.0, 0.0)
     q = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for i in range(3):
-        place[i] = wp.where(sample, work.seen[at.lane, box, i], state.pose[world, box, i])
+        place[i] = wp.where(sample, work.seen[at.block, box, i], state.pose[world, box, i])
     for i in range(4):
-        q[i] = wp.where(sample, work.seen[at.lane, box, 3 + i], state.pose[world, box, 3 + i])
+        q[i] = wp.where(sample, work.seen[at.block, box, 3 + i], state.pose[world, box, 3 + i])
     place = middle_of(tables, world, box, place, q)
     tilt = _tilt(q)
     lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(tables, world, box))
@@ -91,12 +91,12 @@ def _look(
     excess = _excess(model, tables, world, box, place, tilt, dropped)
     # positive numbers are in the order of their bits; of equal ones the first box counts
     key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
-    wp.atomic_max(work.worst, at.lane, key)
+    wp.atomic_max(work.worst, at.block, key)
     if sample:
         state.max_tilt[world, box] = wp.max(state.max_tilt[world, box], tilt)
         state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], _length(state.warm, world, box, 0))
         state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], _length(state.warm, world, box, 3))
-        state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[at.lane, box])
+        state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[at.block, box])
     if driven:
         x = place[0] - state.sway_anchor[world, box, 0]
         y = place[1] - state.sway_anchor[world, box, 1]
@@ -113,7 +113,7 @@ def _speed(tables: Tables, state: State, world: int, box: int) -> float:
 
 @wp.func
 def _count_quiet(
-    model: Model, tables: Tables, state: State, at: Lane, quiet_steps: int, signs: bool
+    model: Model, tables: Tables, state: State, at: Thread, quiet_steps: int, signs: bool
 ) -> tuple[int, bool]:
     """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
     and the count starts again."""
@@ -185,7 +185,7 @@ def _deadline(
 
 
 @wp.func
-def _moves_or_failed(model: Model, tables: Tables, state: State, at: Lane, seconds: float) -> tuple[bool, bool]:
+def _moves_or_failed(model: Model, tables: Tables, state: State, at: Thread, seconds: float) -> tuple[bool, bool]:
     """At the end: whether a point of a box has moved too fast since ``still_pose``, which was so many seconds ago, and
     whether a box is over a threshold now, or has dropped."""
     world = at.world
@@ -241,7 +241,7 @@ def place_next(model: Model, tables: Tables, state: State, world: int, step: int
 
 
 @wp.func
-def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: Lane, nonfinite: bool) -> None:
+def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: Thread, nonfinite: bool) -> None:
     """Everything that happens between two steps.
 
     Args:
@@ -277,13 +277,13 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
                 ):
                     violent = True
             if resting:
-                state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.lane, box]
+                state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
     signs = bool(False)
     exploded = bool(False)
     if sample or last:
         violent = any_of_all(violent)
         drops = any_of_all(drops)
-        worst = work.worst[at.lane]
+        worst = work.worst[at.block]
         signs = culprit < 0 and wp.cast(wp.int32(worst >> HALF), float) > 1.0
         if signs:
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
@@ -336,7 +336,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         finished = not again and not settles
     if pauses:
         for box in range(at.thread, at.placed, at.threads):
-            state.top_force[world, box] = work.top_force[at.lane, box]
+            state.top_force[world, box] = work.top_force[at.block, box]
     if step == still_from or again:
         for box in range(at.thread, at.placed, at.threads):
             if again:

@@ -12,10 +12,10 @@ from petmjx.engines.warp.records import PANEL, ROW_WORDS, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {ROW_WORDS}>"
-    "(lane, thread, threads, limit, changed, forces, model, work, near.data.ptr, near_words);"
+    "(block, thread, threads, limit, changed, forces, model, work, near.data.ptr, near_words);"
 )
 def newton(
-    lane: int,
+    block: int,
     thread: int,
     threads: int,
     limit: int,
@@ -26,9 +26,9 @@ def newton(
     near: Any,
     near_words: int,
 ) -> None:
-    """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
+    """Accelerations and contact forces of a block's world, by at most ``limit`` iterations.
 
-    ``changed``: contacts, or the order of blocks, are others than at the last call. ``forces``: those of contacts are
+    ``changed``: contacts, or the order of bodies, are others than at the last call. ``forces``: those of contacts are
     wanted, too; else ``force`` may be of the accelerations before the last iteration.
 
     Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of

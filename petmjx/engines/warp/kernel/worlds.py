@@ -1,4 +1,4 @@
-"""A lane: takes worlds from the queue, one after the other, and steps each one to its end."""
+"""What a thread block does: it takes worlds from the queue, one after the other, and steps each one to its end."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import warp as wp
 
 from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
-from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_blocks, list_pairs, make_rows
+from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_rows
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import newton
-from petmjx.engines.warp.records import Counts, Frames, Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.records import Counts, Frames, Model, State, Tables, Thread, Workspace
 from petmjx.verdict import Flag
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
@@ -46,7 +46,7 @@ def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[
 
 
 @wp.func
-def overflow(state: State, at: Lane) -> None:
+def overflow(state: State, at: Thread) -> None:
     """Stop a world, as it was before the step, since a buffer is too small for it."""
     if at.thread == 0:
         state.status[at.world] = OVERFLOWED
@@ -62,12 +62,12 @@ def advance(
     work: Workspace,
     frames: Frames,
     counts: Counts,
-    at: Lane,
+    at: Thread,
     near: Any,
     near_words: int,
     listed: int,
 ) -> int:
-    """One step of a lane's world and all that follows from it.
+    """One step of a block's world and all that follows from it.
 
     Args:
         near: a tile in shared memory for ``near_words`` numbers.
@@ -95,9 +95,9 @@ def advance(
             overflow(state, at)
             return -1
     changed = collide(model, tables, work, at, n_pairs, anew)
-    n_contacts = work.contact_of[at.lane, n_pairs]
+    n_contacts = work.contact_of[at.block, n_pairs]
     if at.thread == 0:
-        work.contacts[at.lane] = n_contacts
+        work.contacts[at.block] = n_contacts
         wp.atomic_max(counts.contacts, 0, n_contacts)
     if n_contacts > model.room:
         overflow(state, at)
@@ -107,9 +107,9 @@ def advance(
         renew_order(tables, state, work, at, n_pairs)
         changed = True
     if changed:
-        link_blocks(tables, state, work, at)
+        link_contacts(tables, state, work, at)
     limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
-    newton(at.lane, at.thread, at.threads, limit, changed, measured, model, work, near, near_words)
+    newton(at.block, at.thread, at.threads, limit, changed, measured, model, work, near, near_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
     after_step(model, tables, state, work, at, astray)
@@ -119,11 +119,11 @@ def advance(
 
 
 @wp.func
-def run_lane(
-    lane: int,
+def run_worlds(
+    block: int,
     thread: int,
     threads: int,
-    n_lanes: int,
+    n_blocks: int,
     slice_ns: wp.int64,
     model: Model,
     tables: Tables,
@@ -137,24 +137,24 @@ def run_lane(
     """Take worlds and step them, until the queue is empty or the call's time is over.
 
     Args:
-        n_lanes: of the call.
-        slice_ns: time of the call from its first step on, ns. If it is over a lane takes one step more.
+        n_blocks: of the call, of all sizes.
+        slice_ns: time of the call from its first step on, ns. If it is over a block takes one step more.
         near: a tile in shared memory for ``near_words`` numbers.
     """
     late = bool(False)
     while not late:
         if thread == 0:
             number = wp.atomic_add(counts.taken, model.queue, 1)
-            work.world[lane] = -1
+            work.world[block] = -1
             if number < tables.order.shape[1]:
-                work.world[lane] = tables.order[model.queue, number]
+                work.world[block] = tables.order[model.queue, number]
         wait_for_all()
-        world = work.world[lane]
+        world = work.world[block]
         wait_for_all()
         if world < 0:
             break
-        at = Lane()
-        at.lane = lane
+        at = Thread()
+        at.block = block
         at.thread = thread
         at.threads = threads
         at.world = world
@@ -165,7 +165,7 @@ def run_lane(
         recorded = frames.every[at.world] > 0
         full = bool(False)
         if recorded and thread == 0:
-            full = no_room(frames, n_lanes)
+            full = no_room(frames, n_blocks)
         late = any_of_all(full)
         while state.status[at.world] == RUNNING and not late:
             at.placed = state.placed[at.world]
@@ -176,12 +176,12 @@ def run_lane(
             stood = at.placed
             listed = advance(model, tables, state, work, frames, counts, at, near, near_words, listed)
             steps += 1
-            iterations += work.iterations[lane]
+            iterations += work.iterations[block]
             over = bool(False)
             if thread == 0:
                 over = elapsed(counts.clock) >= slice_ns
                 if recorded:
-                    over = over or no_room(frames, n_lanes)
+                    over = over or no_room(frames, n_blocks)
             late = any_of_all(over)
         if thread == 0:
             wp.atomic_add(counts.steps, 0, steps)
