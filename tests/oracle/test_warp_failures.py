@@ -154,7 +154,7 @@ def in_release_pose(group: Group, row: int) -> Group:
 
 
 def in_carrier_velocity(group: Group, row: int) -> Group:
-    group.table = group.table._replace(carrier_vel=group.table.carrier_vel.at[row, 2].set(NAN))
+    group.table = group.table._replace(carrier_qvel=group.table.carrier_qvel.at[row, 2].set(NAN))
     return group
 
 

@@ -271,7 +271,7 @@ class MjxWarpEngine(Engine):
         queues.add(taken, len(group.jobs), group.run.sim)
         for first in range(0, len(taken), MORE_AT_ONCE):
             some = taken[first : first + MORE_AT_ONCE]
-            width, run = group.table.pose.shape[1], group.run
+            width, run = group.table.qpos.shape[1], group.run
             made = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
             group.add(some, *made)
         return True

@@ -35,7 +35,7 @@ _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in records.a
 
 def room_for(group: Group, blocks: int) -> dict[str, jax.Array]:
     """Empty room for frames; next to none where no world of the group is recorded."""
-    n_worlds, n_boxes = group.table.pose.shape[:2]
+    n_worlds, n_boxes = group.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(group.recorder.every))
     wanted = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))

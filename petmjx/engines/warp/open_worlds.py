@@ -210,7 +210,7 @@ class WarpWorlds(OpenWorlds):
         found = []
         for world in worlds:
             k = int(state.placed[world])
-            pose = np.asarray(state.pose[world, :k], np.float64)
+            pose = np.asarray(state.qpos[world, :k], np.float64)
             found.append(
                 Reading(
                     time_s=clock.time_s(max(int(state.step[world]), 0)),

@@ -36,7 +36,7 @@ def keep_frame(state: State, work: Workspace, frames: Frames, at: Thread, every:
         frame = work.frame[at.block]
         for box in range(at.thread, placed, at.threads):
             for i in range(7):
-                frames.pose[frame, box, i] = state.pose[world, box, i]
+                frames.pose[frame, box, i] = state.qpos[world, box, i]
             # nothing has acted yet on a box that was just placed
             frames.top_force[frame, box] = wp.where(box < at.placed, work.top_force[at.block, box], 0.0)
         if at.thread == 0:
@@ -44,4 +44,4 @@ def keep_frame(state: State, work: Workspace, frames: Frames, at: Thread, every:
             frames.step[frame] = step
             frames.placed[frame] = placed
             for i in range(7):
-                frames.carrier_pose[frame, i] = state.carrier_pose[world, i]
+                frames.carrier_pose[frame, i] = state.carrier_qpos[world, i]

@@ -76,18 +76,18 @@ def moments(half: wp.vec3, mass: float) -> wp.vec3:
 def center(state: State, world: int, body: int) -> wp.vec3:
     """Centre of mass of a body, m."""
     if body == 0:
-        return wp.vec3(state.carrier_pose[world, 0], state.carrier_pose[world, 1], state.carrier_pose[world, 2])
+        return wp.vec3(state.carrier_qpos[world, 0], state.carrier_qpos[world, 1], state.carrier_qpos[world, 2])
     box = body - 1
-    return wp.vec3(state.pose[world, box, 0], state.pose[world, box, 1], state.pose[world, box, 2])
+    return wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
 
 
 @wp.func
 def orientation(state: State, world: int, body: int) -> wp.vec4:
     """Quaternion of a body, w first."""
     if body == 0:
-        p = state.carrier_pose[world]
+        p = state.carrier_qpos[world]
         return wp.vec4(p[3], p[4], p[5], p[6])
-    q = state.pose[world, body - 1]
+    q = state.qpos[world, body - 1]
     return wp.vec4(q[3], q[4], q[5], q[6])
 
 
@@ -95,8 +95,8 @@ def orientation(state: State, world: int, body: int) -> wp.vec4:
 def linear_velocity(state: State, world: int, body: int) -> wp.vec3:
     """Velocity of a body's centre of mass, m/s."""
     if body == 0:
-        return wp.vec3(state.carrier_vel[world, 0], state.carrier_vel[world, 1], state.carrier_vel[world, 2])
-    v = state.vel[world, body - 1]
+        return wp.vec3(state.carrier_qvel[world, 0], state.carrier_qvel[world, 1], state.carrier_qvel[world, 2])
+    v = state.qvel[world, body - 1]
     return wp.vec3(v[0], v[1], v[2])
 
 
@@ -104,8 +104,8 @@ def linear_velocity(state: State, world: int, body: int) -> wp.vec3:
 def angular_velocity(state: State, world: int, body: int) -> wp.vec3:
     """Angular velocity of a body in its own frame, rad/s."""
     if body == 0:
-        return wp.vec3(state.carrier_vel[world, 3], state.carrier_vel[world, 4], state.carrier_vel[world, 5])
-    v = state.vel[world, body - 1]
+        return wp.vec3(state.carrier_qvel[world, 3], state.carrier_qvel[world, 4], state.carrier_qvel[world, 5])
+    v = state.qvel[world, body - 1]
     return wp.vec3(v[3], v[4], v[5])
 
 
@@ -177,9 +177,9 @@ def begin_step(
         start = vec6()
         for i in range(6):
             if body == 0:
-                start[i] = state.carrier_ahead[world, i]
+                start[i] = state.carrier_qacc_warmstart[world, i]
             else:
-                start[i] = state.ahead[world, body - 1, i]
+                start[i] = state.qacc_warmstart[world, body - 1, i]
         turn = rotation(q)
         place = frame + turn * wp.vec3(offset[0], offset[1], offset[2])
         # as far as the box with its skin reaches, less the depth at which its contacts begin
@@ -242,14 +242,14 @@ def end_step(model: Model, state: State, work: Workspace, at: Thread, measured: 
     for body in range(at.held + at.thread, at.placed + 1, at.threads):
         free_body = body - at.held
         dof = 6 * free_body
-        a = vec6()
+        qacc = vec6()
         for i in range(6):
-            a[i] = float(work.acceleration[block, dof + i])
+            qacc[i] = float(work.acceleration[block, dof + i])
         linear = linear_velocity(state, world, body)
         spin = angular_velocity(state, world, body)
         for i in range(3):
-            linear[i] = linear[i] + model.timestep * a[i]
-            spin[i] = spin[i] + model.timestep * a[3 + i]
+            linear[i] = linear[i] + model.timestep * qacc[i]
+            spin[i] = spin[i] + model.timestep * qacc[3 + i]
         where = center(state, world, body)
         for i in range(3):
             where[i] = where[i] + model.timestep * linear[i]
@@ -273,25 +273,25 @@ def end_step(model: Model, state: State, work: Workspace, at: Thread, measured: 
                 astray = True
         if body == 0:
             for i in range(3):
-                state.carrier_pose[world, i] = where[i]
-                state.carrier_vel[world, i] = linear[i]
-                state.carrier_vel[world, 3 + i] = spin[i]
+                state.carrier_qpos[world, i] = where[i]
+                state.carrier_qvel[world, i] = linear[i]
+                state.carrier_qvel[world, 3 + i] = spin[i]
             for i in range(4):
-                state.carrier_pose[world, 3 + i] = after[i]
+                state.carrier_qpos[world, 3 + i] = after[i]
             for i in range(6):
-                state.carrier_ahead[world, i] = 2.0 * a[i] - state.carrier_warm[world, i]
-                state.carrier_warm[world, i] = a[i]
+                state.carrier_qacc_warmstart[world, i] = 2.0 * qacc[i] - state.carrier_qacc[world, i]
+                state.carrier_qacc[world, i] = qacc[i]
         else:
             box = body - 1
             for i in range(3):
-                state.pose[world, box, i] = where[i]
-                state.vel[world, box, i] = linear[i]
-                state.vel[world, box, 3 + i] = spin[i]
+                state.qpos[world, box, i] = where[i]
+                state.qvel[world, box, i] = linear[i]
+                state.qvel[world, box, 3 + i] = spin[i]
             for i in range(4):
-                state.pose[world, box, 3 + i] = after[i]
+                state.qpos[world, box, 3 + i] = after[i]
             for i in range(6):
-                state.ahead[world, box, i] = 2.0 * a[i] - state.warm[world, box, i]
-                state.warm[world, box, i] = a[i]
+                state.qacc_warmstart[world, box, i] = 2.0 * qacc[i] - state.qacc[world, box, i]
+                state.qacc[world, box, i] = qacc[i]
             if measured:
                 work.top_force[block, box] = _top_force(work, block, free_body)
     return astray

@@ -79,9 +79,9 @@ def _look(
     place = wp.vec3(0.0, 0.0, 0.0)
     q = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for i in range(3):
-        place[i] = wp.where(sample, work.seen[at.block, box, i], state.pose[world, box, i])
+        place[i] = wp.where(sample, work.seen[at.block, box, i], state.qpos[world, box, i])
     for i in range(4):
-        q[i] = wp.where(sample, work.seen[at.block, box, 3 + i], state.pose[world, box, 3 + i])
+        q[i] = wp.where(sample, work.seen[at.block, box, 3 + i], state.qpos[world, box, 3 + i])
     place = middle_of(tables, world, box, place, q)
     tilt = _tilt(q)
     lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(tables, world, box))
@@ -94,8 +94,8 @@ def _look(
     wp.atomic_max(work.worst, at.block, key)
     if sample:
         state.max_tilt[world, box] = wp.max(state.max_tilt[world, box], tilt)
-        state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], _length(state.warm, world, box, 0))
-        state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], _length(state.warm, world, box, 3))
+        state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], _length(state.qacc, world, box, 0))
+        state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], _length(state.qacc, world, box, 3))
         state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[at.block, box])
     if driven:
         x = place[0] - state.sway_anchor[world, box, 0]
@@ -108,7 +108,7 @@ def _look(
 def _speed(tables: Tables, state: State, world: int, box: int) -> float:
     """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
     radius = wp.length(box_half(tables, world, box))
-    return _length(state.vel, world, box, 0) + radius * _length(state.vel, world, box, 3)
+    return _length(state.qvel, world, box, 0) + radius * _length(state.qvel, world, box, 3)
 
 
 @wp.func
@@ -186,22 +186,22 @@ def _deadline(
 
 @wp.func
 def _moves_or_failed(model: Model, tables: Tables, state: State, at: Thread, seconds: float) -> tuple[bool, bool]:
-    """At the end: whether a point of a box has moved too fast since ``still_pose``, which was so many seconds ago, and
+    """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago, and
     whether a box is over a threshold now, or has dropped."""
     world = at.world
     moves = bool(False)
     failed = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        place = wp.vec3(state.pose[world, box, 0], state.pose[world, box, 1], state.pose[world, box, 2])
+        place = wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
         q = wp.vec4(0.0, 0.0, 0.0, 0.0)
         shifted = float(0.0)
         turned = float(0.0)
         for i in range(3):
-            change = place[i] - state.still_pose[world, box, i]
+            change = place[i] - state.still_qpos[world, box, i]
             shifted += change * change
         for i in range(4):
-            q[i] = state.pose[world, box, 3 + i]
-            change = q[i] - state.still_pose[world, box, 3 + i]
+            q[i] = state.qpos[world, box, 3 + i]
+            change = q[i] - state.still_qpos[world, box, 3 + i]
             turned += change * change
         radius = wp.length(box_half(tables, world, box))
         if wp.sqrt(shifted) + 2.0 * radius * wp.sqrt(turned) > model.still_speed * seconds:
@@ -219,7 +219,7 @@ def place_next(model: Model, tables: Tables, state: State, world: int, step: int
     support = tables.support[world, box]
     come_down = float(0.0)
     if support == CARRIER:
-        come_down = state.carrier_pose[world, 2] - tables.carrier_pos[world, 2]
+        come_down = state.carrier_qpos[world, 2] - tables.carrier_pos[world, 2]
     elif support != NOTHING:
         place = center(state, world, support + 1)
         middle = middle_of(tables, world, support, place, orientation(state, world, support + 1))
@@ -227,12 +227,12 @@ def place_next(model: Model, tables: Tables, state: State, world: int, step: int
     come_down = wp.clamp(come_down, -model.most_followed, model.most_followed)
     for i in range(7):
         start = tables.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
-        state.pose[world, box, i] = start
-        state.still_pose[world, box, i] = start
+        state.qpos[world, box, i] = start
+        state.still_qpos[world, box, i] = start
     for i in range(6):
-        state.vel[world, box, i] = 0.0
-        state.warm[world, box, i] = 0.0
-        state.ahead[world, box, i] = 0.0
+        state.qvel[world, box, i] = 0.0
+        state.qacc[world, box, i] = 0.0
+        state.qacc_warmstart[world, box, i] = 0.0
     state.position[world, box] = box + 1
     state.placed[world] = box + 1
     state.last_placed_at[world] = step
@@ -270,10 +270,10 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
                 if _look(model, tables, state, work, at, box, step, sample, driven):
                     drops = True
             if sample:
-                linear = _length(state.warm, world, box, 0)
+                linear = _length(state.qacc, world, box, 0)
                 if (
                     linear > model.linear_acceleration
-                    or _length(state.warm, world, box, 3) > model.angular_acceleration
+                    or _length(state.qacc, world, box, 3) > model.angular_acceleration
                 ):
                     violent = True
             if resting:
@@ -343,7 +343,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
                 state.rest_force_sum[world, box] = 0.0
             else:
                 for i in range(7):
-                    state.still_pose[world, box, i] = state.pose[world, box, i]
+                    state.still_qpos[world, box, i] = state.qpos[world, box, i]
 
     wait_for_all()
     if at.thread == 0:
