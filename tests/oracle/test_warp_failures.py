@@ -81,7 +81,7 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
     made = watched_rollouts(monkeypatch, lambda *_: None)
     for name, outcome in simulate(engine(), some, SHORT).items():
         assert_same(outcome, expected[name])
-    large, small = np.array([[fleet.room for fleet in rollout.march.fleets] for rollout in made]).T
+    large, small = np.array([[fleet.nconmax for fleet in rollout.march.fleets] for rollout in made]).T
     assert len(set(large)) > 1
     assert len(set(small)) == 1
 
@@ -186,9 +186,9 @@ def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bo
     numbers of blocks that were tried."""
     tried = []
 
-    def look(n_boxes: int, room: int, blocks: int) -> None:
+    def look(n_boxes: int, nconmax: int, blocks: int) -> None:
         tried.append(blocks)
-        if not holds(blocks, room):
+        if not holds(blocks, nconmax):
             raise out_of_memory()
 
     here = Shape.here
@@ -231,7 +231,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     """One world has its outcome already, one waits for its drive, and one needs more room than there is. If no more
     jobs may come the slice in which the drive ends is under way when that is seen."""
     monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 2)
-    small_device(monkeypatch, lambda _, room: room <= 12)
+    small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
     jobs = (GrowingJobs if grows else list)([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
@@ -312,7 +312,7 @@ def test_blocks_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, cro
     """Memory for the blocks of one run at a time: with those of the run before gone as many fit as were wanted."""
     tried = []
 
-    def look(n_boxes: int, room: int, blocks: int) -> None:
+    def look(n_boxes: int, nconmax: int, blocks: int) -> None:
         tried.append((n_boxes, blocks))
         if any(not other.workspace.is_deleted() for other in made):
             raise out_of_memory()
@@ -350,7 +350,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
         ballast.append(block(PIECES[-1]))
     tried = []
 
-    def look(n_boxes: int, room: int, wanted: int) -> None:
+    def look(n_boxes: int, nconmax: int, wanted: int) -> None:
         if n_boxes == 120:
             tried.append(wanted)
 

@@ -136,9 +136,9 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     after = after._replace(carrier_qvel=after.carrier_qvel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
     expected = as_batched(sim, worlds, after, before, top_force)
 
-    sizes = records.axes(WORLDS, BOXES, boards=1, pairs=1, room=1)
+    sizes = records.axes(WORLDS, BOXES, boards=1, npairmax=1, nconmax=1)
     with wp.ScopedDevice("cpu"):
-        model = filled(Model, {**constants(sim, timetable), "queue": 0, "pairs": 1, "room": 1})
+        model = filled(Model, {**constants(sim, timetable), "queue": 0, "npairmax": 1, "nconmax": 1})
         flat = after._asdict()
         flat |= flat.pop("metrics")._asdict()
         flat["step"] = after.step - 1
@@ -146,7 +146,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         state = device_record(records.State, flat)
         buffer = wp.zeros((records.buffer_rows(sizes), records.BUFFER_WORDS), dtype=float)
         work = filled(Workspace, records.in_buffer(buffer, sizes))
-        work.seen.assign(np.asarray(before.qpos))
+        work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
         inputs = [model, device_record(Tables, tables), state, work, wp.array(astray, dtype=wp.bool)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)

@@ -69,7 +69,7 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
 
     def rollout(run: Run, fleets: Sequence[Fleet], slice_ns: int) -> Rollout:
         for fleet in fleets:
-            look(fleet.n_boxes, fleet.room, fleet.blocks)
+            look(fleet.n_boxes, fleet.nconmax, fleet.blocks)
         made.append(Rollout(run, fleets, slice_ns))
         return made[-1]
 

@@ -57,20 +57,21 @@ class Fleet:
     Attributes:
         shape: of the blocks.
         blocks: how many; each has one world at a time.
-        n_boxes, boards, pairs, room: most boxes, shapes of a carrier, pairs of near geoms, and contacts of a world.
+        n_boxes, boards: most boxes of a world, and most shapes of a carrier.
+        npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
     """
 
     shape: Shape
     blocks: int
     n_boxes: int
     boards: int
-    pairs: int
-    room: int
+    npairmax: int
+    nconmax: int
 
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of the axes of its workspace."""
-        return records.axes(self.blocks, self.n_boxes, self.boards, self.pairs, self.room)
+        return records.axes(self.blocks, self.n_boxes, self.boards, self.npairmax, self.nconmax)
 
 
 class March:
@@ -85,7 +86,7 @@ class March:
     def __init__(self, constants: Mapping[str, Any], fleets: Sequence[Fleet], slice_ns: int = SLICE_NS) -> None:
         self.fleets = tuple(fleets)
         self.models = [
-            filled(Model, {**constants, "queue": queue, "pairs": fleet.pairs, "room": fleet.room})
+            filled(Model, {**constants, "queue": queue, "npairmax": fleet.npairmax, "nconmax": fleet.nconmax})
             for queue, fleet in enumerate(fleets)
         ]
         self.blocks = sum(fleet.blocks for fleet in fleets)

@@ -1,9 +1,9 @@
 """The constraint solver of mjx-warp: MuJoCo's Newton method on a pallet's contacts, by one thread block.
 
-MuJoCo finds the accelerations a that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ are the accelerations
-without contacts, r the reference accelerations of the contacts, and s the cost of their cones (MuJoCo's documentation,
-"Computation", section "Constraint model"). Newton's direction solves H·x = gradient with H = M + Jᵀ·s″·J; a line
-search follows.
+MuJoCo finds the accelerations a (qacc) that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ (qacc_smooth) are
+those without contacts, r (aref) the reference accelerations of the contacts, and s the cost of their cones (MuJoCo's
+documentation, "Computation", section "Constraint model"). Newton's direction (search) solves H·x = gradient with
+H = M + Jᵀ·s″·J; a line search follows.
 
 Five things make it fast:
 

@@ -7,7 +7,7 @@ the kernel changes ``State`` in place. The workspace is one buffer, divided by t
 Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
 of one size. ``body``: the carrier, then the boxes in packing order; ``free_body``: one that moves; ``dof``: one
 of its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
-``slot``: a contact. Units are SI.
+``contact``: a point in which a pair touches. Units are SI.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ PANEL = 16
 MAX_BOXES = 512
 """Boxes of the largest world. Shared memory limits it: it holds the solver's right-hand side."""
 
-ROW_WORDS = 32
-"""Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness of a row
-(1), friction (1)."""
+EFC_WORDS = 32
+"""Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref, 3), stiffness of
+a row (D, 1), friction (1)."""
 
 BUFFER_WORDS = 1024
 """Numbers in a row of the buffer that holds workspaces."""
@@ -52,22 +52,20 @@ class Model:
     timestep: float
     gravity: float
     solref: wp.vec2
-    low_impedance: float
-    high_impedance: float
-    impedance_width: float
+    solimp: wp.vec3  # d₀, d_width, width
     skin: float  # by how much boxes are larger for the collider, m
     carrier_skin: float  # the same of the carrier
     pyramidal: int  # 1 with pyramidal friction cones
     friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
-    slack: wp.float64  # 1 / √impratio
+    impratio_invsqrt: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # of the solver, as MuJoCo's
-    limit: int  # most iterations of the solver
-    driven_limit: int  # the same in a drive
-    trials: int  # most iterations of its line search
+    iterations: int  # most iterations of the solver
+    driven_iterations: int  # the same in a drive
+    ls_iterations: int  # the same of its line search
 
     queue: int  # from which these blocks take worlds
-    pairs: int  # most pairs of near geoms of a world
-    room: int  # most contacts of a world
+    npairmax: int  # most pairs of near geoms of a world
+    nconmax: int  # most contacts of a world
 
     fixed: int  # 1 with the fixed schedule
     waits_for_rest: int
@@ -179,47 +177,47 @@ class State:
 class Workspace:
     """Arrays of a thread block, used within a step. Each array begins at a multiple of 16 bytes."""
 
-    acceleration: Annotated[wp.array2d[wp.float64], "block dof"]
-    direction: Annotated[wp.array2d[wp.float64], "block dof"]
-    gradient: Annotated[wp.array2d[wp.float64], "block dof"]
-    residual: Annotated[wp.array3d[wp.float64], "block slot 3"]  # J·a − r
-    slope: Annotated[wp.array3d[wp.float64], "block slot 3"]  # J·direction
-    force: Annotated[wp.array3d[wp.float64], "block slot 3"]  # of a contact, in its frame
+    qacc: Annotated[wp.array2d[wp.float64], "block dof"]
+    search: Annotated[wp.array2d[wp.float64], "block dof"]
+    grad: Annotated[wp.array2d[wp.float64], "block dof"]
+    Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·qacc − aref
+    jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
+    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # in its frame
     worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
     hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if shared memory has no room for it
     strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if shared memory has no room for them
-    rows: Annotated[wp.array3d[float], "block slot row_word"]
-    curvature: Annotated[wp.array3d[float], "block slot 6"]
-    inertia: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
-    smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
-    drag: Annotated[wp.array3d[float], "block slot 2"]  # of a contact: contact.cuh
-    place: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
-    turn: Annotated[wp.array2d[wp.mat33], "block geom"]
-    reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
-    home: Annotated[wp.array2d[wp.vec3], "block geom"]  # place and reach when pairs were listed
-    home_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
-    seen: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
+    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # make_constraint
+    curvature: Annotated[wp.array3d[float], "block contact 6"]
+    qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
+    qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
+    drag: Annotated[wp.array3d[float], "block contact 2"]  # contact.cuh
+    geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
+    geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
+    geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
+    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # xpos and reach when pairs were listed
+    listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
+    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
     top_force: Annotated[wp.array2d[float], "block box"]
-    first: Annotated[wp.array2d[int], "block pair"]  # the lower geom of a pair
-    second: Annotated[wp.array2d[int], "block pair"]
-    normal: Annotated[wp.array2d[wp.vec3], "block pair"]
-    points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
-    pair_of: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
-    lower: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
-    lower_of: Annotated[wp.array2d[int], "block geom_end"]  # where they begin
-    touching: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
-    contact_of: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
-    pair_at: Annotated[wp.array2d[int], "block slot"]  # of a contact
-    contact_bodies: Annotated[wp.array3d[int], "block slot 2"]  # free bodies, lower first; negative: does not move
-    links: Annotated[wp.array2d[int], "block link"]  # 2 × slot + side, body after body
-    link_begin: Annotated[wp.array2d[int], "block free_body_end"]
-    level: Annotated[wp.array2d[int], "block body"]  # of the carrier and the boxes, when bodies are put in order
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the lower geom of a pair
+    pair_geom2: Annotated[wp.array2d[int], "block pair"]
+    pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
+    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
+    geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
+    geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
+    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # where they begin
+    pair_ncon: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
+    pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
+    contact_pair: Annotated[wp.array2d[int], "block contact"]
+    contact_bodies: Annotated[wp.array3d[int], "block contact 2"]  # free bodies, lower first; negative: does not move
+    body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, body after body
+    body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
+    body_level: Annotated[wp.array2d[int], "block body"]  # when bodies are put in order
     position: Annotated[wp.array2d[int], "block free_body"]  # of a body in the solver's system
     lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: the lowest that its body touches, or its own
-    pair_begin: Annotated[wp.array2d[int], "block slot"]  # first contact of each pair of free bodies, in no order
-    contacts: Annotated[wp.array[int], "block"]
-    n_free: Annotated[wp.array[int], "block"]  # free bodies
-    iterations: Annotated[wp.array[int], "block"]  # of the solver
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, in no order
+    ncon: Annotated[wp.array[int], "block"]
+    nfree: Annotated[wp.array[int], "block"]  # free bodies
+    solver_niter: Annotated[wp.array[int], "block"]
     world: Annotated[wp.array[int], "block"]  # which a block has; negative: none
     frame: Annotated[wp.array[int], "block"]  # which a block writes
 
@@ -267,14 +265,14 @@ def most_panels(n_boxes: int) -> int:
     return -(-6 * (n_boxes + 1) // PANEL)
 
 
-def axes(blocks: int, n_boxes: int, boards: int, pairs: int, room: int) -> dict[str, int]:
+def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) -> dict[str, int]:
     """Sizes of the axes of some blocks' workspace.
 
     Args:
         n_boxes: most boxes of a world.
         boards: most shapes of a carrier.
-        pairs: most pairs of near geoms of a world.
-        room: most contacts of a world.
+        npairmax: most pairs of near geoms of a world.
+        nconmax: most contacts of a world.
     """
     panels = most_panels(n_boxes)
     return {
@@ -288,11 +286,11 @@ def axes(blocks: int, n_boxes: int, boards: int, pairs: int, room: int) -> dict[
         "dof": 6 * (n_boxes + 1),
         "entry": panels * (panels + 1) // 2 * PANEL**2,
         "part": panels * 2 * PANEL**2,
-        "pair": pairs,
-        "pair_end": pairs + 1,
-        "slot": room,
-        "link": 2 * room,
-        "row_word": ROW_WORDS,
+        "pair": npairmax,
+        "pair_end": npairmax + 1,
+        "contact": nconmax,
+        "link": 2 * nconmax,
+        "efc_word": EFC_WORDS,
     }
 
 
@@ -344,6 +342,6 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict
     return views
 
 
-def block_bytes(n_boxes: int, boards: int, pairs: int, room: int) -> int:
+def block_bytes(n_boxes: int, boards: int, npairmax: int, nconmax: int) -> int:
     """Device memory of a block, bytes."""
-    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, boards, pairs, room)))
+    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, boards, npairmax, nconmax)))

@@ -47,23 +47,20 @@ def friction_damping(physics: Physics) -> float:
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     """What the kernels need to know of a run: the fields of ``records.Model`` but for those of a fleet."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
-    low, high, width = physics.solimp
     return {
         "timestep": physics.timestep_s,
         "gravity": physics.gravity_m_s2,
         "solref": wp.vec2(*physics.solref),
-        "low_impedance": low,
-        "high_impedance": high,
-        "impedance_width": width,
+        "solimp": wp.vec3(*physics.solimp),
         "skin": physics.skin_m,
         "carrier_skin": physics.carrier_skin_m,
         "pyramidal": int(physics.cone is Cone.PYRAMIDAL),
         "friction_damping": friction_damping(physics),
-        "slack": physics.impratio**-0.5,
+        "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "limit": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
-        "driven_limit": sim.solver_iterations or DRIVEN_ITERATIONS,
-        "trials": LINE_SEARCH_ITERATIONS,
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
+        "driven_iterations": sim.solver_iterations or DRIVEN_ITERATIONS,
+        "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
         "waits_for_rest": int(sim.waits_for_rest),
         "extends": int(sim.waits_for_rest and sim.total_time_factor is None),

@@ -157,10 +157,10 @@ def begin_step(
     world = at.world
     left = bool(False)
     if at.thread == 0:
-        work.place[block, 0] = wp.vec3(0.0, 0.0, tables.floor_z[world])
-        work.turn[block, 0] = wp.identity(n=3, dtype=float)
-        work.reach[block, 0] = wp.vec3(0.0, 0.0, 0.0)
-        work.n_free[block] = at.placed + 1 - at.held
+        work.geom_xpos[block, 0] = wp.vec3(0.0, 0.0, tables.floor_z[world])
+        work.geom_xmat[block, 0] = wp.identity(n=3, dtype=float)
+        work.geom_reach[block, 0] = wp.vec3(0.0, 0.0, 0.0)
+        work.nfree[block] = at.placed + 1 - at.held
         work.worst[block] = wp.int64(0)
     for geom in range(1 + at.thread, at.geoms, at.threads):
         body = body_of(tables, world, geom)
@@ -171,8 +171,8 @@ def begin_step(
         offset = tables.shape_pos[world, geom - 1]
         mass = tables.mass[world, body]
         equal = tables.inertia_box[world, body]
-        home = work.home[block, geom]
-        home_reach = work.home_reach[block, geom]
+        home = work.listed_xpos[block, geom]
+        home_reach = work.listed_reach[block, geom]
         leads = first_geom(tables, world, body) == geom
         start = vec6()
         for i in range(6):
@@ -193,17 +193,17 @@ def begin_step(
         out = wp.abs(place - home) + reach - home_reach
         if wp.max(out[0], wp.max(out[1], out[2])) > ROOM:
             left = True
-        work.place[block, geom] = place
-        work.turn[block, geom] = turn
-        work.reach[block, geom] = reach
+        work.geom_xpos[block, geom] = place
+        work.geom_xmat[block, geom] = turn
+        work.geom_reach[block, geom] = reach
         free_body = body - at.held
         if not leads:
             continue
         if sample and body >= 1:
             for i in range(3):
-                work.seen[block, body - 1, i] = frame[i]
+                work.qpos_before[block, body - 1, i] = frame[i]
             for i in range(4):
-                work.seen[block, body - 1, 3 + i] = q[i]
+                work.qpos_before[block, body - 1, 3 + i] = q[i]
         if free_body < 0:
             continue
         inertia = moments(wp.vec3(equal[0], equal[1], equal[2]), mass)
@@ -211,12 +211,12 @@ def begin_step(
         dof = 6 * free_body
         for i in range(3):
             force = wp.where(body == 0, push[i], 0.0)
-            work.inertia[block, dof + i] = mass
-            work.inertia[block, dof + 3 + i] = inertia[i]
-            work.smooth[block, dof + i] = gravity[i] + force / mass
-            work.smooth[block, dof + 3 + i] = torque[i] / inertia[i]
+            work.qM[block, dof + i] = mass
+            work.qM[block, dof + 3 + i] = inertia[i]
+            work.qacc_smooth[block, dof + i] = gravity[i] + force / mass
+            work.qacc_smooth[block, dof + 3 + i] = torque[i] / inertia[i]
         for i in range(6):
-            work.acceleration[block, dof + i] = wp.float64(start[i])
+            work.qacc[block, dof + i] = wp.float64(start[i])
     return left
 
 
@@ -244,7 +244,7 @@ def end_step(model: Model, state: State, work: Workspace, at: Thread, measured: 
         dof = 6 * free_body
         qacc = vec6()
         for i in range(6):
-            qacc[i] = float(work.acceleration[block, dof + i])
+            qacc[i] = float(work.qacc[block, dof + i])
         linear = linear_velocity(state, world, body)
         spin = angular_velocity(state, world, body)
         for i in range(3):
@@ -301,17 +301,17 @@ def end_step(model: Model, state: State, work: Workspace, at: Thread, measured: 
 def _top_force(work: Workspace, block: int, free_body: int) -> float:
     """Force that presses on a box from above, N: of contacts within 45° of level with geoms whose centre is higher."""
     total = wp.float64(0.0)
-    for entry in range(work.link_begin[block, free_body], work.link_begin[block, free_body + 1]):
-        link = work.links[block, entry]
+    for entry in range(work.body_conadr[block, free_body], work.body_conadr[block, free_body + 1]):
+        link = work.body_contact[block, entry]
         k = link // 2
         side = link % 2
-        pair = work.pair_at[block, k]
-        first_z = work.place[block, work.first[block, pair]][2]
-        second_z = work.place[block, work.second[block, pair]][2]
+        pair = work.contact_pair[block, k]
+        first_z = work.geom_xpos[block, work.pair_geom1[block, pair]][2]
+        second_z = work.geom_xpos[block, work.pair_geom2[block, pair]][2]
         lower = wp.where(side == 1, second_z <= first_z, first_z < second_z)
-        if lower and wp.abs(work.rows[block, k, 2]) >= VERTICAL_COSINE:
+        if lower and wp.abs(work.efc[block, k, 2]) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):
-                up += wp.float64(work.rows[block, k, 3 * r + 2]) * work.force[block, k, r]
+                up += wp.float64(work.efc[block, k, 3 * r + 2]) * work.contact_force[block, k, r]
             total += wp.where(side == 1, -up, up)
     return float(total)

@@ -39,48 +39,48 @@ def free_position(state: State, at: Thread, free_body: int) -> int:
 
 
 @wp.func
-def _find_levels(tables: Tables, work: Workspace, at: Thread, n_pairs: int, root: int) -> None:
+def _find_levels(tables: Tables, work: Workspace, at: Thread, npair: int, root: int) -> None:
     """How many contacts lie between each body and the root."""
     block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):
-        work.level[block, body] = wp.where(body == root, 0, UNREACHED)
+        work.body_level[block, body] = wp.where(body == root, 0, UNREACHED)
     wait_for_all()
     for level in range(at.placed + 1):
         found = bool(False)
-        for pair in range(at.thread, n_pairs, at.threads):
-            one = body_of(tables, at.world, work.first[block, pair])
-            if one >= 0 and work.contact_of[block, pair + 1] > work.contact_of[block, pair]:
-                two = body_of(tables, at.world, work.second[block, pair])
-                of_one = work.level[block, one]
-                of_two = work.level[block, two]
+        for pair in range(at.thread, npair, at.threads):
+            one = body_of(tables, at.world, work.pair_geom1[block, pair])
+            if one >= 0 and work.pair_conadr[block, pair + 1] > work.pair_conadr[block, pair]:
+                two = body_of(tables, at.world, work.pair_geom2[block, pair])
+                of_one = work.body_level[block, one]
+                of_two = work.body_level[block, two]
                 if of_one == level and of_two == UNREACHED:
-                    work.level[block, two] = level + 1
+                    work.body_level[block, two] = level + 1
                     found = True
                 if of_two == level and of_one == UNREACHED:
-                    work.level[block, one] = level + 1
+                    work.body_level[block, one] = level + 1
                     found = True
         if not any_of_all(found):
             break
 
 
 @wp.func
-def renew_order(tables: Tables, state: State, work: Workspace, at: Thread, n_pairs: int) -> None:
+def renew_order(tables: Tables, state: State, work: Workspace, at: Thread, npair: int) -> None:
     """Put the bodies in order by the contacts of this step; bodies of one level stay in packing order."""
     block = at.block
     n = at.placed + 1
-    _find_levels(tables, work, at, n_pairs, 0)
+    _find_levels(tables, work, at, npair, 0)
     root = int(0)
     for body in range(n):
-        level = work.level[block, body]
-        if level != UNREACHED and level > work.level[block, root]:
+        level = work.body_level[block, body]
+        if level != UNREACHED and level > work.body_level[block, root]:
             root = body
     wait_for_all()
-    _find_levels(tables, work, at, n_pairs, root)
+    _find_levels(tables, work, at, npair, root)
     for body in range(at.thread, n, at.threads):
-        level = work.level[block, body]
+        level = work.body_level[block, body]
         position = int(0)
         for other in range(n):
-            its = work.level[block, other]
+            its = work.body_level[block, other]
             if its < level or (its == level and other < body):
                 position += 1
         if body == 0:

@@ -79,9 +79,9 @@ def _look(
     place = wp.vec3(0.0, 0.0, 0.0)
     q = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for i in range(3):
-        place[i] = wp.where(sample, work.seen[at.block, box, i], state.qpos[world, box, i])
+        place[i] = wp.where(sample, work.qpos_before[at.block, box, i], state.qpos[world, box, i])
     for i in range(4):
-        q[i] = wp.where(sample, work.seen[at.block, box, 3 + i], state.qpos[world, box, 3 + i])
+        q[i] = wp.where(sample, work.qpos_before[at.block, box, 3 + i], state.qpos[world, box, 3 + i])
     place = middle_of(tables, world, box, place, q)
     tilt = _tilt(q)
     lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(tables, world, box))

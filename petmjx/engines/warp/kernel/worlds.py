@@ -8,7 +8,7 @@ import warp as wp
 
 from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
-from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_rows
+from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_constraint
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
@@ -82,33 +82,33 @@ def advance(
     every = frames.every[at.world]
     measured = sample or step > state.rest_from[at.world] or every > 0 or tables.pauses[at.world]
     left = any_of_all(begin_step(model, tables, state, work, at, gravity, push, sample))
-    n_pairs = listed
-    anew = left or n_pairs < 0
+    npair = listed
+    anew = left or npair < 0
     if anew:
-        n_pairs = list_pairs(model, tables, work, at, APART)
-        listed = n_pairs
-        if n_pairs > model.pairs:
+        npair = list_pairs(model, tables, work, at, APART)
+        listed = npair
+        if npair > model.npairmax:
             # without the pairs that only may touch soon, so that it does not depend on when they were listed
-            n_pairs = list_pairs(model, tables, work, at, NEAR)
+            npair = list_pairs(model, tables, work, at, NEAR)
             listed = -1
-        if n_pairs > model.pairs:
+        if npair > model.npairmax:
             overflow(state, at)
             return -1
-    changed = collide(model, tables, work, at, n_pairs, anew)
-    n_contacts = work.contact_of[at.block, n_pairs]
+    changed = collide(model, tables, work, at, npair, anew)
+    ncon = work.pair_conadr[at.block, npair]
     if at.thread == 0:
-        work.contacts[at.block] = n_contacts
-        wp.atomic_max(counts.contacts, 0, n_contacts)
-    if n_contacts > model.room:
+        work.ncon[at.block] = ncon
+        wp.atomic_max(counts.contacts, 0, ncon)
+    if ncon > model.nconmax:
         overflow(state, at)
         return -1
-    make_rows(model, tables, state, work, at, n_contacts)
+    make_constraint(model, tables, state, work, at, ncon)
     if step % RENEWED_EVERY == 0:
-        renew_order(tables, state, work, at, n_pairs)
+        renew_order(tables, state, work, at, npair)
         changed = True
     if changed:
         link_contacts(tables, state, work, at)
-    limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
+    limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
     newton(at.block, at.thread, at.threads, limit, changed, measured, model, work, near, near_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
@@ -176,7 +176,7 @@ def run_worlds(
             stood = at.placed
             listed = advance(model, tables, state, work, frames, counts, at, near, near_words, listed)
             steps += 1
-            iterations += work.iterations[block]
+            iterations += work.solver_niter[block]
             over = bool(False)
             if thread == 0:
                 over = elapsed(counts.clock) >= slice_ns
