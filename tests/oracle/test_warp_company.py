@@ -32,9 +32,9 @@ from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -93,8 +93,8 @@ def test_alone_and_in_any_order_as_in_company(crowd: dict[str, Outcome]) -> None
 
 @pytest.mark.slow
 def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    here = Shape.here
-    monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), blocks=3))
+    here = Launch.here
+    monkeypatch.setattr(Launch, "here", lambda n_boxes: replace(here(n_boxes), blocks=3))
     assert_equal_worlds(simulate(engine(slice_ns=20_000_000), tiny_scenes(), SHORT), crowd)
 
 

@@ -13,8 +13,8 @@ import warp as wp
 
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton
+from petmjx.engines.warp.launch import with_cpp
 from petmjx.engines.warp.records import EFC_WORDS
-from petmjx.engines.warp.shape import with_cpp
 
 set_up_warp()
 

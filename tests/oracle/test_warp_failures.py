@@ -44,10 +44,10 @@ from support.worlds import simulate
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.group import Group
+from petmjx.engines.warp.launch import SIZES, Launch
 from petmjx.engines.warp.march import March
 from petmjx.engines.warp.records import MAX_BOXES, block_bytes
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import SIZES, Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -191,8 +191,8 @@ def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bo
         if not holds(blocks, nconmax):
             raise out_of_memory()
 
-    here = Shape.here
-    monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), blocks=256))
+    here = Launch.here
+    monkeypatch.setattr(Launch, "here", lambda n_boxes: replace(here(n_boxes), blocks=256))
     watched_rollouts(monkeypatch, look)
     return tried
 
@@ -334,7 +334,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
     alone = simulate(MjxWarpEngine(), some, SHORT)
     gc.collect()  # that engine's memory, which would else become free in the middle of the next run
     crowded = MjxWarpEngine()
-    blocks, room = Shape.here(120).blocks, 120 + mjx_warp.MORE_BOXES
+    blocks, room = Launch.here(120).blocks, 120 + mjx_warp.MORE_BOXES
     whole = blocks * block_bytes(120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
     # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
     # a piece that is up to 128 MB larger.

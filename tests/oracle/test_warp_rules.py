@@ -24,9 +24,9 @@ from support.fake_stepper import fake_scene
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton, records
 from petmjx.engines.warp.kernel.rules import after_step
+from petmjx.engines.warp.launch import with_cpp
 from petmjx.engines.warp.records import Model, Tables, Thread, Workspace, array_types, filled
 from petmjx.engines.warp.rollout import constants
-from petmjx.engines.warp.shape import with_cpp
 
 set_up_warp()
 

@@ -14,9 +14,9 @@ from petmjx.engines.base import Progress
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
 from petmjx.engines.warp.group import Group, Run
+from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.units import FloatArray
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -48,8 +48,8 @@ class OneStep:
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), widths, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         boards = len(scene.carrier.half_size)
-        room, shape = scene.n_boxes + boards - 1 + MORE_BOXES, Shape.here(scene.n_boxes)
-        fleet = Fleet(shape, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
+        room, launch = scene.n_boxes + boards - 1 + MORE_BOXES, Launch.here(scene.n_boxes)
+        fleet = Fleet(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
         self.rollout = Rollout(run, [fleet], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.group.table)
 

@@ -11,13 +11,13 @@ import pytest
 
 from petmjx.config import Simulation
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import shape
+from petmjx.engines.warp import launch
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.group import Run
+from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.records import most_panels
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.verdict import Outcome
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
@@ -79,15 +79,15 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
 
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
     """Blocks of two sizes also for tiny worlds, with as many threads each."""
-    small, large = shape.SIZES
+    small, large = launch.SIZES
     alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
-    monkeypatch.setattr(shape, "SIZES", alike)
-    here = Shape.here
+    monkeypatch.setattr(launch, "SIZES", alike)
+    here = Launch.here
 
-    def sized(n_boxes: int) -> Shape:
+    def sized(n_boxes: int) -> Launch:
         return replace(here(n_boxes), panels=most_panels(size_for(n_boxes).most_boxes))
 
-    monkeypatch.setattr(Shape, "here", sized)
+    monkeypatch.setattr(Launch, "here", sized)
 
 
 def out_of_memory() -> RuntimeError:

@@ -20,12 +20,12 @@ from petmjx.engines.batch.upload import is_out_of_memory, load, round_up, tables
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
+from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
 from petmjx.verdict import Flag, Outcome
@@ -129,7 +129,7 @@ class MjxWarpEngine(Engine):
         set_up_jax()
         self.lanes, self.group_size, self.slice_ns = lanes, group_size, slice_ns
         self._running = RunLock(self.name)
-        self._kept: dict[tuple[Shape, ...], tuple[RolloutKey, Rollout]] = {}
+        self._kept: dict[tuple[Launch, ...], tuple[RolloutKey, Rollout]] = {}
         self._room: dict[tuple[Cone, int], int] = {}
         """How much larger than usual buffers have to be, by size of worlds."""
 
@@ -300,12 +300,12 @@ class MjxWarpEngine(Engine):
         says that memory is short is raised if these are blocks of two sizes."""
         run = group.run
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
-        shapes = tuple(fleet.shape for fleet in fleets)
+        launches = tuple(fleet.launch for fleet in fleets)
         key = RolloutKey(run.sim, fleets, len(run.timetable.clock), len(run.timetable.settled_nominally))
-        if shapes in self._kept and self._kept[shapes][0] == key:
-            return self._kept[shapes][1]
-        if shapes in self._kept:
-            self._kept.pop(shapes)[1].close()
+        if launches in self._kept and self._kept[launches][0] == key:
+            return self._kept[launches][1]
+        if launches in self._kept:
+            self._kept.pop(launches)[1].close()
         while True:
             try:
                 rollout = Rollout(run, fleets, self.slice_ns)
@@ -322,7 +322,7 @@ class MjxWarpEngine(Engine):
                 lanes = sum(each.blocks for each in fleets)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
-                self._kept[shapes] = (key, rollout)
+                self._kept[launches] = (key, rollout)
                 return rollout
 
     def _boxes_of_room(self, run: Run, size: int) -> int:
@@ -333,7 +333,7 @@ class MjxWarpEngine(Engine):
     def _fleet(self, run: Run, size: int, boards: int) -> Fleet:
         """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
         n_boxes = run.widths[size]
-        shape = Shape.here(n_boxes)
+        launch = Launch.here(n_boxes)
         shapes = self._boxes_of_room(run, size) + boards - 1
-        blocks = min(self.lanes or shape.blocks, shape.blocks)
-        return Fleet(shape, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+        blocks = min(self.lanes or launch.blocks, launch.blocks)
+        return Fleet(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)

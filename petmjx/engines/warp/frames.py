@@ -10,11 +10,10 @@ import jax
 import numpy as np
 import warp as wp
 
-from petmjx.engines.batch.recorder import Frames as FramesOfWorld
-from petmjx.engines.batch.recorder import Recorder
+from petmjx.engines.batch.recorder import Frames, Recorder
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import Group
-from petmjx.engines.warp.records import Frames
+from petmjx.engines.warp.records import FrameBuffer
 
 MOST_BYTES: Final = 64 << 20
 """Most room for frames: 40,000 of them if the run's largest plan has 45 boxes. In a slice of 250 ms the 264 blocks that
@@ -30,7 +29,7 @@ FRAMES_PER_BLOCK: Final = 4
 FEWEST: Final = 1024
 """Frames that come to the host together, at least; else eight times as many, …: each number is compiled once."""
 
-_KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in records.array_types(Frames).items()}
+_KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in records.array_types(FrameBuffer).items()}
 
 
 def room_for(group: Group, blocks: int) -> dict[str, jax.Array]:
@@ -53,7 +52,7 @@ def pick_frames(frames: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], int
     some = FEWEST
     while some < used:
         some *= 8
-    return _first({name: frames[name] for name in ("of", *FramesOfWorld._fields)}, min(some, room)), used
+    return _first({name: frames[name] for name in ("of", *Frames._fields)}, min(some, room)), used
 
 
 def hand_over(picked: tuple[dict[str, jax.Array], int], recorder: Recorder) -> None:
@@ -65,8 +64,8 @@ def hand_over(picked: tuple[dict[str, jax.Array], int], recorder: Recorder) -> N
     order = np.lexsort((host["step"], host["of"]))
     begins = np.flatnonzero(np.diff(host["of"][order], prepend=-1))
     for rows in np.split(order, begins[1:]):
-        parts = {name: host[name][rows] for name in FramesOfWorld._fields}
-        recorder.add(int(host["of"][rows[0]]), FramesOfWorld(**parts))
+        parts = {name: host[name][rows] for name in Frames._fields}
+        recorder.add(int(host["of"][rows[0]]), Frames(**parts))
 
 
 @partial(jax.jit, static_argnames="count")
@@ -75,4 +74,4 @@ def _first(frames: dict[str, jax.Array], count: int) -> dict[str, jax.Array]:
 
 
 def _shapes(n_frames: int, n_boxes: int, n_worlds: int) -> dict[str, tuple[int, ...]]:
-    return records.array_shapes(Frames, {"frame": n_frames, "box": n_boxes, "world": n_worlds})
+    return records.array_shapes(FrameBuffer, {"frame": n_frames, "box": n_boxes, "world": n_worlds})

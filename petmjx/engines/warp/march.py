@@ -1,6 +1,6 @@
 """The JAX call that launches the kernels of mjx-warp, in which every world goes at its own pace.
 
-Thread blocks for worlds of one size are a fleet, with a kernel of its own (petmjx/engines/warp/shape.py); all fleets
+Thread blocks for worlds of one size are a fleet, with a kernel of its own (petmjx/engines/warp/launch.py); all fleets
 work at the same time, on the same tables. A block takes a world from its fleet's queue, steps it to its end (or
 until its drive begins, or until the call's time is over), and takes the next one. Nothing is done in lockstep: a world
 costs what its own boxes cost, and a step takes as long as its own solver needs. States lie in the tables of
@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import warp as wp
 
 from petmjx.engines.warp import records
+from petmjx.engines.warp.launch import Launch, kernel
 from petmjx.engines.warp.records import (
     Counts,
-    Frames,
+    FrameBuffer,
     Model,
     State,
     Tables,
@@ -32,7 +33,6 @@ from petmjx.engines.warp.records import (
     array_types,
     filled,
 )
-from petmjx.engines.warp.shape import Shape, kernel
 from petmjx.engines.warp.streams import own_kernels, side_by_side
 
 SLICE_NS = 250_000_000
@@ -55,13 +55,13 @@ class Fleet:
     """Thread blocks for worlds of one size.
 
     Attributes:
-        shape: of the blocks.
+        launch: how the device runs them.
         blocks: how many; each has one world at a time.
         n_boxes, boards: most boxes of a world, and most shapes of a carrier.
         npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
     """
 
-    shape: Shape
+    launch: Launch
     blocks: int
     n_boxes: int
     boards: int
@@ -101,7 +101,7 @@ class March:
 
     def load(self) -> None:
         """Compile the kernels, at the same time, or take them from Warp's cache."""
-        kernels = [kernel(fleet.shape) for fleet in self.fleets] + own_kernels(len(self.fleets))
+        kernels = [kernel(fleet.launch) for fleet in self.fleets] + own_kernels(len(self.fleets))
         modules = list(dict.fromkeys(each.module for each in kernels))
         wp.force_load(wp.get_device(), modules, max_workers=len(modules))
 
@@ -133,20 +133,20 @@ class March:
     def launch(self, arrays: dict[str, Any]) -> None:
         """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
         tables, state, counts = (filled(kind, arrays) for kind in (Tables, State, Counts))
-        frames = filled(Frames, {name: arrays[_of_frames(name)] for name in array_types(Frames)})
+        frames = filled(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
         row = 0
         with side_by_side(len(self.fleets)) as streams:
             for fleet, model, stream in zip(self.fleets, self.models, streams, strict=True):
-                threads, sizes = fleet.shape.threads, fleet.sizes
+                threads, sizes = fleet.launch.threads, fleet.sizes
                 work = filled(Workspace, records.in_buffer(arrays["workspace"], sizes, row))
                 row += records.buffer_rows(sizes)
                 inputs = [threads, self.blocks, self.slice_ns, model, tables, state, work, frames, counts]
                 dim = fleet.blocks, threads
-                wp.launch(kernel(fleet.shape), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
+                wp.launch(kernel(fleet.launch), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
 
 
 def _of_frames(name: str) -> str:
-    """The name of an array of ``Frames`` among all arrays that JAX sees; some are called as those of ``State``."""
+    """The name of an array of ``FrameBuffer`` among all arrays that JAX sees; some are called as those of ``State``."""
     return f"frame_{name}"
 
 
@@ -155,7 +155,7 @@ _CHANGED = (
     array_types(State)
     | array_types(Counts)
     | {"workspace": wp.array2d[float]}
-    | {_of_frames(name): kind for name, kind in array_types(Frames).items()}
+    | {_of_frames(name): kind for name, kind in array_types(FrameBuffer).items()}
 )
 """Name → type of the arrays that JAX sees."""
 

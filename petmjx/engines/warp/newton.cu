@@ -238,12 +238,12 @@ inline CUDA_CALLABLE void lay_out(
 // Accelerations and contact forces of a block's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, EFC_WORDS:
 // sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
-// last call. `forces`: those of the accelerations that it ends with are wanted, too. `near`: shared memory for
-// `near_words` numbers, where the strip and the Hessian go if they fit.
+// last call. `forces`: those of the accelerations that it ends with are wanted, too. `shared`: shared memory for
+// `shared_words` numbers, where the strip and the Hessian go if they fit.
 template <int PANELS, int PANEL, int EFC_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
     int block, int thread, int threads, int limit, bool changed, bool forces, const Model& model, const Workspace& work,
-    float* near, int near_words
+    float* shared, int shared_words
 ) {
     static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;
@@ -301,9 +301,9 @@ inline CUDA_CALLABLE void newton(
     else wait_for_all();
     const double enough = model.tolerance * layout.trace;  // MuJoCo measures costs in units of the inertia's trace
     const int strip_words = at_once * layout.widest * TILE, pairs = layout.pairs;
-    const bool strip_fits = strip_words <= near_words, fits = layout.base[system.panels] + strip_words <= near_words;
-    system.strip = strip_fits ? near : work.strip.data + at * work.strip.shape[1];
-    system.A = fits ? near + strip_words : work.hessian.data + at * work.hessian.shape[1];
+    const bool strip_fits = strip_words <= shared_words, fits = layout.base[system.panels] + strip_words <= shared_words;
+    system.strip = strip_fits ? shared : work.strip.data + at * work.strip.shape[1];
+    system.A = fits ? shared + strip_words : work.hessian.data + at * work.hessian.shape[1];
     #pragma unroll 1
     for (int k = thread; k < ncon; k += threads) {
         relative(efc + EFC * k, body + 2 * k, qacc, Jaref + 3 * k);

@@ -36,9 +36,9 @@ from petmjx.engines.clock import Clock
 from petmjx.engines.open import OpenWorlds, Reading
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
+from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
 from petmjx.engines.warp.rollout import constants
-from petmjx.engines.warp.shape import Shape
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
@@ -61,10 +61,10 @@ class Simulator:
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, most_boxes: int, boards: int, room: int = 1) -> None:
-        shape = Shape.here(most_boxes)
+        launch = Launch.here(most_boxes)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        fleet = Fleet(shape, shape.blocks, most_boxes, boards, pairs, contacts)
+        fleet = Fleet(launch, launch.blocks, most_boxes, boards, pairs, contacts)
         self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False)
@@ -143,8 +143,8 @@ class Simulator:
 
 def _no_frames(n_worlds: int, n_boxes: int) -> dict[str, jax.Array]:
     """Room for frames where no world is recorded."""
-    shapes = records.array_shapes(records.Frames, {"frame": 1, "box": n_boxes, "world": n_worlds})
-    kinds = records.array_types(records.Frames)
+    shapes = records.array_shapes(records.FrameBuffer, {"frame": 1, "box": n_boxes, "world": n_worlds})
+    kinds = records.array_types(records.FrameBuffer)
     return {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}
 
 

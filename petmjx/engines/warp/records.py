@@ -223,7 +223,7 @@ class Workspace:
 
 
 @record
-class Frames:
+class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them; all worlds of a call share the room."""
 
     every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: it is not recorded

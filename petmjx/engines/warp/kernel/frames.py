@@ -6,11 +6,11 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.block import wait_for_all
 from petmjx.engines.warp.kernel.rules import RUNNING
-from petmjx.engines.warp.records import Frames, State, Thread, Workspace
+from petmjx.engines.warp.records import FrameBuffer, State, Thread, Workspace
 
 
 @wp.func
-def no_room(frames: Frames, blocks: int) -> bool:
+def no_room(frames: FrameBuffer, blocks: int) -> bool:
     """Whether a block must not step a recorded world, since each block may be about to write a frame. By one thread.
 
     An atomic addition reads what all blocks have written; a plain load may read a multiprocessor's own cache.
@@ -19,7 +19,7 @@ def no_room(frames: Frames, blocks: int) -> bool:
 
 
 @wp.func
-def keep_frame(state: State, work: Workspace, frames: Frames, at: Thread, every: int) -> None:
+def keep_frame(state: State, work: Workspace, frames: FrameBuffer, at: Thread, every: int) -> None:
     """Keep a frame after a step of a recorded world and all that followed from it, if one is due.
 
     Args:

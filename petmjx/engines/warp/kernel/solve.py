@@ -12,7 +12,7 @@ from petmjx.engines.warp.records import EFC_WORDS, PANEL, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
-    "(block, thread, threads, limit, changed, forces, model, work, near.data.ptr, near_words);"
+    "(block, thread, threads, limit, changed, forces, model, work, shared.data.ptr, shared_words);"
 )
 def newton(
     block: int,
@@ -23,8 +23,8 @@ def newton(
     forces: bool,
     model: Model,
     work: Workspace,
-    near: Any,
-    near_words: int,
+    shared: Any,
+    shared_words: int,
 ) -> None:
     """Accelerations and contact forces of a block's world, by at most ``limit`` iterations.
 
@@ -33,5 +33,5 @@ def newton(
 
     Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
     ``contact_force`` and ``solver_niter``. Uses other arrays of the workspace as scratch, and
-    ``near``, a tile in shared memory, for rows of the factor and the Hessian if they fit.
+    ``shared``, a tile in shared memory, for rows of the factor and the Hessian if they fit.
     """

@@ -14,7 +14,7 @@ from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import newton
-from petmjx.engines.warp.records import Counts, Frames, Model, State, Tables, Thread, Workspace
+from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Tables, Thread, Workspace
 from petmjx.verdict import Flag
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
@@ -60,17 +60,17 @@ def advance(
     tables: Tables,
     state: State,
     work: Workspace,
-    frames: Frames,
+    frames: FrameBuffer,
     counts: Counts,
     at: Thread,
-    near: Any,
-    near_words: int,
+    shared: Any,
+    shared_words: int,
     listed: int,
 ) -> int:
     """One step of a block's world and all that follows from it.
 
     Args:
-        near: a tile in shared memory for ``near_words`` numbers.
+        shared: a tile in shared memory for ``shared_words`` numbers.
         listed: near pairs that are listed; negative: none are.
 
     Returns:
@@ -109,7 +109,7 @@ def advance(
     if changed:
         link_contacts(tables, state, work, at)
     limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
-    newton(at.block, at.thread, at.threads, limit, changed, measured, model, work, near, near_words)
+    newton(at.block, at.thread, at.threads, limit, changed, measured, model, work, shared, shared_words)
     wait_for_all()
     astray = any_of_all(end_step(model, state, work, at, measured))
     after_step(model, tables, state, work, at, astray)
@@ -129,17 +129,17 @@ def run_worlds(
     tables: Tables,
     state: State,
     work: Workspace,
-    frames: Frames,
+    frames: FrameBuffer,
     counts: Counts,
-    near: Any,
-    near_words: int,
+    shared: Any,
+    shared_words: int,
 ) -> None:
     """Take worlds and step them, until the queue is empty or the call's time is over.
 
     Args:
         n_blocks: of the call, of all sizes.
         slice_ns: time of the call from its first step on, ns. If it is over a block takes one step more.
-        near: a tile in shared memory for ``near_words`` numbers.
+        shared: a tile in shared memory for ``shared_words`` numbers.
     """
     late = bool(False)
     while not late:
@@ -174,7 +174,7 @@ def run_worlds(
             if at.placed != stood:
                 listed = -1
             stood = at.placed
-            listed = advance(model, tables, state, work, frames, counts, at, near, near_words, listed)
+            listed = advance(model, tables, state, work, frames, counts, at, shared, shared_words, listed)
             steps += 1
             iterations += work.solver_niter[block]
             over = bool(False)

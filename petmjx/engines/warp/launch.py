@@ -20,7 +20,7 @@ from petmjx.engines.warp.records import (
     MAX_BOXES,
     PANEL,
     Counts,
-    Frames,
+    FrameBuffer,
     Model,
     State,
     Tables,
@@ -36,15 +36,15 @@ class Size:
     Attributes:
         most_boxes: of a world.
         threads: of a block: a multiple of 32, from 64 to 256.
-        together: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
-        near_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
+        per_sm: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
+        shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
             multiprocessor has for all its blocks the rest is cache.
     """
 
     most_boxes: int
     threads: int
-    together: int
-    near_bytes: int
+    per_sm: int
+    shared_bytes: int
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
@@ -57,24 +57,24 @@ def size_for(n_boxes: int) -> Size:
 
 
 @dataclass(frozen=True)
-class Shape:
-    """How a device runs thread blocks.
+class Launch:
+    """How a device runs thread blocks: the execution configuration of a launch, and the sizes that a kernel knows.
 
     Attributes:
         blocks: at the same time; each has one world.
-        threads, together: as in ``Size``.
-        near_words: shared memory for rows of a block's factor and its Hessian, in numbers of four bytes.
+        threads, per_sm: as in ``Size``.
+        shared_words: shared memory for rows of a block's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
     """
 
     blocks: int
     threads: int
-    together: int
-    near_words: int
+    per_sm: int
+    shared_words: int
     panels: int
 
     @classmethod
-    def here(cls, n_boxes: int) -> Shape:
+    def here(cls, n_boxes: int) -> Launch:
         """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread: Warp runs the
         threads of a block one after the other, so a barrier cannot work."""
         device = wp.get_device()
@@ -82,14 +82,14 @@ class Shape:
         panels = most_panels(size.most_boxes)
         if not device.is_cuda:
             return cls(1, 1, 1, PANEL**2, panels)
-        near = min(size.near_bytes, device.max_shared_memory_per_block // size.together - newton.own_bytes(panels))
-        return cls(size.together * device.sm_count, size.threads, size.together, near // 4, panels)
+        shared = min(size.shared_bytes, device.max_shared_memory_per_block // size.per_sm - newton.own_bytes(panels))
+        return cls(size.per_sm * device.sm_count, size.threads, size.per_sm, shared // 4, panels)
 
 
 @functools.cache
-def kernel(shape: Shape) -> Any:
-    """The kernel for a shape of blocks; ``kernel.worlds.run_worlds`` is what its threads do."""
-    near_words = shape.near_words
+def kernel(launch: Launch) -> Any:
+    """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
+    shared_words = launch.shared_words
 
     def march(
         threads: int,
@@ -99,18 +99,18 @@ def kernel(shape: Shape) -> Any:
         tables: Tables,
         state: State,
         work: Workspace,
-        frames: Frames,
+        frames: FrameBuffer,
         counts: Counts,
     ) -> None:
         block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
-        near = wp.tile_zeros(shape=near_words, dtype=float, storage="shared")
+        shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
         run_worlds(
             block, thread, threads, n_blocks, slice_ns,
-            model, tables, state, work, frames, counts, near, near_words,
+            model, tables, state, work, frames, counts, shared, shared_words,
         )  # fmt: skip
 
-    bounds = shape.threads, shape.together
-    return with_cpp(march, newton.text_for(shape.panels), threads=shape.threads, launch_bounds=bounds)
+    bounds = launch.threads, launch.per_sm
+    return with_cpp(march, newton.text_for(launch.panels), threads=launch.threads, launch_bounds=bounds)
 
 
 def with_cpp(function: Callable[..., None], text: str, threads: int = 1, **options: Any) -> Any:
