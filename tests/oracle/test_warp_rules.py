@@ -43,7 +43,7 @@ def _one(model: Model, tables: Tables, state: records.State, work: Workspace, wo
     at.threads = 1
     at.world = world
     at.placed = state.placed[world]
-    after_step(model, tables, state, work, at, astray)
+    after_step(model, tables, at, astray, state, work)
 
 
 def _all(model: Model, tables: Tables, state: records.State, work: Workspace, astray: wp.array[wp.bool]) -> None:

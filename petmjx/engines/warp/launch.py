@@ -92,11 +92,14 @@ def kernel(launch: Launch) -> Any:
     shared_words = launch.shared_words
 
     def march(
+        # Model:
+        model: Model,
+        tables: Tables,
+        # In:
         threads: int,
         n_blocks: int,
         slice_ns: wp.int64,
-        model: Model,
-        tables: Tables,
+        # Data out:
         state: State,
         work: Workspace,
         frames: FrameBuffer,
@@ -105,8 +108,9 @@ def kernel(launch: Launch) -> Any:
         block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
         shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
         run_worlds(
-            block, thread, threads, n_blocks, slice_ns,
-            model, tables, state, work, frames, counts, shared, shared_words,
+            model, tables,
+            block, thread, threads, n_blocks, slice_ns, shared, shared_words,
+            state, work, frames, counts,
         )  # fmt: skip
 
     bounds = launch.threads, launch.per_sm

@@ -140,7 +140,7 @@ class March:
                 threads, sizes = fleet.launch.threads, fleet.sizes
                 work = filled(Workspace, records.in_buffer(arrays["workspace"], sizes, row))
                 row += records.buffer_rows(sizes)
-                inputs = [threads, self.blocks, self.slice_ns, model, tables, state, work, frames, counts]
+                inputs = [model, tables, threads, self.blocks, self.slice_ns, state, work, frames, counts]
                 dim = fleet.blocks, threads
                 wp.launch(kernel(fleet.launch), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
 

@@ -242,8 +242,8 @@ inline CUDA_CALLABLE void lay_out(
 // `shared_words` numbers, where the strip and the Hessian go if they fit.
 template <int PANELS, int PANEL, int EFC_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    int block, int thread, int threads, int limit, bool changed, bool forces, const Model& model, const Workspace& work,
-    float* shared, int shared_words
+    const Model& model, int block, int thread, int threads, int limit, bool changed, bool forces, float* shared,
+    int shared_words, const Workspace& work
 ) {
     static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;

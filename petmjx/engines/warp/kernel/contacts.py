@@ -61,7 +61,16 @@ def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool
 
 
 @wp.func
-def list_pairs(model: Model, tables: Tables, work: Workspace, at: Thread, apart: float) -> int:
+def list_pairs(
+    # Model:
+    model: Model,
+    tables: Tables,
+    # In:
+    at: Thread,
+    apart: float,
+    # Data out:
+    work: Workspace,
+) -> int:
     """List pairs of geoms that are no further apart than this, m; returns their number, which may be more than fit.
 
     ``geom1_pairadr`` says where the pairs of each lower geom begin. ``geom2_pair`` has the pairs of each higher geom,
@@ -109,7 +118,17 @@ def list_pairs(model: Model, tables: Tables, work: Workspace, at: Thread, apart:
 
 
 @wp.func
-def collide(model: Model, tables: Tables, work: Workspace, at: Thread, npair: int, anew: bool) -> bool:
+def collide(
+    # Model:
+    model: Model,
+    tables: Tables,
+    # In:
+    at: Thread,
+    npair: int,
+    anew: bool,
+    # Data out:
+    work: Workspace,
+) -> bool:
     """Find where pairs touch; returns whether contacts have other numbers than a step ago.
 
     Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
@@ -218,7 +237,18 @@ def _friction(tables: Tables, world: int, geom: int) -> float:
 
 
 @wp.func
-def make_constraint(model: Model, tables: Tables, state: State, work: Workspace, at: Thread, ncon: int) -> None:
+def make_constraint(
+    # Model:
+    model: Model,
+    tables: Tables,
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    ncon: int,
+    # Data out:
+    work: Workspace,
+) -> None:
     """Constraints of all contacts, as ``efc`` has them (``records.EFC_WORDS``).
 
     Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
@@ -271,7 +301,16 @@ def make_constraint(model: Model, tables: Tables, state: State, work: Workspace,
 
 
 @wp.func
-def link_contacts(tables: Tables, state: State, work: Workspace, at: Thread) -> None:
+def link_contacts(
+    # Model:
+    tables: Tables,
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    # Data out:
+    work: Workspace,
+) -> None:
     """The contacts of each free body, as links: 2 × contact + side.
 
     ``body_contact[block, body_conadr[block, b]:body_conadr[block, b + 1]]`` belong to free body b, in the order of the

@@ -19,7 +19,16 @@ def no_room(frames: FrameBuffer, blocks: int) -> bool:
 
 
 @wp.func
-def keep_frame(state: State, work: Workspace, frames: FrameBuffer, at: Thread, every: int) -> None:
+def keep_frame(
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    every: int,
+    # Data out:
+    work: Workspace,
+    frames: FrameBuffer,
+) -> None:
     """Keep a frame after a step of a recorded world and all that followed from it, if one is due.
 
     Args:

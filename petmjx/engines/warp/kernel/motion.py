@@ -132,14 +132,18 @@ def rotation(q: wp.vec4) -> wp.mat33:
 
 @wp.func
 def begin_step(
+    # Model:
     model: Model,
     tables: Tables,
+    # Data in:
     state: State,
-    work: Workspace,
+    # In:
     at: Thread,
     gravity: wp.vec3,
     push: wp.vec3,
     sample: bool,
+    # Data out:
+    work: Workspace,
 ) -> bool:
     """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts, the solver's start.
 
@@ -227,7 +231,16 @@ def _is_number(x: float) -> bool:
 
 
 @wp.func
-def end_step(model: Model, state: State, work: Workspace, at: Thread, measured: bool) -> bool:
+def end_step(
+    # Model:
+    model: Model,
+    # In:
+    at: Thread,
+    measured: bool,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> bool:
     """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
 
     The solver's next start continues the line through the accelerations of the last step and this one. From there it

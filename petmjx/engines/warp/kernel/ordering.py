@@ -39,7 +39,16 @@ def free_position(state: State, at: Thread, free_body: int) -> int:
 
 
 @wp.func
-def _find_levels(tables: Tables, work: Workspace, at: Thread, npair: int, root: int) -> None:
+def _find_levels(
+    # Model:
+    tables: Tables,
+    # In:
+    at: Thread,
+    npair: int,
+    root: int,
+    # Data out:
+    work: Workspace,
+) -> None:
     """How many contacts lie between each body and the root."""
     block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):
@@ -64,18 +73,27 @@ def _find_levels(tables: Tables, work: Workspace, at: Thread, npair: int, root: 
 
 
 @wp.func
-def renew_order(tables: Tables, state: State, work: Workspace, at: Thread, npair: int) -> None:
+def renew_order(
+    # Model:
+    tables: Tables,
+    # In:
+    at: Thread,
+    npair: int,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> None:
     """Put the bodies in order by the contacts of this step; bodies of one level stay in packing order."""
     block = at.block
     n = at.placed + 1
-    _find_levels(tables, work, at, npair, 0)
+    _find_levels(tables, at, npair, 0, work)
     root = int(0)
     for body in range(n):
         level = work.body_level[block, body]
         if level != UNREACHED and level > work.body_level[block, root]:
             root = body
     wait_for_all()
-    _find_levels(tables, work, at, npair, root)
+    _find_levels(tables, at, npair, root, work)
     for body in range(at.thread, n, at.threads):
         level = work.body_level[block, body]
         position = int(0)

@@ -64,15 +64,18 @@ def _excess(model: Model, tables: Tables, world: int, box: int, place: wp.vec3, 
 
 @wp.func
 def _look(
+    # Model:
     model: Model,
     tables: Tables,
-    state: State,
-    work: Workspace,
+    # In:
     at: Thread,
     box: int,
     step: int,
     sample: bool,
     driven: bool,
+    # Data out:
+    state: State,
+    work: Workspace,
 ) -> bool:
     """Place of a box in a sample, or at the end; returns whether it has dropped."""
     world = at.world
@@ -113,7 +116,15 @@ def _speed(tables: Tables, state: State, world: int, box: int) -> float:
 
 @wp.func
 def _count_quiet(
-    model: Model, tables: Tables, state: State, at: Thread, quiet_steps: int, signs: bool
+    # Model:
+    model: Model,
+    tables: Tables,
+    # In:
+    at: Thread,
+    quiet_steps: int,
+    signs: bool,
+    # Data out:
+    state: State,
 ) -> tuple[int, bool]:
     """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
     and the count starts again."""
@@ -154,9 +165,12 @@ def _longest_wait(model: Model, tables: Tables, state: State, world: int, driven
 
 @wp.func
 def _deadline(
+    # Model:
     model: Model,
     tables: Tables,
+    # Data in:
     state: State,
+    # In:
     world: int,
     driven: bool,
     more: bool,
@@ -213,7 +227,16 @@ def _moves_or_failed(model: Model, tables: Tables, state: State, at: Thread, sec
 
 
 @wp.func
-def place_next(model: Model, tables: Tables, state: State, world: int, step: int) -> None:
+def place_next(
+    # Model:
+    model: Model,
+    tables: Tables,
+    # In:
+    world: int,
+    step: int,
+    # Data out:
+    state: State,
+) -> None:
     """Release the next box, at rest. By one thread."""
     box = state.placed[world]
     support = tables.support[world, box]
@@ -241,7 +264,17 @@ def place_next(model: Model, tables: Tables, state: State, world: int, step: int
 
 
 @wp.func
-def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: Thread, nonfinite: bool) -> None:
+def after_step(
+    # Model:
+    model: Model,
+    tables: Tables,
+    # In:
+    at: Thread,
+    nonfinite: bool,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> None:
     """Everything that happens between two steps.
 
     Args:
@@ -267,7 +300,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
     if sample or last or resting:
         for box in range(at.thread, at.placed, at.threads):
             if sample or last:
-                if _look(model, tables, state, work, at, box, step, sample, driven):
+                if _look(model, tables, at, box, step, sample, driven, state, work):
                     drops = True
             if sample:
                 linear = _length(state.qacc, world, box, 0)
@@ -307,7 +340,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         waited = step - state.waits_since[world]
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
-            quiet_steps, quiet = _count_quiet(model, tables, state, at, quiet_steps, culprit >= 0)
+            quiet_steps, quiet = _count_quiet(model, tables, at, quiet_steps, culprit >= 0, state)
         goes = step >= _deadline(model, tables, state, world, driven, more, adapts, culprit >= 0, sign_step)
         if quiet and adapts and waited >= model.min_steps:
             goes = True
@@ -371,7 +404,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         elif pauses:
             state.status[world] = PAUSED
         elif goes and more:
-            place_next(model, tables, state, world, step)
+            place_next(model, tables, world, step, state)
         elif settles:
             state.driven_from[world] = step
             state.status[world] = SETTLED

@@ -12,19 +12,22 @@ from petmjx.engines.warp.records import EFC_WORDS, PANEL, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
-    "(block, thread, threads, limit, changed, forces, model, work, shared.data.ptr, shared_words);"
+    "(model, block, thread, threads, limit, changed, forces, shared.data.ptr, shared_words, work);"
 )
 def newton(
+    # Model:
+    model: Model,
+    # In:
     block: int,
     thread: int,
     threads: int,
     limit: int,
     changed: bool,
     forces: bool,
-    model: Model,
-    work: Workspace,
     shared: Any,
     shared_words: int,
+    # Data out:
+    work: Workspace,
 ) -> None:
     """Accelerations and contact forces of a block's world, by at most ``limit`` iterations.
 

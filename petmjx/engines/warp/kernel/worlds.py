@@ -46,7 +46,12 @@ def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[
 
 
 @wp.func
-def overflow(state: State, at: Thread) -> None:
+def overflow(
+    # In:
+    at: Thread,
+    # Data out:
+    state: State,
+) -> None:
     """Stop a world, as it was before the step, since a buffer is too small for it."""
     if at.thread == 0:
         state.status[at.world] = OVERFLOWED
@@ -56,16 +61,19 @@ def overflow(state: State, at: Thread) -> None:
 
 @wp.func
 def advance(
+    # Model:
     model: Model,
     tables: Tables,
-    state: State,
-    work: Workspace,
-    frames: FrameBuffer,
-    counts: Counts,
+    # In:
     at: Thread,
     shared: Any,
     shared_words: int,
     listed: int,
+    # Data out:
+    state: State,
+    work: Workspace,
+    frames: FrameBuffer,
+    counts: Counts,
 ) -> int:
     """One step of a block's world and all that follows from it.
 
@@ -81,58 +89,61 @@ def advance(
     sample = step > 0 and step % model.sample_every == 0
     every = frames.every[at.world]
     measured = sample or step > state.rest_from[at.world] or every > 0 or tables.pauses[at.world]
-    left = any_of_all(begin_step(model, tables, state, work, at, gravity, push, sample))
+    left = any_of_all(begin_step(model, tables, state, at, gravity, push, sample, work))
     npair = listed
     anew = left or npair < 0
     if anew:
-        npair = list_pairs(model, tables, work, at, APART)
+        npair = list_pairs(model, tables, at, APART, work)
         listed = npair
         if npair > model.npairmax:
             # without the pairs that only may touch soon, so that it does not depend on when they were listed
-            npair = list_pairs(model, tables, work, at, NEAR)
+            npair = list_pairs(model, tables, at, NEAR, work)
             listed = -1
         if npair > model.npairmax:
-            overflow(state, at)
+            overflow(at, state)
             return -1
-    changed = collide(model, tables, work, at, npair, anew)
+    changed = collide(model, tables, at, npair, anew, work)
     ncon = work.pair_conadr[at.block, npair]
     if at.thread == 0:
         work.ncon[at.block] = ncon
         wp.atomic_max(counts.contacts, 0, ncon)
     if ncon > model.nconmax:
-        overflow(state, at)
+        overflow(at, state)
         return -1
-    make_constraint(model, tables, state, work, at, ncon)
+    make_constraint(model, tables, state, at, ncon, work)
     if step % RENEWED_EVERY == 0:
-        renew_order(tables, state, work, at, npair)
+        renew_order(tables, at, npair, state, work)
         changed = True
     if changed:
-        link_contacts(tables, state, work, at)
+        link_contacts(tables, state, at, work)
     limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
-    newton(at.block, at.thread, at.threads, limit, changed, measured, model, work, shared, shared_words)
+    newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
     wait_for_all()
-    astray = any_of_all(end_step(model, state, work, at, measured))
-    after_step(model, tables, state, work, at, astray)
+    astray = any_of_all(end_step(model, at, measured, state, work))
+    after_step(model, tables, at, astray, state, work)
     if every > 0:
-        keep_frame(state, work, frames, at, every)
+        keep_frame(state, at, every, work, frames)
     return listed
 
 
 @wp.func
 def run_worlds(
+    # Model:
+    model: Model,
+    tables: Tables,
+    # In:
     block: int,
     thread: int,
     threads: int,
     n_blocks: int,
     slice_ns: wp.int64,
-    model: Model,
-    tables: Tables,
+    shared: Any,
+    shared_words: int,
+    # Data out:
     state: State,
     work: Workspace,
     frames: FrameBuffer,
     counts: Counts,
-    shared: Any,
-    shared_words: int,
 ) -> None:
     """Take worlds and step them, until the queue is empty or the call's time is over.
 
@@ -174,7 +185,7 @@ def run_worlds(
             if at.placed != stood:
                 listed = -1
             stood = at.placed
-            listed = advance(model, tables, state, work, frames, counts, at, shared, shared_words, listed)
+            listed = advance(model, tables, at, shared, shared_words, listed, state, work, frames, counts)
             steps += 1
             iterations += work.solver_niter[block]
             over = bool(False)
