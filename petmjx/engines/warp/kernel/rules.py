@@ -11,7 +11,8 @@ import warp as wp
 from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
-from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation, rotation
+from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation
+from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, look, speed_of, tilt_of
 from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
 from petmjx.verdict import Flag
 from petmjx.world import release
@@ -27,91 +28,6 @@ EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
 MOVING = wp.constant(int(Flag.MOVING))
 CARRIER = wp.constant(history.CARRIER)
 NOTHING = wp.constant(release.NOTHING)
-
-JUST_OVER = wp.constant(1.0000001192092896)
-"""The next float32 after 1: the least excess of a box that has dropped."""
-
-LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
-HALF = wp.constant(wp.int64(32))
-
-
-@wp.func
-def _tilt(q: wp.vec4) -> float:
-    """Angle between a box's z axis and the world's, degrees; from the half angle, which float32 resolves."""
-    return wp.degrees(2.0 * wp.atan2(wp.sqrt(q[1] * q[1] + q[2] * q[2]), wp.sqrt(q[0] * q[0] + q[3] * q[3])))
-
-
-@wp.func
-def _length(a: wp.array3d[float], world: int, box: int, first: int) -> float:
-    """Length of three numbers of a box."""
-    x = a[world, box, first]
-    y = a[world, box, first + 1]
-    z = a[world, box, first + 2]
-    return wp.sqrt(x * x + y * y + z * z)
-
-
-@wp.func
-def _excess(model: Model, tables: Tables, world: int, box: int, place: wp.vec3, tilt: float, dropped: bool) -> float:
-    """Excess of a box: the larger of shift / its threshold and tilt / its threshold, and over 1 if it has dropped."""
-    shift = float(0.0)
-    for i in range(3):
-        moved = wp.abs(place[i] - tables.target[world, box, i])
-        if moved >= model.shift_floor:
-            shift = wp.max(shift, moved)
-    excess = wp.max(shift / model.shift, tilt / model.tilt)
-    return wp.where(dropped, wp.max(excess, JUST_OVER), excess)
-
-
-@wp.func
-def _look(
-    # Model:
-    model: Model,
-    tables: Tables,
-    # In:
-    at: Thread,
-    box: int,
-    step: int,
-    sample: bool,
-    driven: bool,
-    # Data out:
-    state: State,
-    work: Workspace,
-) -> bool:
-    """Place of a box in a sample, or at the end; returns whether it has dropped."""
-    world = at.world
-    place = wp.vec3(0.0, 0.0, 0.0)
-    q = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for i in range(3):
-        place[i] = wp.where(sample, work.qpos_before[at.block, box, i], state.qpos[world, box, i])
-    for i in range(4):
-        q[i] = wp.where(sample, work.qpos_before[at.block, box, 3 + i], state.qpos[world, box, 3 + i])
-    place = middle_of(tables, world, box, place, q)
-    tilt = _tilt(q)
-    lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(tables, world, box))
-    dropped = place[2] < 0.0 or lowest < model.drop_z
-    if dropped and state.drop_step[world, box] < 0:
-        state.drop_step[world, box] = step
-    excess = _excess(model, tables, world, box, place, tilt, dropped)
-    # positive numbers are in the order of their bits; of equal ones the first box counts
-    key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
-    wp.atomic_max(work.worst, at.block, key)
-    if sample:
-        state.max_tilt[world, box] = wp.max(state.max_tilt[world, box], tilt)
-        state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], _length(state.qacc, world, box, 0))
-        state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], _length(state.qacc, world, box, 3))
-        state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[at.block, box])
-    if driven:
-        x = place[0] - state.sway_anchor[world, box, 0]
-        y = place[1] - state.sway_anchor[world, box, 1]
-        state.max_sway[world, box] = wp.max(state.max_sway[world, box], wp.sqrt(x * x + y * y))
-    return dropped
-
-
-@wp.func
-def _speed(tables: Tables, state: State, world: int, box: int) -> float:
-    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
-    radius = wp.length(box_half(tables, world, box))
-    return _length(state.qvel, world, box, 0) + radius * _length(state.qvel, world, box, 3)
 
 
 @wp.func
@@ -131,7 +47,7 @@ def _count_quiet(
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        if not _speed(tables, state, world, box) < model.quiet_speed:
+        if not speed_of(tables, state, world, box) < model.quiet_speed:
             fast = True
     count = int(0)
     if not any_of_all(fast):
@@ -141,7 +57,7 @@ def _count_quiet(
         return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        speed = _speed(tables, state, world, box)
+        speed = speed_of(tables, state, world, box)
         if count <= model.poll_steps:
             state.quiet_speed[world, box] = speed
         first = state.quiet_speed[world, box]
@@ -151,7 +67,7 @@ def _count_quiet(
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = _speed(tables, state, world, box)
+            state.quiet_speed[world, box] = speed_of(tables, state, world, box)
     return count, quiet
 
 
@@ -221,7 +137,7 @@ def _moves_or_failed(model: Model, tables: Tables, state: State, at: Thread, sec
         if wp.sqrt(shifted) + 2.0 * radius * wp.sqrt(turned) > model.still_speed * seconds:
             moves = True
         place = middle_of(tables, world, box, place, q)
-        if _excess(model, tables, world, box, place, _tilt(q), state.drop_step[world, box] >= 0) > 1.0:
+        if excess_of(model, tables, world, box, place, tilt_of(q), state.drop_step[world, box] >= 0) > 1.0:
             failed = True
     return any_of_all(moves), any_of_all(failed)
 
@@ -300,13 +216,13 @@ def after_step(
     if sample or last or resting:
         for box in range(at.thread, at.placed, at.threads):
             if sample or last:
-                if _look(model, tables, at, box, step, sample, driven, state, work):
+                if look(model, tables, at, box, step, sample, driven, state, work):
                     drops = True
             if sample:
-                linear = _length(state.qacc, world, box, 0)
+                linear = length_of(state.qacc, world, box, 0)
                 if (
                     linear > model.linear_acceleration
-                    or _length(state.qacc, world, box, 3) > model.angular_acceleration
+                    or length_of(state.qacc, world, box, 3) > model.angular_acceleration
                 ):
                     violent = True
             if resting:
