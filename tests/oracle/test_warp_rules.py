@@ -25,7 +25,7 @@ from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton, records
 from petmjx.engines.warp.kernel.rules import after_step
 from petmjx.engines.warp.launch import with_cpp
-from petmjx.engines.warp.records import Model, Tables, Thread, Workspace, array_types, filled
+from petmjx.engines.warp.records import Model, Thread, Workspace, array_types, filled
 from petmjx.engines.warp.rollout import constants
 
 set_up_warp()
@@ -36,20 +36,22 @@ SAME = 1e-5
 
 
 @wp.func
-def _one(model: Model, tables: Tables, state: records.State, work: Workspace, world: int, astray: bool) -> None:
+def _one(model: Model, worlds: records.Worlds, state: records.State, work: Workspace, world: int, astray: bool) -> None:
     at = Thread()
     at.block = world
     at.thread = 0
     at.threads = 1
     at.world = world
     at.placed = state.placed[world]
-    after_step(model, tables, at, astray, state, work)
+    after_step(model, worlds, at, astray, state, work)
 
 
-def _all(model: Model, tables: Tables, state: records.State, work: Workspace, astray: wp.array[wp.bool]) -> None:
+def _all(
+    model: Model, worlds: records.Worlds, state: records.State, work: Workspace, astray: wp.array[wp.bool]
+) -> None:
     world = wp.tid()
     if state.status[world] == 0:
-        _one(model, tables, state, work, world, astray[world])
+        _one(model, worlds, state, work, world, astray[world])
 
 
 @pytest.fixture(scope="module")
@@ -142,13 +144,13 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         flat = after._asdict()
         flat |= flat.pop("metrics")._asdict()
         flat["step"] = after.step - 1
-        tables = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
+        flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
         state = device_record(records.State, flat)
         buffer = wp.zeros((records.buffer_rows(sizes), records.BUFFER_WORDS), dtype=float)
         work = filled(Workspace, records.in_buffer(buffer, sizes))
         work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
-        inputs = [model, device_record(Tables, tables), state, work, wp.array(astray, dtype=wp.bool)]
+        inputs = [model, device_record(records.Worlds, flat_worlds), state, work, wp.array(astray, dtype=wp.bool)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)
         found = {name: getattr(state, name).numpy() for name in flat}
 

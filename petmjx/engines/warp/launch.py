@@ -23,8 +23,8 @@ from petmjx.engines.warp.records import (
     FrameBuffer,
     Model,
     State,
-    Tables,
     Workspace,
+    Worlds,
     most_panels,
 )
 
@@ -48,7 +48,7 @@ class Size:
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
-"""By size; sizes are multiples of ``batch.upload.GRANULE``, as those of tables. Measured: docs/performance.md."""
+"""By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured: docs/performance.md."""
 
 
 def size_for(n_boxes: int) -> Size:
@@ -94,7 +94,7 @@ def kernel(launch: Launch) -> Any:
     def march(
         # Model:
         model: Model,
-        tables: Tables,
+        worlds: Worlds,
         # In:
         threads: int,
         n_blocks: int,
@@ -108,7 +108,7 @@ def kernel(launch: Launch) -> Any:
         block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
         shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
         run_worlds(
-            model, tables,
+            model, worlds,
             block, thread, threads, n_blocks, slice_ns, shared, shared_words,
             state, work, frames, counts,
         )  # fmt: skip

@@ -28,8 +28,8 @@ from petmjx.engines.warp.records import (
     FrameBuffer,
     Model,
     State,
-    Tables,
     Workspace,
+    Worlds,
     array_types,
     filled,
 )
@@ -107,7 +107,7 @@ class March:
 
     def __call__(
         self,
-        tables: Mapping[str, jax.Array],
+        worlds: Mapping[str, jax.Array],
         state: Mapping[str, jax.Array],
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
@@ -116,7 +116,7 @@ class March:
         state stays as it is."""
         kinds, shapes = array_types(Counts), records.array_shapes(Counts, {"queue": len(self.fleets)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
-        given = {**tables, **state, **counts, "workspace": workspace}
+        given = {**worlds, **state, **counts, "workspace": workspace}
         given |= {_of_frames(name): values for name, values in frames.items()}
         call = wp.jax_callable(
             _launch,
@@ -132,7 +132,7 @@ class March:
 
     def launch(self, arrays: dict[str, Any]) -> None:
         """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
-        tables, state, counts = (filled(kind, arrays) for kind in (Tables, State, Counts))
+        worlds, state, counts = (filled(kind, arrays) for kind in (Worlds, State, Counts))
         frames = filled(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
         row = 0
         with side_by_side(len(self.fleets)) as streams:
@@ -140,7 +140,7 @@ class March:
                 threads, sizes = fleet.launch.threads, fleet.sizes
                 work = filled(Workspace, records.in_buffer(arrays["workspace"], sizes, row))
                 row += records.buffer_rows(sizes)
-                inputs = [model, tables, threads, self.blocks, self.slice_ns, state, work, frames, counts]
+                inputs = [model, worlds, threads, self.blocks, self.slice_ns, state, work, frames, counts]
                 dim = fleet.blocks, threads
                 wp.launch(kernel(fleet.launch), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
 
@@ -150,7 +150,7 @@ def _of_frames(name: str) -> str:
     return f"frame_{name}"
 
 
-_INPUTS = array_types(Tables)
+_INPUTS = array_types(Worlds)
 _CHANGED = (
     array_types(State)
     | array_types(Counts)

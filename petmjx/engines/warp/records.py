@@ -1,7 +1,7 @@
 """The data that the GPU engine's kernel works on, as records: constants, worlds, their state, workspace, and results.
 
 Each array is declared only here, with its element type and its axes. The kernel and its C++ take whole records. JAX
-passes the arrays of ``Tables`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
+passes the arrays of ``Worlds`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
 the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
 
 Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
@@ -100,7 +100,7 @@ class Model:
 
 
 @record
-class Tables:
+class Worlds:
     """Constants of worlds: fields of ``batch.state.Worlds``. And ``profiles``, whose rows are excitations."""
 
     n_boxes: Annotated[wp.array[int], "world"]

@@ -192,8 +192,8 @@ class Rollout:
         table = self.rules.begin_drives(table, worlds)
         flat = table._asdict()
         flat |= flat.pop("metrics")._asdict()
-        tables = worlds._asdict() | {"profiles": profiles, "order": order}
-        after, workspace, frames, counts = self.march(tables, flat, workspace, frames)
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
+        after, workspace, frames, counts = self.march(flat_worlds, flat, workspace, frames)
         metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
         table = State(**after, metrics=metrics)
         return table, workspace, table.status + 0, frames, counts

@@ -26,7 +26,7 @@ from petmjx.engines.warp.kernel.motion import (
     skin_of,
 )
 from petmjx.engines.warp.kernel.ordering import free_position
-from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP, mjMINMU), and its power and midpoint of impedances (solimp).
 MIN_VALUE = wp.constant(1e-15)
@@ -43,10 +43,10 @@ its room, so that it need not be made in each step."""
 
 
 @wp.func
-def _first_partner(tables: Tables, at: Thread, geom: int) -> int:
+def _first_partner(worlds: Worlds, at: Thread, geom: int) -> int:
     """The first of the geoms behind this one that may touch it: of another body, and not held fast to the floor."""
-    body = wp.max(body_of(tables, at.world, geom), wp.where(at.held != 0, 0, -1))
-    return first_geom(tables, at.world, body + 1)
+    body = wp.max(body_of(worlds, at.world, geom), wp.where(at.held != 0, 0, -1))
+    return first_geom(worlds, at.world, body + 1)
 
 
 @wp.func
@@ -64,7 +64,7 @@ def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool
 def list_pairs(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     apart: float,
@@ -82,7 +82,7 @@ def list_pairs(
         work.listed_xpos[block, one] = work.geom_xpos[block, one]
         work.listed_reach[block, one] = work.geom_reach[block, one]
         count = int(0)
-        for two in range(_first_partner(tables, at, one), n):
+        for two in range(_first_partner(worlds, at, one), n):
             count += wp.where(_near(work, at, one, two, apart), 1, 0)
         work.geom1_pairadr[block, one] = count
     wait_for_all()
@@ -93,7 +93,7 @@ def list_pairs(
         return npair
     for one in range(at.thread, n, at.threads):
         pair = work.geom1_pairadr[block, one]
-        for two in range(_first_partner(tables, at, one), n):
+        for two in range(_first_partner(worlds, at, one), n):
             if _near(work, at, one, two, apart):
                 work.pair_geom1[block, pair] = one
                 work.pair_geom2[block, pair] = two
@@ -121,7 +121,7 @@ def list_pairs(
 def collide(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     npair: int,
@@ -151,9 +151,9 @@ def collide(
         distances = vec8f()
         places = mat83f()
         normal = wp.vec3(0.0, 0.0, 1.0)
-        lower_skin = skin_of(model, tables, at.world, one)
-        skin = skin_of(model, tables, at.world, two)
-        half = geom_half(tables, at.world, two) + wp.vec3(skin, skin, skin)
+        lower_skin = skin_of(model, worlds, at.world, one)
+        skin = skin_of(model, worlds, at.world, two)
+        half = geom_half(worlds, at.world, two) + wp.vec3(skin, skin, skin)
         margin = -lower_skin - skin
         if one == 0:
             distances, places, normal = plane_box(
@@ -163,7 +163,7 @@ def collide(
             found, distances, places, normal = box_box(
                 work.geom_xpos[block, one],
                 work.geom_xmat[block, one],
-                geom_half(tables, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
+                geom_half(worlds, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
                 work.geom_xpos[block, two],
                 work.geom_xmat[block, two],
                 half,
@@ -221,26 +221,26 @@ def _moment_arms(axes: wp.mat33, lever: wp.vec3, turn: wp.mat33) -> wp.mat33:
 
 
 @wp.func
-def _give(tables: Tables, at: Thread, body: int) -> float:
+def _give(worlds: Worlds, at: Thread, body: int) -> float:
     """MuJoCo's inverse weight of a body, 1/kg; 0 if it does not move."""
     if body - at.held < 0:
         return 0.0
-    return 1.0 / tables.mass[at.world, body]
+    return 1.0 / worlds.mass[at.world, body]
 
 
 @wp.func
-def _friction(tables: Tables, world: int, geom: int) -> float:
+def _friction(worlds: Worlds, world: int, geom: int) -> float:
     """Sliding friction of a geom."""
     if geom == 0:
-        return tables.floor_friction[world, 0]
-    return tables.friction[world, geom - 1, 0]
+        return worlds.floor_friction[world, 0]
+    return worlds.friction[world, geom - 1, 0]
 
 
 @wp.func
 def make_constraint(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # Data in:
     state: State,
     # In:
@@ -263,12 +263,12 @@ def make_constraint(
         second = work.pair_geom2[block, pair]
         point = work.pair_points[block, pair, contact - work.pair_conadr[block, pair]]
         axes = make_frame(work.pair_normal[block, pair])
-        body_one = body_of(tables, world, first)
-        body_two = body_of(tables, world, second)
+        body_one = body_of(worlds, world, first)
+        body_two = body_of(worlds, world, second)
         one = body_one - at.held
         two = body_two - at.held
-        mu = wp.max(wp.max(_friction(tables, world, first), _friction(tables, world, second)), MIN_FRICTION)
-        weight = _give(tables, at, body_one) + _give(tables, at, body_two)
+        mu = wp.max(wp.max(_friction(worlds, world, first), _friction(worlds, world, second)), MIN_FRICTION)
+        weight = _give(worlds, at, body_one) + _give(worlds, at, body_two)
         if model.pyramidal != 0:
             weight = 2.0 * mu * mu * weight * (1.0 + mu * mu)
         touch = wp.vec3(point[0], point[1], point[2])
@@ -303,7 +303,7 @@ def make_constraint(
 @wp.func
 def link_contacts(
     # Model:
-    tables: Tables,
+    worlds: Worlds,
     # Data in:
     state: State,
     # In:
@@ -320,8 +320,8 @@ def link_contacts(
     block = at.block
     nfree = work.nfree[block]
     for free_body in range(at.thread, nfree, at.threads):
-        geom = first_geom(tables, at.world, free_body + at.held)
-        end_geom = first_geom(tables, at.world, free_body + at.held + 1)
+        geom = first_geom(worlds, at.world, free_body + at.held)
+        end_geom = first_geom(worlds, at.world, free_body + at.held + 1)
         first = work.geom1_pairadr[block, geom]
         end = work.geom1_pairadr[block, end_geom]
         count = work.pair_conadr[block, end] - work.pair_conadr[block, first]
@@ -333,8 +333,8 @@ def link_contacts(
     prefix_sums(work.body_conadr, block, nfree, at.thread)
     wait_for_all()
     for free_body in range(at.thread, nfree, at.threads):
-        geom = first_geom(tables, at.world, free_body + at.held)
-        end_geom = first_geom(tables, at.world, free_body + at.held + 1)
+        geom = first_geom(worlds, at.world, free_body + at.held)
+        end_geom = first_geom(worlds, at.world, free_body + at.held + 1)
         position = free_position(state, at, free_body)
         low = int(position)
         link = work.body_conadr[block, free_body]
@@ -345,7 +345,7 @@ def link_contacts(
             for contact in range(begin, end):
                 work.body_contact[block, link] = 2 * contact + 1
                 link += 1
-            other = body_of(tables, at.world, work.pair_geom1[block, pair]) - at.held
+            other = body_of(worlds, at.world, work.pair_geom1[block, pair]) - at.held
             if end > begin and other >= 0:
                 low = wp.min(low, free_position(state, at, other))
         for pair in range(work.geom1_pairadr[block, geom], work.geom1_pairadr[block, end_geom]):
@@ -356,7 +356,7 @@ def link_contacts(
                 link += 1
             if end > begin:
                 low = wp.min(
-                    low, free_position(state, at, body_of(tables, at.world, work.pair_geom2[block, pair]) - at.held)
+                    low, free_position(state, at, body_of(worlds, at.world, work.pair_geom2[block, pair]) - at.held)
                 )
         work.position[block, free_body] = position
         work.lowest[block, position] = low

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.batch.rules import UNBELIEVABLE
-from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.metrics import force_jax as force_metrics
 
 VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
@@ -24,43 +24,43 @@ vec6 = wp.types.vector(length=6, dtype=float)
 
 
 @wp.func
-def body_of(tables: Tables, world: int, geom: int) -> int:
+def body_of(worlds: Worlds, world: int, geom: int) -> int:
     """The body of a geom; -1 of the floor."""
     if geom == 0:
         return -1
-    return tables.shape_body[world, geom - 1]
+    return worlds.shape_body[world, geom - 1]
 
 
 @wp.func
-def first_geom(tables: Tables, world: int, body: int) -> int:
+def first_geom(worlds: Worlds, world: int, body: int) -> int:
     """The first geom of a body, and the end of those of the body before it."""
-    return tables.first_shape[world, body] + 1
+    return worlds.first_shape[world, body] + 1
 
 
 @wp.func
-def box_half(tables: Tables, world: int, box: int) -> wp.vec3:
+def box_half(worlds: Worlds, world: int, box: int) -> wp.vec3:
     """Half extents of a box, m."""
-    return wp.vec3(tables.half[world, box, 0], tables.half[world, box, 1], tables.half[world, box, 2])
+    return wp.vec3(worlds.half[world, box, 0], worlds.half[world, box, 1], worlds.half[world, box, 2])
 
 
 @wp.func
-def geom_half(tables: Tables, world: int, geom: int) -> wp.vec3:
+def geom_half(worlds: Worlds, world: int, geom: int) -> wp.vec3:
     """Half extents of a geom that is not the floor, m."""
-    half = tables.shape_half[world, geom - 1]
+    half = worlds.shape_half[world, geom - 1]
     return wp.vec3(half[0], half[1], half[2])
 
 
 @wp.func
-def middle_of(tables: Tables, world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
+def middle_of(worlds: Worlds, world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
     """The middle of a box whose frame is at this pose, m."""
-    middle = wp.vec3(tables.middle[world, box, 0], tables.middle[world, box, 1], tables.middle[world, box, 2])
+    middle = wp.vec3(worlds.middle[world, box, 0], worlds.middle[world, box, 1], worlds.middle[world, box, 2])
     return place + rotation(q) * middle
 
 
 @wp.func
-def skin_of(model: Model, tables: Tables, world: int, geom: int) -> float:
+def skin_of(model: Model, worlds: Worlds, world: int, geom: int) -> float:
     """By how much a geom is larger for the collider, m (as in petmjx/world/model.py): the floor not at all."""
-    body = body_of(tables, world, geom)
+    body = body_of(worlds, world, geom)
     return wp.where(body < 0, 0.0, wp.where(body == 0, model.carrier_skin, model.skin))
 
 
@@ -134,7 +134,7 @@ def rotation(q: wp.vec4) -> wp.mat33:
 def begin_step(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # Data in:
     state: State,
     # In:
@@ -161,23 +161,23 @@ def begin_step(
     world = at.world
     left = bool(False)
     if at.thread == 0:
-        work.geom_xpos[block, 0] = wp.vec3(0.0, 0.0, tables.floor_z[world])
+        work.geom_xpos[block, 0] = wp.vec3(0.0, 0.0, worlds.floor_z[world])
         work.geom_xmat[block, 0] = wp.identity(n=3, dtype=float)
         work.geom_reach[block, 0] = wp.vec3(0.0, 0.0, 0.0)
         work.nfree[block] = at.placed + 1 - at.held
         work.worst[block] = wp.int64(0)
     for geom in range(1 + at.thread, at.geoms, at.threads):
-        body = body_of(tables, world, geom)
+        body = body_of(worlds, world, geom)
         frame = center(state, world, body)
         q = orientation(state, world, body)
         spin = angular_velocity(state, world, body)
-        half = geom_half(tables, world, geom)
-        offset = tables.shape_pos[world, geom - 1]
-        mass = tables.mass[world, body]
-        equal = tables.inertia_box[world, body]
+        half = geom_half(worlds, world, geom)
+        offset = worlds.shape_pos[world, geom - 1]
+        mass = worlds.mass[world, body]
+        equal = worlds.inertia_box[world, body]
         home = work.listed_xpos[block, geom]
         home_reach = work.listed_reach[block, geom]
-        leads = first_geom(tables, world, body) == geom
+        leads = first_geom(worlds, world, body) == geom
         start = vec6()
         for i in range(6):
             if body == 0:

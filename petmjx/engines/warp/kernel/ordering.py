@@ -13,7 +13,7 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.motion import body_of
-from petmjx.engines.warp.records import State, Tables, Thread, Workspace
+from petmjx.engines.warp.records import State, Thread, Workspace, Worlds
 
 RENEWED_EVERY = wp.constant(25)
 """Steps: contacts change when a box is placed, about every 60 steps, and while boxes fall."""
@@ -41,7 +41,7 @@ def free_position(state: State, at: Thread, free_body: int) -> int:
 @wp.func
 def _find_levels(
     # Model:
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     npair: int,
@@ -57,9 +57,9 @@ def _find_levels(
     for level in range(at.placed + 1):
         found = bool(False)
         for pair in range(at.thread, npair, at.threads):
-            one = body_of(tables, at.world, work.pair_geom1[block, pair])
+            one = body_of(worlds, at.world, work.pair_geom1[block, pair])
             if one >= 0 and work.pair_conadr[block, pair + 1] > work.pair_conadr[block, pair]:
-                two = body_of(tables, at.world, work.pair_geom2[block, pair])
+                two = body_of(worlds, at.world, work.pair_geom2[block, pair])
                 of_one = work.body_level[block, one]
                 of_two = work.body_level[block, two]
                 if of_one == level and of_two == UNREACHED:
@@ -75,7 +75,7 @@ def _find_levels(
 @wp.func
 def renew_order(
     # Model:
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     npair: int,
@@ -86,14 +86,14 @@ def renew_order(
     """Put the bodies in order by the contacts of this step; bodies of one level stay in packing order."""
     block = at.block
     n = at.placed + 1
-    _find_levels(tables, at, npair, 0, work)
+    _find_levels(worlds, at, npair, 0, work)
     root = int(0)
     for body in range(n):
         level = work.body_level[block, body]
         if level != UNREACHED and level > work.body_level[block, root]:
             root = body
     wait_for_all()
-    _find_levels(tables, at, npair, root, work)
+    _find_levels(worlds, at, npair, root, work)
     for body in range(at.thread, n, at.threads):
         level = work.body_level[block, body]
         position = int(0)

@@ -12,8 +12,8 @@ from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation
-from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, look, speed_of, tilt_of
-from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
+from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, speed_of, tilt_of
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 from petmjx.world import release
 
@@ -34,7 +34,7 @@ NOTHING = wp.constant(release.NOTHING)
 def _count_quiet(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     quiet_steps: int,
@@ -47,7 +47,7 @@ def _count_quiet(
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        if not speed_of(tables, state, world, box) < model.quiet_speed:
+        if not speed_of(worlds, state, world, box) < model.quiet_speed:
             fast = True
     count = int(0)
     if not any_of_all(fast):
@@ -57,7 +57,7 @@ def _count_quiet(
         return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        speed = speed_of(tables, state, world, box)
+        speed = speed_of(worlds, state, world, box)
         if count <= model.poll_steps:
             state.quiet_speed[world, box] = speed
         first = state.quiet_speed[world, box]
@@ -67,15 +67,15 @@ def _count_quiet(
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = speed_of(tables, state, world, box)
+            state.quiet_speed[world, box] = speed_of(worlds, state, world, box)
     return count, quiet
 
 
 @wp.func
-def _longest_wait(model: Model, tables: Tables, state: State, world: int, driven: bool) -> int:
+def _longest_wait(model: Model, worlds: Worlds, state: State, world: int, driven: bool) -> int:
     """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
     if driven:
-        return state.driven_from[world] + tables.drive_steps[world] + model.longest_steps
+        return state.driven_from[world] + worlds.drive_steps[world] + model.longest_steps
     return model.longest[state.last_placed_at[world]]
 
 
@@ -83,7 +83,7 @@ def _longest_wait(model: Model, tables: Tables, state: State, world: int, driven
 def _deadline(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # Data in:
     state: State,
     # In:
@@ -95,11 +95,11 @@ def _deadline(
     sign_step: int,
 ) -> int:
     """The latest step for the event that is waited for. A sign of failure ends patience, counted from it."""
-    settles = tables.settles[world]
+    settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
     if patient and not failed:
-        return _longest_wait(model, tables, state, world, driven)
+        return _longest_wait(model, worlds, state, world, driven)
     since = state.waits_since[world]
     if patient:
         since = wp.max(since, sign_step)
@@ -107,7 +107,7 @@ def _deadline(
         return since + model.due_steps
     if not more and settles:
         if model.fixed != 0:
-            return model.settled_nominally[tables.n_boxes[world]]
+            return model.settled_nominally[worlds.n_boxes[world]]
         return model.settled[since]
     if plain_static:
         return model.static_end
@@ -115,7 +115,7 @@ def _deadline(
 
 
 @wp.func
-def _moves_or_failed(model: Model, tables: Tables, state: State, at: Thread, seconds: float) -> tuple[bool, bool]:
+def _moves_or_failed(model: Model, worlds: Worlds, state: State, at: Thread, seconds: float) -> tuple[bool, bool]:
     """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago, and
     whether a box is over a threshold now, or has dropped."""
     world = at.world
@@ -133,11 +133,11 @@ def _moves_or_failed(model: Model, tables: Tables, state: State, at: Thread, sec
             q[i] = state.qpos[world, box, 3 + i]
             change = q[i] - state.still_qpos[world, box, 3 + i]
             turned += change * change
-        radius = wp.length(box_half(tables, world, box))
+        radius = wp.length(box_half(worlds, world, box))
         if wp.sqrt(shifted) + 2.0 * radius * wp.sqrt(turned) > model.still_speed * seconds:
             moves = True
-        place = middle_of(tables, world, box, place, q)
-        if excess_of(model, tables, world, box, place, tilt_of(q), state.drop_step[world, box] >= 0) > 1.0:
+        place = middle_of(worlds, world, box, place, q)
+        if excess_of(model, worlds, world, box, place, tilt_of(q), state.drop_step[world, box] >= 0) > 1.0:
             failed = True
     return any_of_all(moves), any_of_all(failed)
 
@@ -146,7 +146,7 @@ def _moves_or_failed(model: Model, tables: Tables, state: State, at: Thread, sec
 def place_next(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     world: int,
     step: int,
@@ -155,17 +155,17 @@ def place_next(
 ) -> None:
     """Release the next box, at rest. By one thread."""
     box = state.placed[world]
-    support = tables.support[world, box]
+    support = worlds.support[world, box]
     come_down = float(0.0)
     if support == CARRIER:
-        come_down = state.carrier_qpos[world, 2] - tables.carrier_pos[world, 2]
+        come_down = state.carrier_qpos[world, 2] - worlds.carrier_pos[world, 2]
     elif support != NOTHING:
         place = center(state, world, support + 1)
-        middle = middle_of(tables, world, support, place, orientation(state, world, support + 1))
-        come_down = middle[2] - tables.target[world, support, 2]
+        middle = middle_of(worlds, world, support, place, orientation(state, world, support + 1))
+        come_down = middle[2] - worlds.target[world, support, 2]
     come_down = wp.clamp(come_down, -model.most_followed, model.most_followed)
     for i in range(7):
-        start = tables.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
+        start = worlds.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
         state.qpos[world, box, i] = start
         state.still_qpos[world, box, i] = start
     for i in range(6):
@@ -183,7 +183,7 @@ def place_next(
 def after_step(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     nonfinite: bool,
@@ -200,7 +200,7 @@ def after_step(
     step = state.step[world] + 1
     end = state.end[world]
     landed = state.last_placed_at[world]
-    n_boxes = tables.n_boxes[world]
+    n_boxes = worlds.n_boxes[world]
     culprit = state.culprit[world]
     violent_since = state.violent_since[world]
     quiet_steps = state.quiet_steps[world]
@@ -216,7 +216,7 @@ def after_step(
     if sample or last or resting:
         for box in range(at.thread, at.placed, at.threads):
             if sample or last:
-                if look(model, tables, at, box, step, sample, driven, state, work):
+                if measure(model, worlds, at, box, step, sample, driven, state, work):
                     drops = True
             if sample:
                 linear = length_of(state.qacc, world, box, 0)
@@ -256,13 +256,13 @@ def after_step(
         waited = step - state.waits_since[world]
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
-            quiet_steps, quiet = _count_quiet(model, tables, at, quiet_steps, culprit >= 0, state)
-        goes = step >= _deadline(model, tables, state, world, driven, more, adapts, culprit >= 0, sign_step)
+            quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, state)
+        goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
         if quiet and adapts and waited >= model.min_steps:
             goes = True
-    pauses = goes and not more and not driven and tables.pauses[world]
+    pauses = goes and not more and not driven and worlds.pauses[world]
     # with a drive to come, and no look whether the pallet rests
-    settles = goes and not more and not pauses and not driven and tables.settles[world] and not rests_first
+    settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:
         rest_from = step
@@ -275,13 +275,13 @@ def after_step(
     moving = (settles or (goes and more)) and culprit < 0 and quiet_steps < model.quiet_steps
     if last and not finished:
         seconds = float(step - still_from) * model.timestep
-        moves, failed = _moves_or_failed(model, tables, state, at, seconds)
-        limit = _longest_wait(model, tables, state, world, driven)
-        if model.static_end != NEVER and not driven and not tables.settles[world]:
+        moves, failed = _moves_or_failed(model, worlds, state, at, seconds)
+        limit = _longest_wait(model, worlds, state, world, driven)
+        if model.static_end != NEVER and not driven and not worlds.settles[world]:
             limit = model.static_end
         again = moves and not failed and model.extends != 0 and step < limit
         moving = moves and not failed and not again
-        settles = tables.settles[world] and not driven and not again
+        settles = worlds.settles[world] and not driven and not again
         finished = not again and not settles
     if pauses:
         for box in range(at.thread, at.placed, at.threads):
@@ -320,7 +320,7 @@ def after_step(
         elif pauses:
             state.status[world] = PAUSED
         elif goes and more:
-            place_next(model, tables, world, step, state)
+            place_next(model, worlds, world, step, state)
         elif settles:
             state.driven_from[world] = step
             state.status[world] = SETTLED

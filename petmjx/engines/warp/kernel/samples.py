@@ -8,7 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernel.motion import box_half, middle_of, rotation
-from petmjx.engines.warp.records import Model, State, Tables, Thread, Workspace
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 
 JUST_OVER = wp.constant(1.0000001192092896)
 """The next float32 after 1: the least excess of a box that has dropped."""
@@ -33,11 +33,11 @@ def length_of(a: wp.array3d[float], world: int, box: int, first: int) -> float:
 
 
 @wp.func
-def excess_of(model: Model, tables: Tables, world: int, box: int, place: wp.vec3, tilt: float, dropped: bool) -> float:
+def excess_of(model: Model, worlds: Worlds, world: int, box: int, place: wp.vec3, tilt: float, dropped: bool) -> float:
     """Excess of a box: the larger of shift / its threshold and tilt / its threshold, and over 1 if it has dropped."""
     shift = float(0.0)
     for i in range(3):
-        moved = wp.abs(place[i] - tables.target[world, box, i])
+        moved = wp.abs(place[i] - worlds.target[world, box, i])
         if moved >= model.shift_floor:
             shift = wp.max(shift, moved)
     excess = wp.max(shift / model.shift, tilt / model.tilt)
@@ -45,10 +45,10 @@ def excess_of(model: Model, tables: Tables, world: int, box: int, place: wp.vec3
 
 
 @wp.func
-def look(
+def measure(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     box: int,
@@ -67,13 +67,13 @@ def look(
         place[i] = wp.where(sample, work.qpos_before[at.block, box, i], state.qpos[world, box, i])
     for i in range(4):
         q[i] = wp.where(sample, work.qpos_before[at.block, box, 3 + i], state.qpos[world, box, 3 + i])
-    place = middle_of(tables, world, box, place, q)
+    place = middle_of(worlds, world, box, place, q)
     tilt = tilt_of(q)
-    lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(tables, world, box))
+    lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(worlds, world, box))
     dropped = place[2] < 0.0 or lowest < model.drop_z
     if dropped and state.drop_step[world, box] < 0:
         state.drop_step[world, box] = step
-    excess = excess_of(model, tables, world, box, place, tilt, dropped)
+    excess = excess_of(model, worlds, world, box, place, tilt, dropped)
     # positive numbers are in the order of their bits; of equal ones the first box counts
     key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
     wp.atomic_max(work.worst, at.block, key)
@@ -90,7 +90,7 @@ def look(
 
 
 @wp.func
-def speed_of(tables: Tables, state: State, world: int, box: int) -> float:
+def speed_of(worlds: Worlds, state: State, world: int, box: int) -> float:
     """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
-    radius = wp.length(box_half(tables, world, box))
+    radius = wp.length(box_half(worlds, world, box))
     return length_of(state.qvel, world, box, 0) + radius * length_of(state.qvel, world, box, 3)

@@ -14,7 +14,7 @@ from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import newton
-from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Tables, Thread, Workspace
+from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
@@ -22,7 +22,7 @@ CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 
 
 @wp.func
-def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
+def excitation(model: Model, worlds: Worlds, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
     """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
     step = state.step[world]
     ramp = wp.clamp(float(step + model.soft_start) / float(model.soft_start), 0.0, 1.0)
@@ -30,15 +30,15 @@ def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[
     push = wp.vec3(0.0, 0.0, 0.0)
     if state.driven_from[world] != NEVER:
         at = step - state.driven_from[world]
-        if at >= 0 and at < tables.profiles.shape[1]:
-            sample = tables.profiles[tables.profile[world], at]
-            scale = tables.drive_scale[world]
-            cos = tables.drive_yaw[world, 0]
-            sin = tables.drive_yaw[world, 1]
+        if at >= 0 and at < worlds.profiles.shape[1]:
+            sample = worlds.profiles[worlds.profile[world], at]
+            scale = worlds.drive_scale[world]
+            cos = worlds.drive_yaw[world, 0]
+            sin = worlds.drive_yaw[world, 1]
             x = scale * sample[0]
             y = scale * sample[1]
             turned = wp.vec3(cos * x - sin * y, sin * x + cos * y, scale * sample[2])
-            if tables.held[world]:
+            if worlds.held[world]:
                 gravity -= turned
             else:
                 push = turned
@@ -63,7 +63,7 @@ def overflow(
 def advance(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     at: Thread,
     shared: Any,
@@ -84,25 +84,25 @@ def advance(
     Returns:
         Near pairs that are listed for the next step; negative: none are.
     """
-    gravity, push = excitation(model, tables, state, at.world)
+    gravity, push = excitation(model, worlds, state, at.world)
     step = state.step[at.world] + 1
     sample = step > 0 and step % model.sample_every == 0
     every = frames.every[at.world]
-    measured = sample or step > state.rest_from[at.world] or every > 0 or tables.pauses[at.world]
-    left = any_of_all(begin_step(model, tables, state, at, gravity, push, sample, work))
+    measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
+    left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
     npair = listed
     anew = left or npair < 0
     if anew:
-        npair = list_pairs(model, tables, at, APART, work)
+        npair = list_pairs(model, worlds, at, APART, work)
         listed = npair
         if npair > model.npairmax:
             # without the pairs that only may touch soon, so that it does not depend on when they were listed
-            npair = list_pairs(model, tables, at, NEAR, work)
+            npair = list_pairs(model, worlds, at, NEAR, work)
             listed = -1
         if npair > model.npairmax:
             overflow(at, state)
             return -1
-    changed = collide(model, tables, at, npair, anew, work)
+    changed = collide(model, worlds, at, npair, anew, work)
     ncon = work.pair_conadr[at.block, npair]
     if at.thread == 0:
         work.ncon[at.block] = ncon
@@ -110,17 +110,17 @@ def advance(
     if ncon > model.nconmax:
         overflow(at, state)
         return -1
-    make_constraint(model, tables, state, at, ncon, work)
+    make_constraint(model, worlds, state, at, ncon, work)
     if step % RENEWED_EVERY == 0:
-        renew_order(tables, at, npair, state, work)
+        renew_order(worlds, at, npair, state, work)
         changed = True
     if changed:
-        link_contacts(tables, state, at, work)
+        link_contacts(worlds, state, at, work)
     limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
     newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
     wait_for_all()
     astray = any_of_all(end_step(model, at, measured, state, work))
-    after_step(model, tables, at, astray, state, work)
+    after_step(model, worlds, at, astray, state, work)
     if every > 0:
         keep_frame(state, at, every, work, frames)
     return listed
@@ -130,7 +130,7 @@ def advance(
 def run_worlds(
     # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
     # In:
     block: int,
     thread: int,
@@ -157,8 +157,8 @@ def run_worlds(
         if thread == 0:
             number = wp.atomic_add(counts.taken, model.queue, 1)
             work.world[block] = -1
-            if number < tables.order.shape[1]:
-                work.world[block] = tables.order[model.queue, number]
+            if number < worlds.order.shape[1]:
+                work.world[block] = worlds.order[model.queue, number]
         wait_for_all()
         world = work.world[block]
         wait_for_all()
@@ -180,12 +180,12 @@ def run_worlds(
         late = any_of_all(full)
         while state.status[at.world] == RUNNING and not late:
             at.placed = state.placed[at.world]
-            at.geoms = first_geom(tables, at.world, at.placed + 1)
-            at.held = wp.where(state.driven_from[at.world] != NEVER and tables.held[at.world], 1, 0)
+            at.geoms = first_geom(worlds, at.world, at.placed + 1)
+            at.held = wp.where(state.driven_from[at.world] != NEVER and worlds.held[at.world], 1, 0)
             if at.placed != stood:
                 listed = -1
             stood = at.placed
-            listed = advance(model, tables, at, shared, shared_words, listed, state, work, frames, counts)
+            listed = advance(model, worlds, at, shared, shared_words, listed, state, work, frames, counts)
             steps += 1
             iterations += work.solver_niter[block]
             over = bool(False)
