@@ -167,7 +167,8 @@ class Rollout:
         status = np.array(ended.status)[: len(group.jobs)]
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
         progress = group.run.progress
-        steps, iterations, contacts = (int(ended.counts[name][0]) for name in ("steps", "iterations", "contacts"))
+        counts = jax.device_get(ended.counts)  # whole: to pick an element on the device takes longer than all of them
+        steps, iterations, contacts = (int(counts[name][0]) for name in ("steps", "iterations", "contacts"))
         running = int((status == Status.RUNNING).sum())
         progress.message = f"{running} worlds to go"
         progress.world_steps += steps
