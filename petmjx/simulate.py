@@ -20,6 +20,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults
+from petmjx.results.recording import Recording, recording_of
 from petmjx.results.schema import summary_table
 from petmjx.results.writer import RunWriter
 from petmjx.run_options import RunOptions
@@ -27,7 +28,6 @@ from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
-from petmjx.sweeps.recording import Recording, recording_of
 from petmjx.sweeps.run import Batching, SweepRun
 from petmjx.sweeps.sliding import hopeless_profiles
 from petmjx.sweeps.summary import (

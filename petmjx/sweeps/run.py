@@ -16,8 +16,8 @@ from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
 from petmjx.results.recorded import Recorded
+from petmjx.results.recording import NO_RECORDING, Recording
 from petmjx.sweeps.grid import PlacementGroup, SweepPlan
-from petmjx.sweeps.recording import NO_RECORDING, Recording
 from petmjx.sweeps.search import Bisection, Probe
 from petmjx.sweeps.swept import Answer, Settled, SweptWorld
 from petmjx.verdict import Verdict

@@ -14,11 +14,11 @@ import pyarrow as pa
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.results.listed import Parts
 from petmjx.results.schema import Param
+from petmjx.results.shares import KEYS, by_plan_and_axis, share_standing
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.search import failure_mode
-from petmjx.sweeps.shares import KEYS, by_plan_and_axis, share_standing
 from petmjx.sweeps.swept import Answer, Settled, SweptWorld
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
