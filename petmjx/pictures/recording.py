@@ -12,7 +12,7 @@ from petmjx.pictures.colours import CARRIER, FIRST, Colouring
 from petmjx.pictures.draw import forces_of_pairs, newtons_per_m
 from petmjx.pictures.poses import Poses, poses_of_frame, shift_mm, tilts_deg
 from petmjx.show.story import box_name, events
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.text import printable
 
 TIMELINE: Final = "time"

@@ -11,9 +11,9 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.show.layout import FittedTable, TableColumn, line, number
-from petmjx.story import Story
+from petmjx.story.tell import Story
+from petmjx.story.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.text import counted, shown
 from petmjx.verdict import Flag, Verdict
 from petmjx.world.job import FORCE

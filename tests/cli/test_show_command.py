@@ -80,7 +80,7 @@ PLAN = json.dumps(
 def test_several_files_from_one_simulation(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     told = []
     tell = petmjx.tell
-    monkeypatch.setattr("petmjx.story.tell", lambda *given, **options: told.append(given) or tell(*given, **options))
+    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: told.append(given) or tell(*given, **named))
     size = ("--size", "120x100")
     printed = lines_of(capsys, "hand-falls-off", "--png", "a.png", "--gif", "b.gif", "--svg", "c.svg", *size)
     assert len(told) == 1
@@ -140,7 +140,7 @@ def test_no_opengl_is_said_before_anything_is_simulated(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MUJOCO_GL", "vulkan")
-    monkeypatch.setattr("petmjx.story.tell", lambda *given, **named: pytest.fail("simulated"))
+    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: pytest.fail("simulated"))
     said = lines_of(capsys, "hand-bridge", "--html", "x.html", "--gif", "x.gif", code=2)
     assert "x.gif: MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw" in said
 
