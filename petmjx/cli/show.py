@@ -106,7 +106,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a bar for films, and say what was written."""
     from petmjx.pictures.save import draw
     from petmjx.show.progress import Shown, progress
-    from petmjx.show.story import headline
+    from petmjx.story.events import headline
     from petmjx.story.words import notes_in_words
 
     print(printable(f"plan {story.name}: {headline(story)}"))

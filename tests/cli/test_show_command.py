@@ -14,7 +14,7 @@ import petmjx
 from petmjx.cli.main import main
 from petmjx.errors import InputError
 from petmjx.pictures.viewer import Player, play, show, viewer_model
-from petmjx.show.story import events, headline
+from petmjx.story.events import events, headline
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -149,7 +149,7 @@ def test_words() -> None:
     story = falling_story()
     assert headline(story) == "unstable by tilt: first box 2 (tea), at 0.70 s"
     assert headline(standing_story(story)) == "stable, margin 0.90"
-    assert [time_s for time_s, _, _ in events(story)] == [0.0, 0.5, 0.7, 2.0]
+    assert [event.time_s for event in events(story)] == [0.0, 0.5, 0.7, 2.0]
 
 
 def test_the_viewer_shows_the_story() -> None:

@@ -24,7 +24,8 @@ from petmjx.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb
 from petmjx.pages.still import drawing_order, still_svg
 from petmjx.pages.story_data import framed, placed_s, story_blocks, story_info
 from petmjx.pages.story_page import story_page
-from petmjx.show.story import headline, story_tables
+from petmjx.show.story import story_tables
+from petmjx.story.events import headline
 from petmjx.story.tell import Story
 from petmjx.story.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.verdict import Flag, Reason, Verdict
