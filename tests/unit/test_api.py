@@ -13,14 +13,14 @@ from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.api import RunStart
 from petmjx.config import Simulation, Thresholds
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
 from petmjx.plans.gather import find_plan, gather_plans, usable_plans
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.run_options import RunOptions
-from petmjx.sweeps.swept import SweptWorld
+from petmjx.simulate import RunStart
+from petmjx.study import FinishedWorld
 
 STANDS = make_plan("stands", stack(2, 100.0))
 FALLS = make_plan("falls", stack(2, 260.0))
@@ -40,7 +40,7 @@ class Witness:
     def begin(self, start: RunStart) -> None:
         self.starts.append(start)
 
-    def world_done(self, world: SweptWorld) -> None:
+    def world_done(self, world: FinishedWorld) -> None:
         self.done.append(world.plan.plan_id)
 
 

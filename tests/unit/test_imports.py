@@ -21,10 +21,9 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"verdict"}),
     frozenset({"engines"}),
     frozenset({"results"}),
-    frozenset({"sweeps", "statics"}),
-    frozenset({"packers", "rating"}),
-    frozenset({"simulate"}),
-    frozenset({"api", "doctor", "story"}),
+    frozenset({"study"}),
+    frozenset({"simulate", "sweeps", "statics", "rating"}),
+    frozenset({"api", "packers", "doctor", "story"}),
     frozenset({"show", "pages", "pictures"}),
     frozenset({"cli", "__main__"}),
 )
