@@ -155,12 +155,6 @@ def test_what_reads_results_loads_no_simulator(module: str) -> None:
     assert loaded_by(f"import {module}") == set()
 
 
-def test_a_score_imports_nothing_beside_its_way() -> None:
-    code = "import sys, petmjx.api\nprint(*{name.split('.')[1] for name in sys.modules if name.startswith('petmjx.')})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not set(done.stdout.split()) & {"statics", "rating", "packers", "story", "show", "pages", "pictures", "cli"}
-
-
 def test_public_names_are_there_and_cheap() -> None:
     import petmjx
 
