@@ -93,7 +93,7 @@ def simulate(
         orders = check_orders(options.orders, study.everything, takes=options.takes, all_plans=whole, strict=strict)
     late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in study.skipped)
     found = replace(found, skipped=[*found.skipped, *late])
-    with engine_for(options, study.work()) as (engine, choice):
+    with engine_for(options, study.work) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, found, orders, engine, choice, recording, intervals)
         return run.results(watcher, {} if are_files(plans) else {each.plan_id: each for each in study.everything})
@@ -124,7 +124,7 @@ class _Run:
         return {
             "command": self.study.command,
             "simulation": self.study.sim.model_dump(mode="json"),
-            **self.study.identity(),
+            **self.study.identity,
             "engine": self.choice.name,
             "shard": self.options.shard,
             **({"force_intervals": True} if self.options.force_intervals else {}),
@@ -134,7 +134,7 @@ class _Run:
         """What ``run.json`` says of how the run was asked for."""
         return {
             "command": self.study.command,
-            **self.study.config(),
+            **self.study.config,
             "simulation": self.study.sim.model_dump(mode="json"),
             **self.options.model_dump(mode="json", exclude={"engine", "orders", "out", "overwrite", "resume"}),
             **({"orders": self.orders.file} if self.orders else {}),
@@ -184,7 +184,7 @@ class _Run:
         for skipped in self.found.skipped:
             writer.skip(skipped)
         writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
-        for note in (*self.found.conventions, *self.found.notes, *self.study.notes()):
+        for note in (*self.found.conventions, *self.found.notes, *self.study.notes):
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = counted(missing, "world")

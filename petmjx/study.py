@@ -6,8 +6,8 @@ A score's are here: one a plan, the plan as it is. What has variants is in petmj
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from petmjx.config import Simulation
@@ -54,49 +54,53 @@ class FinishedWorld:
     driven: bool = False
 
 
+@dataclass(eq=False, kw_only=True)
 class Study(ABC):
-    """Which worlds a run makes of its plans, and what it says of them.
-
-    What is not abstract is that of a run with one world a plan.
+    """What a run asks of its plans: which worlds it makes of them, and what it says of these.
 
     Attributes:
-        command: "score" or "sweep", as the results name it.
         sim: the options of every world, before attempts change them.
         everything: the plans that can be simulated, also those of other shards.
         plans: those of this run.
-        skipped: plans that this study cannot take.
+        work: what all worlds cost, for estimates of time.
+        n_worlds: number of worlds, at most.
+        known: whether that is their number, whatever comes of them: not in a search.
+        amount: what is simulated, in words.
+        command: "score" or "sweep", as the results name it.
         what: the user's word for a world.
+        skipped: plans that this study cannot take.
+        notes: warnings about the whole run.
         params: columns of ``worlds`` that tell a plan's worlds apart.
         dynamic: whether worlds have drives.
+        identity: what worlds depend on, beside plans and ``sim``.
+        config: what ``run.json`` says of the study, beside options.
     """
 
-    command: str = "score"
     sim: Simulation
     everything: Sequence[Plan]
     plans: Sequence[Plan]
-    skipped: Sequence[Skipped] = ()
+    work: Work
+    n_worlds: int
+    known: bool = True
+    amount: str
+    command: str = "score"
     what: str = "plan"
+    skipped: Sequence[Skipped] = ()
+    notes: Sequence[str] = ()
     params: Sequence[Param] = ()
     dynamic: bool = False
-
-    @property
-    def n_worlds(self) -> int:
-        """Number of worlds, at most."""
-        return len(self.plans)
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def total(self) -> int | None:
         """Number of worlds; None if it is not known."""
-        return self.n_worlds
+        return self.n_worlds if self.known else None
 
-    @property
-    def amount(self) -> str:
-        """What is simulated, in words."""
-        return counted(len(self.plans), "plan")
-
-    @abstractmethod
-    def work(self) -> Work:
-        """What all worlds cost, for estimates of time."""
+    def size(self, seconds: float | None) -> str:
+        """One line with the number of worlds and steps, and the expected time (``seconds``; None: not known)."""
+        long = "" if seconds is None else f", about {duration(seconds)}"
+        return f"{self.amount}, about {rounded(float(self.work.steps.sum()))} steps{long}"
 
     @abstractmethod
     def worlds(
@@ -110,26 +114,9 @@ class Study(ABC):
             progress: kept up to date.
         """
 
-    def size(self, seconds: float | None) -> str:
-        """One line with the number of worlds and steps, and the expected time (``seconds``; None: not known)."""
-        long = "" if seconds is None else f", about {duration(seconds)}"
-        return f"{self.amount}, about {rounded(float(self.work().steps.sum()))} steps{long}"
-
-    def values(self, world: FinishedWorld) -> Mapping[str, Any] | None:
-        """The world's values of ``params``."""
-        return None
-
-    def identity(self) -> dict[str, Any]:
-        """What its worlds depend on, beside plans and ``sim``."""
+    def values(self, world: FinishedWorld) -> Mapping[str, Any]:
+        """A world's values of ``params``."""
         return {}
-
-    def config(self) -> dict[str, Any]:
-        """What ``run.json`` says of it, beside options."""
-        return {}
-
-    def notes(self) -> Iterable[str]:
-        """Warnings about the whole run."""
-        return ()
 
     def timings(self) -> Mapping[str, float]:
         """What has taken how long, once all worlds are there."""
@@ -150,11 +137,15 @@ class Nominal(Study):
     def __init__(self, sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
         if len(plans) > MAX_WORLDS and not options.allow_large:
             raise InputError(f"{len(plans):,} plans, more than {MAX_WORLDS:,}: pass --yes if that is meant")
-        self.sim, self.everything = sim, plans
-        self.plans = [plan for plan in plans if options.takes(plan.plan_id)]
-
-    def work(self) -> Work:
-        return Work(self.sim, [plan.n_boxes for plan in self.plans])
+        own = [plan for plan in plans if options.takes(plan.plan_id)]
+        super().__init__(
+            sim=sim,
+            everything=plans,
+            plans=own,
+            work=Work(sim, [plan.n_boxes for plan in own]),
+            n_worlds=len(own),
+            amount=counted(len(own), "plan"),
+        )
 
     def worlds(
         self, engine: Engine, recorded: Recorded, recording: Recording, progress: Progress

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.cost import Work
 from petmjx.plans.plan import Plan
 from petmjx.results.recorded import Recorded
 from petmjx.results.recording import Recording
@@ -42,8 +41,6 @@ class SweepStudy(Study):
         InputError: as ``SweepPlan``.
     """
 
-    what = "world"
-
     def __init__(
         self,
         asked: Sweep,
@@ -53,33 +50,35 @@ class SweepStudy(Study):
         confidence: int | None = None,
         batching: Batching | None = None,
     ) -> None:
-        self.command = "sweep" if confidence is None else "score"
-        self.sim = asked.simulation
-        self._asked, self._confidence, self._batching = asked, confidence, batching or Batching()
-        self._plan = SweepPlan(asked, plans, options.allow_large, options.strict)
-        self.everything, self.skipped = tuple(self._plan.plans), self._plan.skipped
-        self.plans = self._plan.plans = [plan for plan in self.everything if options.takes(plan.plan_id)]
-        self._columns = SweepColumns(self._plan)
-        self.params, self.dynamic = self._columns.params, self._columns.has_drives
-        shared = confidence is None and asked.search is None
-        self._shares = ShareColumns.of(self._plan) if shared else None
+        plan = SweepPlan(asked, plans, options.allow_large, options.strict)
+        everything = tuple(plan.plans)
+        plan.plans = [each for each in everything if options.takes(each.plan_id)]
+        self._plan, self._columns = plan, SweepColumns(plan)
+        self._confidence, self._batching = confidence, batching or Batching()
+        self._shares = ShareColumns.of(plan) if confidence is None and asked.search is None else None
         self._answers: list[dict[str, Any]] = []
         self._tally = Tally()
-
-    @property
-    def n_worlds(self) -> int:
-        return self._plan.n_worlds
-
-    @property
-    def total(self) -> int | None:
-        return self.n_worlds if self._asked.search is None else None
-
-    @property
-    def amount(self) -> str:
-        return self._plan.amount
-
-    def work(self) -> Work:
-        return self._plan.work()
+        super().__init__(
+            sim=asked.simulation,
+            everything=everything,
+            plans=plan.plans,
+            work=plan.work(),
+            n_worlds=plan.n_worlds,
+            known=asked.search is None,
+            amount=plan.amount,
+            command="sweep" if confidence is None else "score",
+            what="world",
+            skipped=plan.skipped,
+            notes=hopeless_profiles(asked),
+            params=self._columns.params,
+            dynamic=self._columns.has_drives,
+            identity={"sweep": sweep_identity(asked)},
+            config={
+                **({"confidence": confidence} if confidence is not None else {}),
+                "sweep": asked.resolved(),
+                **({"shares": asdict(self._shares)} if self._shares else {}),
+            },
+        )
 
     def worlds(
         self, engine: Engine, recorded: Recorded, recording: Recording, progress: Progress
@@ -101,19 +100,6 @@ class SweepStudy(Study):
 
     def values(self, world: FinishedWorld) -> Mapping[str, Any]:
         return self._columns.of(world)
-
-    def identity(self) -> dict[str, Any]:
-        return {"sweep": sweep_identity(self._asked)}
-
-    def config(self) -> dict[str, Any]:
-        return {
-            **({"confidence": self._confidence} if self._confidence is not None else {}),
-            "sweep": self._asked.resolved(),
-            **({"shares": asdict(self._shares)} if self._shares else {}),
-        }
-
-    def notes(self) -> Iterable[str]:
-        return hopeless_profiles(self._asked)
 
     def timings(self) -> Mapping[str, float]:
         return vars(self._tally)
