@@ -23,7 +23,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"results"}),
     frozenset({"study"}),
     frozenset({"simulate", "sweeps", "statics", "rating"}),
-    frozenset({"api", "packers", "doctor", "story"}),
+    frozenset({"api", "packers", "story"}),
     frozenset({"show", "pages", "pictures"}),
     frozenset({"cli", "__main__"}),
 )

@@ -94,7 +94,7 @@ def test_an_engine_by_name(copy: Copy) -> None:
     (copy.folder / "petmjx/engines/centre_rule.py").write_text(program, encoding="utf-8")
     copy.follow(engine)
     printed = copy.printed_by(
-        f"{STACK}from petmjx.doctor import examine\n"
+        f"{STACK}from petmjx.engines.doctor import examine\n"
         "run = petmjx.score(plan, engine='centre-rule')\n"
         "print(run.worlds[['engine', 'verdict']].iloc[0].tolist())\n"
         "print([report.works for report in examine().engines if report.name == 'centre-rule'])\n"
