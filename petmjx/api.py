@@ -17,11 +17,13 @@ from petmjx.errors import InputError
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.results.reader import RunResults
 from petmjx.run_options import Confidence, RunOptions, sorted_options
-from petmjx.simulate import Intervals, Watcher, simulate
+from petmjx.simulate import Intervals, RunStart, Watcher, simulate
 from petmjx.study import Nominal
 
 if TYPE_CHECKING:
     from petmjx.sweeps.run import Batching
+
+__all__ = ["RunStart", "Watcher", "score", "sweep"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
