@@ -20,7 +20,7 @@ from petmjx.plans.gather import find_plan, gather_plans, usable_plans
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.run_options import RunOptions
 from petmjx.simulate import RunStart
-from petmjx.study import FinishedWorld
+from petmjx.study import MAX_WORLDS, FinishedWorld, Nominal
 
 STANDS = make_plan("stands", stack(2, 100.0))
 FALLS = make_plan("falls", stack(2, 260.0))
@@ -72,6 +72,13 @@ def test_a_score_is_a_sweep_with_one_variant(tmp_path: Path) -> None:
     ):
         mine, theirs = (frame.sort_values(keys, ignore_index=True) for frame in (mine, theirs))
         pd.testing.assert_frame_equal(mine, theirs[mine.columns], check_exact=True)
+
+
+def test_more_than_a_million_plans_must_be_meant() -> None:
+    plans = [make_plan("p", stack(1))] * (MAX_WORLDS + 1)
+    with pytest.raises(InputError, match="1,000,001 plans, more than 1,000,000: pass --yes if that is meant"):
+        Nominal(Simulation(), plans, RunOptions())
+    assert Nominal(Simulation(), plans, RunOptions(allow_large=True)).total == MAX_WORLDS + 1
 
 
 def test_options_of_a_sweep_replace_those_of_its_file(tmp_path: Path) -> None:
