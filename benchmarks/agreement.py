@@ -14,7 +14,7 @@ import pandas as pd
 from petmjx.results.compare import BOX_KEY, KEY, compare_runs
 from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
-from petmjx.sweeps.shares import ONE_PLAN, share_standing
+from petmjx.results.shares import ONE_PLAN, share_standing
 from petmjx.verdict import Reason, Verdict
 
 LOADED_N = 1.0

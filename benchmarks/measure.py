@@ -21,7 +21,6 @@ from benchmarks.agreement import agreement, joint_run
 from benchmarks.cases import MUJOCO, PLAIN_LOOP, SEED, STACK_PLAN, Case, Way, oracle_case
 from benchmarks.plain import fixed_steps, plain_loop
 from benchmarks.record import Clock, Result, environment, peak_device_bytes, timed
-from petmjx.api import RunStart
 from petmjx.config import SOFT_START_STEPS, Schedule
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import make_engine
@@ -31,7 +30,8 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans, write_samples
 from petmjx.results.reader import load_run
-from petmjx.sweeps.swept import SweptWorld
+from petmjx.simulate import RunStart
+from petmjx.study import FinishedWorld
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
@@ -76,7 +76,7 @@ class _Watch:
     def begin(self, start: RunStart) -> None:
         self.progress.append(start.progress)
 
-    def world_done(self, world: SweptWorld) -> None:
+    def world_done(self, world: FinishedWorld) -> None:
         if self.time_is_up and not self._between_blocks:
             raise _TimeIsUp
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from petmjx.run_options import RunOptions
     from petmjx.statics.record import CriteriaResults
     from petmjx.statics.run import criteria
-    from petmjx.story import Story, tell
+    from petmjx.story.tell import Story, tell
     from petmjx.sweeps.merge import merge_runs
 
 _HOME = {
@@ -71,8 +71,8 @@ _HOME = {
     "load_plans": "petmjx.plans.read",
     "compare_packers": "petmjx.packers.compare",
     "compare_runs": "petmjx.results.compare",
-    "Story": "petmjx.story",
-    "tell": "petmjx.story",
+    "Story": "petmjx.story.tell",
+    "tell": "petmjx.story.tell",
     "save_plans": "petmjx.plans.write",
     "kpis": "petmjx.rating.kpis",
     "loads": "petmjx.results.loads",

@@ -1,13 +1,14 @@
-"""Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``.
+"""Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both end in ``petmjx.simulate``.
 
-A score is a sweep with one variant: both end in ``petmjx.simulate``.
+What only some runs need is imported where they ask for it: a plain score loads no sweeps.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from petmjx.arguments import instance_of, path_of
 from petmjx.checked import Checked, got
@@ -16,11 +17,11 @@ from petmjx.errors import InputError
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.results.reader import RunResults
 from petmjx.run_options import Confidence, RunOptions, sorted_options
-from petmjx.simulate import RunStart, Watcher, simulate
-from petmjx.sweeps.confidence import confidence_sweep
-from petmjx.sweeps.file import load_sweep, nominal_sweep
-from petmjx.sweeps.ready import find_sweep
-from petmjx.sweeps.run import Batching
+from petmjx.simulate import Intervals, RunStart, Watcher, simulate
+from petmjx.study import Nominal
+
+if TYPE_CHECKING:
+    from petmjx.sweeps.run import Batching
 
 __all__ = ["RunStart", "Watcher", "score", "sweep"]
 
@@ -51,6 +52,20 @@ def _check_watcher(watcher: Watcher | None) -> None:
         raise InputError(f"watcher must have the methods begin and world_done, {got(watcher)}")
 
 
+def _intervals(options: RunOptions) -> Intervals | None:
+    """What works out intervals of forces, if they are asked for.
+
+    Raises:
+        InputError: SciPy is missing.
+    """
+    if not options.force_intervals:
+        return None
+    from petmjx.statics.intervals import intervals_at_rest, need_scipy
+
+    need_scipy()
+    return intervals_at_rest
+
+
 @_takes_options(Simulation, Confidence, RunOptions)
 def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **options: Any) -> RunResults:
     """Simulate each plan and say whether it stands, and with ``confidence`` how sure that is.
@@ -75,9 +90,14 @@ def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **
     of_simulation, of_run, of_confidence = sorted_options(options, Confidence)
     run, sure = RunOptions(**of_run), Confidence(**of_confidence)
     if sure.confidence is None:
-        return simulate("score", nominal_sweep(Simulation(**of_simulation)), plans, run, watcher)
+        sim = Simulation(**of_simulation)
+        return simulate(partial(Nominal, sim), sim, plans, run, watcher, _intervals(run))
+    from petmjx.sweeps.confidence import confidence_sweep
+    from petmjx.sweeps.study import SweepStudy
+
     asked = confidence_sweep(sure.confidence, sure.errors, of_simulation)
-    return simulate("score", asked, plans, run, watcher, confidence=sure.confidence)
+    ask = partial(SweepStudy, asked, confidence=sure.confidence)
+    return simulate(ask, asked.simulation, plans, run, watcher, _intervals(run))
 
 
 @_takes_options(Simulation, RunOptions)
@@ -105,6 +125,11 @@ def sweep(
         InputError: an unusable sweep file, plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
+    from petmjx.sweeps.file import load_sweep
+    from petmjx.sweeps.ready import find_sweep
+    from petmjx.sweeps.run import Batching
+    from petmjx.sweeps.study import SweepStudy
+
     _check_watcher(watcher)
     if batching is not None:
         instance_of(batching, "batching", Batching, "a Batching")
@@ -112,4 +137,5 @@ def sweep(
     asked = load_sweep(find_sweep(path_of(file, "file")), plans_given=plans is not None, simulation=of_simulation)
     if plans is None and isinstance(asked.plans, tuple):
         plans = list(asked.plans)
-    return simulate("sweep", asked, plans, RunOptions(**of_run), watcher, batching=batching)
+    run, ask = RunOptions(**of_run), partial(SweepStudy, asked, batching=batching)
+    return simulate(ask, asked.simulation, plans, run, watcher, _intervals(run))

@@ -6,10 +6,11 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
-from pydantic import BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
 from pydantic._internal._model_construction import ModelMetaclass  # has no public name
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
@@ -100,6 +101,32 @@ class Checked(BaseModel, metaclass=_OneLine):
             if info.is_required() and name not in values:
                 raise complaint(f"is missing: {info.description}" if info.description else "is missing", name)
         return values
+
+
+@dataclass(frozen=True)
+class CliFlag:
+    """The name of a field on the command line.
+
+    Attributes:
+        metavar: placeholder of its value in the help.
+        default: what the help shows as the default where the field's own default is None.
+    """
+
+    name: str
+    metavar: str = "NAME"
+    short: str = ""
+    default: str = ""
+
+
+def within(low: float, high: float) -> AfterValidator:
+    """A check of a physical range, whose error names the range."""
+
+    def check(value: Any) -> Any:
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"must be from {low:g} to {high:g}, {got(value)}")
+        return value
+
+    return AfterValidator(check)
 
 
 def _fields_with(record: Checked, values: Mapping[str, Any]) -> dict[str, Any]:

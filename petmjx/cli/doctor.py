@@ -13,7 +13,7 @@ def doctor(as_json: opt.JsonOption = False) -> None:
     programs are cached."""
     from dataclasses import asdict
 
-    from petmjx.doctor import examine
+    from petmjx.engines.doctor import examine
     from petmjx.pictures.save import why_nothing_is_drawn
     from petmjx.show.doctor_table import doctor_table
 

@@ -14,8 +14,8 @@ from petmjx.errors import InputError
 from petmjx.text import printable
 
 if TYPE_CHECKING:
-    from petmjx.api import Watcher
     from petmjx.results.reader import RunResults
+    from petmjx.simulate import Watcher
 
 
 def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool) -> None:

@@ -20,8 +20,8 @@ from petmjx.errors import InputError
 from petmjx.text import counted
 
 if TYPE_CHECKING:
-    from petmjx.api import Watcher
     from petmjx.results.reader import RunResults
+    from petmjx.simulate import Watcher
 
 
 BURST_S: Final = 2.0

@@ -16,7 +16,7 @@ from petmjx.pictures.options import PictureOptions
 from petmjx.text import printable
 
 if TYPE_CHECKING:
-    from petmjx.story import Story
+    from petmjx.story.tell import Story
 
 DRAWN = "What is drawn"
 LOOK = "How it looks"
@@ -79,7 +79,7 @@ def show(
 def _told(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
     """The story of a plan. With ``forces`` what a run has recorded without them is simulated again."""
     from petmjx.results.files import RUN_FILE
-    from petmjx.story import tell
+    from petmjx.story.tell import tell
 
     if source and (source[0] / RUN_FILE).is_file():
         details = True if forces else None
@@ -104,10 +104,10 @@ def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -
 
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a bar for films, and say what was written."""
-    from petmjx.pages.words import notes_in_words
     from petmjx.pictures.save import draw
     from petmjx.show.progress import Shown, progress
-    from petmjx.show.story import headline
+    from petmjx.story.events import headline
+    from petmjx.story.words import notes_in_words
 
     print(printable(f"plan {story.name}: {headline(story)}"))
     for note in notes_in_words(story):

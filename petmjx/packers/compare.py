@@ -22,7 +22,7 @@ from petmjx.packers.kpis import KPIS, kpis_of_runs
 from petmjx.packers.load import MEASURES, MISSING, Run, doubts, opened, plans_of
 from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
 from petmjx.results.plain import plain
-from petmjx.sweeps.shares import DEFAULT_CONFIDENCE, wilson_interval
+from petmjx.results.shares import DEFAULT_CONFIDENCE, wilson_interval
 from petmjx.text import counted
 from petmjx.verdict import Verdict
 

@@ -9,7 +9,7 @@ from math import sqrt
 import numpy as np
 
 from petmjx.errors import InputError
-from petmjx.sweeps.shares import DEFAULT_CONFIDENCE, wilson_interval
+from petmjx.results.shares import DEFAULT_CONFIDENCE, wilson_interval
 from petmjx.units import FloatArray
 
 

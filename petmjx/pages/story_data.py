@@ -13,8 +13,8 @@ from petmjx.metrics import motion_np
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.palette import article_colours, ramp
 from petmjx.pages.pushes import pushes
-from petmjx.pages.words import first_box_in_words, thresholds_of
-from petmjx.story import Story
+from petmjx.story.tell import Story
+from petmjx.story.words import first_box_in_words, thresholds_of
 from petmjx.text import printable
 from petmjx.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import FORCE

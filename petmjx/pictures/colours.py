@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.pages.palette import RAMP_COLOURS, Rgb, article_colours, ramp, rgb_of
-from petmjx.pages.words import thresholds_of
 from petmjx.pictures.options import Colour
 from petmjx.pictures.poses import Poses, shift_mm, tilts_deg
-from petmjx.story import Story
+from petmjx.story.tell import Story
+from petmjx.story.words import thresholds_of
 from petmjx.text import counted
 from petmjx.units import FloatArray
 

@@ -13,13 +13,13 @@ from petmjx.errors import InputError
 from petmjx.history import Contacts
 from petmjx.pages.palette import Rgb
 from petmjx.pages.pushes import pushes
-from petmjx.pages.words import thresholds_of
 from petmjx.pictures.camera import Camera
 from petmjx.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
 from petmjx.pictures.offscreen import Canvas
 from petmjx.pictures.options import Colour
 from petmjx.pictures.poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
-from petmjx.story import Story
+from petmjx.story.tell import Story
+from petmjx.story.words import thresholds_of
 from petmjx.text import shown
 from petmjx.units import FloatArray
 from petmjx.world.scene import IDENTITY_QUAT

@@ -14,8 +14,8 @@ from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.pictures.overlay import first_outline, scale_ends, shaking_in_words
 from petmjx.pictures.poses import Moment, poses_of_frame
 from petmjx.pictures.still import Look, draw_frames, frame_camera
-from petmjx.show.story import headline
-from petmjx.story import Story
+from petmjx.story.events import headline
+from petmjx.story.tell import Story
 from petmjx.text import counted, printable, shown
 
 PANEL_IN: Final = 2.25

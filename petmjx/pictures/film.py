@@ -17,7 +17,7 @@ from petmjx.pictures.encoder import h264_encoder
 from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_at
 from petmjx.pictures.still import Look
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.text import one_line
 
 if TYPE_CHECKING:

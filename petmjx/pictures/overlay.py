@@ -14,8 +14,8 @@ from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.pictures.draw import LEAST_LEVEL_G
 from petmjx.pictures.poses import Poses, shaking_g
-from petmjx.show.story import headline
-from petmjx.story import Story
+from petmjx.story.events import headline
+from petmjx.story.tell import Story
 from petmjx.text import counted, printable, three_digits
 from petmjx.units import FloatArray
 from petmjx.world.turned import corners, rotations

@@ -12,7 +12,7 @@ from petmjx.errors import InputError
 from petmjx.history import History
 from petmjx.metrics.motion_np import shift, tilt_deg
 from petmjx.pictures.options import BEFORE, END, FIRST_SIGN, START, moment_of
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.text import shown
 from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import FORCE

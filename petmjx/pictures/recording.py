@@ -11,8 +11,8 @@ from petmjx.history import History
 from petmjx.pictures.colours import CARRIER, FIRST, Colouring
 from petmjx.pictures.draw import forces_of_pairs, newtons_per_m
 from petmjx.pictures.poses import Poses, poses_of_frame, shift_mm, tilts_deg
-from petmjx.show.story import box_name, events
-from petmjx.story import Story
+from petmjx.story.events import box_name, events
+from petmjx.story.tell import Story
 from petmjx.text import printable
 
 TIMELINE: Final = "time"
@@ -35,9 +35,9 @@ def write_recording(story: Story, colours: Colouring, path: Path) -> None:
             recording.log("pallet/forces", _forces(rr, story.history, poses, scale))
         for name, value in _curves(story, poses).items():
             recording.log(f"curves/{name}", rr.Scalars(value))
-    for time_s, what, _ in events(story):
-        recording.set_time(TIMELINE, duration=time_s)
-        recording.log("events", rr.TextLog(what))
+    for event in events(story):
+        recording.set_time(TIMELINE, duration=event.time_s)
+        recording.log("events", rr.TextLog(event.what))
     recording.flush()
     recording.disconnect()
 

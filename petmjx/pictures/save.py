@@ -15,7 +15,7 @@ from petmjx.pictures.camera import view_of
 from petmjx.pictures.colours import colouring
 from petmjx.pictures.options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.pictures.poses import moments
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.text import one_line, printable
 from petmjx.whole import check_writable, whole_file
 

@@ -11,7 +11,7 @@ from petmjx.pictures.colours import Colouring
 from petmjx.pictures.draw import Painter, framed_points
 from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_of_frame
-from petmjx.story import Story
+from petmjx.story.tell import Story
 
 if TYPE_CHECKING:
     from PIL.Image import Image

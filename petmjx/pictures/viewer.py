@@ -14,7 +14,7 @@ import numpy as np
 from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.pictures.poses import Poses, poses_at
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.text import one_line
 from petmjx.units import FloatArray
 from petmjx.world.model import build_spec, geom_bodies

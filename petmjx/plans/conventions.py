@@ -19,6 +19,7 @@ import numpy as np
 from petmjx.errors import PlanWarning
 from petmjx.plans.given import ANCHORS
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, PlanWarnings, check_layout, gaps_mm
 from petmjx.text import counted, shown, three_digits
 from petmjx.units import LENGTHS_MM, MASSES_KG, FloatArray
@@ -198,7 +199,14 @@ class _Search:
         self.found[convention.looks].count += 1
 
 
-def find_conventions(
+def with_conventions(found: PlanSet, extent_mm: tuple[float, float] | None) -> PlanSet:
+    """The same plans with what is odd about them, and what that looks like."""
+    layouts = (check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm) for plan in found)
+    odd = [layout for layout in layouts if layout.any]
+    return replace(found, warnings=odd, conventions=_find_conventions(found.plans, odd, extent_mm))
+
+
+def _find_conventions(
     plans: Sequence[Plan], odd: Iterable[PlanWarnings], carrier_extent_mm: tuple[float, float] | None = None
 ) -> list[str]:
     """A line for each convention that plans seem to follow instead of petmjx's.

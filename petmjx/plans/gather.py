@@ -15,12 +15,12 @@ from petmjx.arguments import list_of, path_of
 from petmjx.checked import similar
 from petmjx.config import CARRIER_EXTENT_M, Simulation
 from petmjx.errors import InputError
-from petmjx.plans.conventions import warn
+from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.forms import SupportsArrow
 from petmjx.plans.given import USUAL, Given
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet, Skipped
-from petmjx.plans.read import read_plans, with_conventions
+from petmjx.plans.read import read_plans
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
 from petmjx.text import counted, first_names, shown
@@ -47,7 +47,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
         plans = given
     gathered = gather_plans(plans, sim, options)
     told = plans.conventions if isinstance(plans, PlanSet) else ()
-    warn(line for line in gathered.conventions if line not in told)
+    warn([line for line in gathered.conventions if line not in told])
     found = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
     if not found.plans:
         first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
@@ -68,7 +68,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
-        return _with_conventions(_named_apart(plans, options), sim)
+        return with_conventions(_named_apart(plans, options), _extent_mm(sim))
     if isinstance(plans, SupportsArrow):
         return _load(plans, sim, options)
     alone = isinstance(plans, str | PathLike | Plan)
@@ -77,7 +77,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if ready:
         if len(ready) != len(given):
             raise InputError("plans: give either paths or plans, not both")
-        return _with_conventions(_named_apart(PlanSet(ready), options), sim)
+        return with_conventions(_named_apart(PlanSet(ready), options), _extent_mm(sim))
     return _load([path_of(path, "plans") for path in given], sim, options)
 
 
@@ -94,10 +94,6 @@ def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
 def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
     extent_m = CARRIER_EXTENT_M[sim.carrier]
     return None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M)
-
-
-def _with_conventions(found: PlanSet, sim: Simulation) -> PlanSet:
-    return with_conventions(found, _extent_mm(sim))
 
 
 def _named_apart(found: PlanSet, options: RunOptions) -> PlanSet:

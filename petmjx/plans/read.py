@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from petmjx.arguments import flag_of, list_of, number_of, path_of, whole_of
 from petmjx.checked import got, reason
 from petmjx.errors import InputError
-from petmjx.plans.conventions import find_conventions, warn
+from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.fields import LONGEST_NAME, Unread
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
 from petmjx.plans.given import Given
@@ -24,7 +24,6 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.scan import NotPlans, scan_plans
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.plans.validate import PlanError, parse_plan
-from petmjx.plans.warnings import check_layout
 from petmjx.run_options import Anchor
 from petmjx.text import counted, printable, shown
 from petmjx.units import PLAN_UNITS
@@ -119,13 +118,6 @@ def read_plans(
         if loading.full:
             break
     return loading.done()
-
-
-def with_conventions(found: PlanSet, extent_mm: tuple[float, float] | None) -> PlanSet:
-    """The same plans with what is odd about them, and what that looks like."""
-    layouts = (check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm) for plan in found)
-    odd = [layout for layout in layouts if layout.any]
-    return replace(found, warnings=odd, conventions=find_conventions(found.plans, odd, extent_mm))
 
 
 def _list_files(paths: list[Path]) -> list[Path]:

@@ -1,9 +1,10 @@
-"""One part of a run's results: worlds are collected row by row and become tables."""
+"""One part of a run's results: worlds are collected row by row, counted, and become tables."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from petmjx.metrics.spec import FORCE_INTERVAL, Column, box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.plans.plan import Plan
 from petmjx.results import histories
-from petmjx.results.schema import filled
+from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
 
@@ -95,10 +96,10 @@ class Part:
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
         """The names of its tables and what they hold; ``worlds`` comes last."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
-        for name, columns_of in histories.TABLES.items():
+        for name, columns_of in histories.TABLES.items() if recorded else ():
             columns = columns_of(recorded)
             if len(columns["plan_id"]):
-                yield name, filled(columns, schemas[name])
+                yield name, _filled(columns, schemas[name])
         yield "boxes", self.boxes(schemas["boxes"])
         if len(attempts := self.attempts(schemas["attempts"])):
             yield "attempts", attempts
@@ -116,7 +117,7 @@ class Part:
             if metric.of_world is not None:
                 columns[metric.of_world.name] = reduce_boxes(metric.of_world.reduction, values, starts)
         rest = [name for name in schema.names if name not in columns]
-        return filled(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
+        return _filled(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
         """The ``boxes`` table: world after world, boxes in packing order."""
@@ -132,15 +133,46 @@ class Part:
         columns["item_id"] = [item for row in self.rows for item in row.plan.item_ids]
         columns["article"] = [article for row in self.rows for article in row.plan.articles]
         columns["sequence"] = np.concatenate([np.arange(0), *(row.plan.sequence for row in self.rows)])
-        return filled(columns, schema)
+        return _filled(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
         """The ``attempts`` table: no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
-        return filled({name: [cell[name] for cell in cells] for name in schema.names}, schema)
+        return _filled({name: [cell[name] for cell in cells] for name in schema.names}, schema)
 
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
         """All box metrics of the part, and the number of boxes of each world."""
         blocks = np.concatenate([np.empty((0, len(_block_columns()))), *(row.block for row in self.rows)])
         return blocks, np.array([len(row.block) for row in self.rows], dtype=np.int64)
+
+
+@dataclass
+class Pending:
+    """The part that is being collected, and what was written before it."""
+
+    part: Part
+    counts: WorldCounts = field(default_factory=WorldCounts)
+    since_s: float = 0.0
+    """When its first world came (monotonic clock). Time before that, such as for compiling, does not count."""
+
+    def following(self) -> Pending:
+        """The next part, once this one is written."""
+        counts = replace(self.counts, verdicts=Counter(self.counts.verdicts))
+        cells = [row.cells for row in self.part.rows]
+        counts.add(*([cell[name] for cell in cells] for name in COUNTED))
+        return Pending(Part(self.part.number + 1), counts)
+
+
+def _filled(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
+    """The columns in the schema's order and types; NaN becomes null."""
+    arrays = []
+    for column in schema:
+        values = columns[column.name]
+        if isinstance(values, pa.Array):
+            arrays.append(values)
+        elif isinstance(values, np.ndarray):
+            arrays.append(pa.array(np.ascontiguousarray(values), from_pandas=True).cast(column.type, safe=False))
+        else:
+            arrays.append(pa.array(values, column.type, from_pandas=True))
+    return pa.Table.from_arrays(arrays, schema=schema)

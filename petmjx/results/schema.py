@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 
@@ -237,20 +236,6 @@ def summary_table(
     """
     table = pa.Table.from_pandas(frame, preserve_index=False)
     return pa.Table.from_arrays(table.columns, schema=summary_schema(table.schema, units, descriptions or {}))
-
-
-def filled(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """The columns in the schema's order and types; NaN becomes null."""
-    arrays = []
-    for column in schema:
-        values = columns[column.name]
-        if isinstance(values, pa.Array):
-            arrays.append(values)
-        elif isinstance(values, np.ndarray):
-            arrays.append(pa.array(np.ascontiguousarray(values), from_pandas=True).cast(column.type, safe=False))
-        else:
-            arrays.append(pa.array(values, column.type, from_pandas=True))
-    return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:

@@ -25,8 +25,7 @@ from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.memory import MemoryParts, MemoryTables
-from petmjx.results.parts import Part, Row
-from petmjx.results.pending import Pending
+from petmjx.results.parts import Part, Pending, Row
 from petmjx.results.plain import plain
 from petmjx.results.reader import FINISHED, RunResults, load_run, read_info, told_apart
 from petmjx.results.recorded import Recorded

@@ -10,7 +10,7 @@ from rich.text import Text
 from petmjx.show.layout import line
 
 if TYPE_CHECKING:
-    from petmjx.doctor import Report
+    from petmjx.engines.doctor import Report
 
 
 def doctor_table(report: Report, why_no_pictures: str) -> Table:

@@ -16,8 +16,8 @@ from rich.progress import BarColumn, ProgressColumn, Task, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from petmjx.api import RunStart
-from petmjx.sweeps.swept import SweptWorld
+from petmjx.simulate import RunStart
+from petmjx.study import FinishedWorld
 from petmjx.text import counted, printable, three_digits, time_left
 
 REFRESH_S: Final = 0.5
@@ -178,7 +178,7 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
         self._until_exit.callback(refresher.join)
         self._until_exit.callback(stop.set)
 
-    def world_done(self, world: SweptWorld) -> None:
+    def world_done(self, world: FinishedWorld) -> None:
         self._done += 1
 
     def __exit__(self, *_: object) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Final
 
@@ -11,37 +10,17 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.show.layout import FittedTable, TableColumn, line, number
-from petmjx.story import Story
-from petmjx.text import counted, shown
-from petmjx.verdict import Flag, Verdict
-from petmjx.world.job import FORCE
-
-MOST_DROPS: Final = 8
-"""Most boxes whose drop has a line."""
+from petmjx.story.events import events
+from petmjx.story.tell import Story
+from petmjx.story.words import how_it_was_simulated, notes_in_words, reason_in_words
+from petmjx.text import counted
+from petmjx.verdict import Verdict
 
 MOST_PRESSED: Final = 5
 """How many of the most pressed boxes are shown."""
 
 _STYLES: Final = {Verdict.STABLE: "bold green", Verdict.UNSTABLE: "bold red", Verdict.INVALID: "bold yellow"}
-
-
-def headline(story: Story) -> str:
-    """Verdict, reason, first box and when, in one line."""
-    outcome = story.outcome
-    text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
-    if outcome.verdict is Verdict.STABLE:
-        text += ", still moving" if outcome.flags & Flag.MOVING else ""
-        return text + ("" if math.isnan(outcome.margin) else f", margin {outcome.margin:.2f}")
-    if outcome.culprit < 0:
-        return text
-    return f"{text}: first {box_name(story, outcome.culprit)}, at {outcome.first_sign_s:.2f} s"
-
-
-def box_name(story: Story, box: int) -> str:
-    """ "box 22 (candy-00100723)"; boxes count from 0 in packing order."""
-    return f"box {box} ({shown(story.plan.articles[box])})"
 
 
 def story_tables(story: Story) -> Iterator[RenderableType]:
@@ -62,74 +41,15 @@ def story_tables(story: Story) -> Iterator[RenderableType]:
     yield _boxes_table(story)
 
 
-def _subject(story: Story, box: int) -> str:
-    """The name of a box at the beginning of a sentence."""
-    return "B" + box_name(story, box)[1:]
-
-
-def events(story: Story) -> list[tuple[float, str, str]]:
-    """What happened, in order of time: (time in s, what, style). Drops beyond ``MOST_DROPS`` are one event."""
-    found = [*_placements(story), *_shaking(story), *_first_sign(story), *_drops(story)]
-    found.sort(key=lambda event: event[0])
-    end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
-    return [*found, (end_s, f"End: {_last_state(story)}", _STYLES[story.outcome.verdict])]
-
-
 def _events_table(story: Story) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
     table.add_column("at s", justify="right", no_wrap=True)
     table.add_column("what", overflow="fold")
-    for time_s, what, style in events(story):
-        table.add_row(f"{time_s:.2f}", line(what, style=style))
+    *before, end = events(story)
+    for event in before:
+        table.add_row(f"{event.time_s:.2f}", line(event.what, style="red" if event.is_first_sign else ""))
+    table.add_row(f"{end.time_s:.2f}", line(end.what, style=_STYLES[story.outcome.verdict]))
     return table
-
-
-def _placements(story: Story) -> Iterator[tuple[float, str, str]]:
-    history = story.history
-    grown = np.flatnonzero(np.diff(history.n_placed, prepend=0) > 0)
-    if not len(grown):
-        return
-    placed, first, last = int(history.n_placed[-1]), grown[0], grown[-1]
-    rest = "" if placed == story.plan.n_boxes else f" of {story.plan.n_boxes}"
-    if len(grown) == 1:
-        yield float(history.time_s[first]), f"{counted(placed, 'box', 'boxes')}{rest} placed at once", ""
-        return
-    yield float(history.time_s[first]), f"{_subject(story, 0)} is placed, the first of {story.plan.n_boxes}", ""
-    yield float(history.time_s[last]), f"{_subject(story, placed - 1)} is placed, number {placed}{rest}", ""
-
-
-def _shaking(story: Story) -> Iterator[tuple[float, str, str]]:
-    if story.drive is None:
-        return
-    pushed = np.flatnonzero(np.abs(story.history.drive).max(axis=1) > 0)
-    if len(pushed):
-        excitation = story.drive.excitation
-        what = "forces on the carrier" if excitation.kind == FORCE else "accelerations of the carrier"
-        name = f"{shown(excitation.name)}, scale {story.drive.scale:g}, {math.degrees(story.drive.yaw_rad):.0f}°"
-        yield float(story.history.time_s[pushed[0]]), f"Shaking begins: {what} ({name})", ""
-        yield float(story.history.time_s[pushed[-1]]), "Shaking ends", ""
-
-
-def _first_sign(story: Story) -> Iterator[tuple[float, str, str]]:
-    if story.outcome.culprit >= 0 and math.isfinite(story.outcome.first_sign_s):
-        yield story.outcome.first_sign_s, first_box_in_words(story), "red"
-
-
-def _drops(story: Story) -> Iterator[tuple[float, str, str]]:
-    times = story.outcome.boxes.drop_s
-    dropped = [int(box) for box in np.argsort(times, kind="stable") if np.isfinite(times[box])]
-    for box in dropped[:MOST_DROPS]:
-        yield float(times[box]), f"{_subject(story, box)} has dropped", ""
-    if len(dropped) > MOST_DROPS:
-        yield float(times[dropped[MOST_DROPS]]), f"{len(dropped) - MOST_DROPS} more have dropped from here on", ""
-
-
-def _last_state(story: Story) -> str:
-    outcome = story.outcome
-    placed = slice(outcome.n_placed)
-    moved = np.abs(outcome.boxes.shift_m[placed])
-    largest = f"largest shift {number(np.nanmax(moved), '.1f', ' mm', 1000.0)}" if np.isfinite(moved).any() else ""
-    return ", ".join(part for part in (headline(story).partition(":")[0], largest) if part)
 
 
 def _boxes_table(story: Story) -> FittedTable:

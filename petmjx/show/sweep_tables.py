@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from petmjx.results.shares import ALL_PLANS
 from petmjx.show.layout import FittedTable, TableColumn, number, percent
-from petmjx.sweeps.shares import ALL_PLANS
 from petmjx.units import FloatArray
 
 FEW_ROWS: Final = 40

@@ -23,6 +23,7 @@ from petmjx.statics.largest import least_and_most
 from petmjx.statics.touching import Touching, find_touching
 from petmjx.statics.wrenches import WRENCH, wrenches
 from petmjx.units import FloatArray
+from petmjx.verdict import BoxMetrics
 from petmjx.world.scene import Scene
 
 _EDGES: Final = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
@@ -39,6 +40,12 @@ def need_scipy() -> None:
         import scipy  # noqa: F401  # only whether it is there
     except ImportError:
         raise InputError("force_intervals needs SciPy: pip install 'petmjx[packers]'") from None
+
+
+def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
+    """As :func:`force_intervals`, of boxes as a run left them; None where it has no force at rest."""
+    at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
+    return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:

@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from petmjx.results.shares import DEFAULT_CONFIDENCE
 from petmjx.statics.named import Criterion
-from petmjx.sweeps.shares import DEFAULT_CONFIDENCE
 from petmjx.units import FloatArray
 from petmjx.verdict import Verdict
 

@@ -17,10 +17,10 @@ from petmjx.errors import InputError
 from petmjx.metrics.spec import DIMENSIONLESS
 from petmjx.results.listed import Parts
 from petmjx.results.schema import summary_table
+from petmjx.results.shares import ONE_PLAN, share_standing
 from petmjx.results.writer import RunWriter
 from petmjx.sweeps.file import Sweep, load_sweep
 from petmjx.sweeps.ready import find_sweep
-from petmjx.sweeps.shares import ONE_PLAN, share_standing
 from petmjx.verdict import Verdict
 from petmjx.world.variants import Distribution
 

@@ -10,18 +10,16 @@ from petmjx.engines.cost import Work
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
+from petmjx.study import MAX_WORLDS
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
-from petmjx.text import counted, duration, rounded, shown
+from petmjx.text import counted, shown
 from petmjx.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.world.job import Drive
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, Variant, apply
-
-MAX_WORLDS = 1_000_000
-"""More worlds than this are refused, unless the user allows them (``allow_large``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,15 +212,14 @@ class SweepPlan(Design):
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
         )
 
-    def size(self, seconds: float | None) -> str:
-        """One line with the number of worlds and steps, and the expected time (``seconds``; None: not known)."""
-        what = counted(len(self.plans), "plan")
-        if self.sweep.axes:
-            most = "at most " if self.sweep.search is not None else ""
-            placements = counted(len(self.plans) * self._all_placements, "placement")
-            what = f"{most}{counted(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
-        long = "" if seconds is None else f", about {duration(seconds)}"
-        return f"{what}, about {rounded(float(self.work().steps.sum()))} steps{long}"
+    @property
+    def amount(self) -> str:
+        """What is simulated, in words."""
+        if not self.sweep.axes:
+            return counted(len(self.plans), "plan")
+        most = "at most " if self.sweep.search is not None else ""
+        placements = counted(len(self.plans) * self._all_placements, "placement")
+        return f"{most}{counted(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
 
     @property
     def _all_placements(self) -> int:

@@ -16,10 +16,11 @@ from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import ATTEMPTS, DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
 from petmjx.results.recorded import Recorded
+from petmjx.results.recording import NO_RECORDING, Recording
+from petmjx.study import FinishedWorld
 from petmjx.sweeps.grid import PlacementGroup, SweepPlan
-from petmjx.sweeps.recording import NO_RECORDING, Recording
 from petmjx.sweeps.search import Bisection, Probe
-from petmjx.sweeps.swept import Answer, Settled, SweptWorld
+from petmjx.sweeps.swept import Answer, Settled
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.variants import Variant
@@ -97,7 +98,7 @@ class SweepRun:
     plan: SweepPlan
     engine: Engine
     on_answer: Callable[[Answer], None] = lambda answer: None
-    values_of: Callable[[SweptWorld], Mapping[str, Any]] = lambda world: {}
+    values_of: Callable[[FinishedWorld], Mapping[str, Any]] = lambda world: {}
     recorded: Recorded = field(default_factory=Recorded)
     recording: Recording = NO_RECORDING
     progress: Progress = field(default_factory=Progress)
@@ -109,7 +110,7 @@ class SweepRun:
         """The options of every world, before attempts change them."""
         return self.plan.sweep.simulation
 
-    def worlds(self) -> Iterator[SweptWorld]:
+    def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate everything that is missing; yield each world when it is final, in any order."""
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
@@ -122,7 +123,7 @@ class SweepRun:
             else:
                 yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
 
-    def world(self, plan_id: str, index: int) -> SweptWorld:
+    def world(self, plan_id: str, index: int) -> FinishedWorld:
         """One world alone, simulated as among all others.
 
         Args:
@@ -204,12 +205,12 @@ class SweepRun:
     def _placement(self, group: PlacementGroup, keep_state: bool) -> Job:
         return Job(self.plan.scene(group), keep_state=keep_state, record=self.recording.of(group.plan))
 
-    def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[SweptWorld]:
+    def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Worlds without a drive: they have the placement's outcome, with rest window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:
-                    yield SweptWorld(placed.group.plan, variant, placed.scene, placed.outcome, placed.attempts)
+                    yield FinishedWorld(placed.group.plan, variant, placed.scene, placed.outcome, placed.attempts)
                 else:
                     yield placed.undriven(variant)
 
@@ -230,7 +231,7 @@ class SweepRun:
 
     # Drives.
 
-    def _fork(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
+    def _fork(self, settled: Sequence[Settled]) -> Iterator[FinishedWorld]:
         """All variants of settled placements."""
         for start in settled:
             if not self._can_be_driven(start):
@@ -249,7 +250,7 @@ class SweepRun:
 
     def _drive(
         self, worlds: Iterable[_Driving], more: Callable[[], Iterable[_Driving]] | None = None
-    ) -> Iterator[tuple[Test, SweptWorld]]:
+    ) -> Iterator[tuple[Test, FinishedWorld]]:
         """Simulate forks; yield each one with its test. ``more``: those that follow from the ones before."""
         begin = time.perf_counter()
         for result in self._score(worlds, self.batching.drives, forks=True, more=more):
@@ -257,15 +258,15 @@ class SweepRun:
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
             final = world.settled.shaken(outcome, self.sim.thresholds)
-            swept = SweptWorld(
-                world.plan, world.change, world.job.scene, final, result.attempts, world.settled, driven=True
+            swept = FinishedWorld(
+                world.plan, world.change, world.job.scene, final, result.attempts, world.settled.outcome, driven=True
             )
             yield world.test, swept
         self.tally.drive_s += time.perf_counter() - begin
 
     # Search.
 
-    def _search(self, settled: Sequence[Settled]) -> Iterator[SweptWorld]:
+    def _search(self, settled: Sequence[Settled]) -> Iterator[FinishedWorld]:
         """Bisection over all placements, profiles and directions of a chunk together.
 
         When all tests of an item have ended, its next ones begin, beside those of others that still run. A placement

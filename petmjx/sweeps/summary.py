@@ -14,12 +14,13 @@ import pyarrow as pa
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.results.listed import Parts
 from petmjx.results.schema import Param
+from petmjx.results.shares import KEYS, by_plan_and_axis, share_standing
+from petmjx.study import FinishedWorld
 from petmjx.sweeps.axes import AXIS_KINDS, Axis
 from petmjx.sweeps.eumos import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.search import failure_mode
-from petmjx.sweeps.shares import KEYS, by_plan_and_axis, share_standing
-from petmjx.sweeps.swept import Answer, Settled, SweptWorld
+from petmjx.sweeps.swept import Answer
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.profiles.acceleration import Tilt
 
@@ -56,14 +57,14 @@ class SweepColumns:
         columns += EUMOS_COLUMNS if self.has_eumos else ()
         return columns
 
-    def of(self, world: SweptWorld) -> dict[str, Any]:
+    def of(self, world: FinishedWorld) -> dict[str, Any]:
         """Column → value of one world; missing ones become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         values |= self.during_drive(world)
         return values
 
-    def during_drive(self, world: SweptWorld) -> dict[str, Any]:
+    def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
         """The values that come from the drive."""
         values: dict[str, Any] = {}
         drive = world.variant.drive
@@ -75,17 +76,17 @@ class SweepColumns:
             profile = self._plan.sweep.profiles[drive.profile]
             if isinstance(profile, Tilt) and sign_s is not None:
                 values[FAIL_ANGLE.name] = min(sign_s * profile.rate_deg_s, profile.max_deg)
-        if drive.profile == EUMOS_PROFILE and world.settled is not None:
-            values |= self._eumos(world, world.settled)
+        if drive.profile == EUMOS_PROFILE and world.placement is not None:
+            values |= self._eumos(world, world.placement)
         return values
 
-    def _eumos(self, world: SweptWorld, settled: Settled) -> dict[str, Any]:
+    def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
         """EUMOS's figures, which count from where the boxes stood; what did not stand has none, or has not passed."""
         values: dict[str, Any] = {}
         if world.driven:
-            found = eumos_assessment(world.outcome.boxes, settled.outcome.boxes.pos, world.scene.half_size)
+            found = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
             values = {name: None if value != value else value for name, value in found.items()}
-        if settled.outcome.verdict is not Verdict.STABLE:
+        if placement.verdict is not Verdict.STABLE:
             values["eumos_passed"] = False
         if world.outcome.verdict is Verdict.INVALID:
             values["eumos_passed"] = None

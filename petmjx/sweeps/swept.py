@@ -1,11 +1,11 @@
-"""What a sweep's runner tells: placements that have settled, worlds with their outcomes, answers of searches."""
+"""What a sweep's runner tells: placements that have settled, answers of searches."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 from petmjx.config import Thresholds
-from petmjx.plans.plan import Plan
+from petmjx.study import FinishedWorld
 from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup
 from petmjx.sweeps.search import Found, Probe
@@ -41,29 +41,10 @@ class Settled:
             return outcome
         return replace(outcome, history=placed.history.then(outcome.history))
 
-    def undriven(self, variant: Variant) -> SweptWorld:
+    def undriven(self, variant: Variant) -> FinishedWorld:
         """A world with this outcome: no step was simulated for it."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
-        return SweptWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self)
-
-
-@dataclass(frozen=True, eq=False)
-class SweptWorld:
-    """One world of a sweep with its final outcome.
-
-    Attributes:
-        settled: the placement it was forked from; None for a world that was simulated from its beginning.
-        driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
-            early stop it is shaken, too, but is not stable.
-    """
-
-    plan: Plan
-    variant: Variant
-    scene: Scene
-    outcome: Outcome
-    attempts: tuple[Attempt, ...]
-    settled: Settled | None = None
-    driven: bool = False
+        return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import petmjx
 from petmjx.cli.main import main
 from petmjx.errors import InputError
 from petmjx.pictures.viewer import Player, play, show, viewer_model
-from petmjx.show.story import events, headline
+from petmjx.story.events import events, headline
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -80,7 +80,7 @@ PLAN = json.dumps(
 def test_several_files_from_one_simulation(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     told = []
     tell = petmjx.tell
-    monkeypatch.setattr("petmjx.story.tell", lambda *given, **options: told.append(given) or tell(*given, **options))
+    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: told.append(given) or tell(*given, **named))
     size = ("--size", "120x100")
     printed = lines_of(capsys, "hand-falls-off", "--png", "a.png", "--gif", "b.gif", "--svg", "c.svg", *size)
     assert len(told) == 1
@@ -140,7 +140,7 @@ def test_no_opengl_is_said_before_anything_is_simulated(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MUJOCO_GL", "vulkan")
-    monkeypatch.setattr("petmjx.story.tell", lambda *given, **named: pytest.fail("simulated"))
+    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: pytest.fail("simulated"))
     said = lines_of(capsys, "hand-bridge", "--html", "x.html", "--gif", "x.gif", code=2)
     assert "x.gif: MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw" in said
 
@@ -149,7 +149,7 @@ def test_words() -> None:
     story = falling_story()
     assert headline(story) == "unstable by tilt: first box 2 (tea), at 0.70 s"
     assert headline(standing_story(story)) == "stable, margin 0.90"
-    assert [time_s for time_s, _, _ in events(story)] == [0.0, 0.5, 0.7, 2.0]
+    assert [event.time_s for event in events(story)] == [0.0, 0.5, 0.7, 2.0]
 
 
 def test_the_viewer_shows_the_story() -> None:

@@ -12,7 +12,7 @@ from petmjx.config import Simulation
 from petmjx.history import Contacts, History
 from petmjx.pictures.offscreen import why_no_pictures
 from petmjx.plans.plan import Plan
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
 from petmjx.world.scene import build_scene
 

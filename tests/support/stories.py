@@ -10,7 +10,7 @@ import numpy as np
 from petmjx.config import Simulation
 from petmjx.history import CARRIER, Contacts, History
 from petmjx.results.plain import plain
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
 from petmjx.world.job import ACCELERATION, Drive, Excitation

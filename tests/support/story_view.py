@@ -8,7 +8,7 @@ import numpy as np
 
 from petmjx.pages.story_data import framed
 from petmjx.pages.story_page import story_page
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.units import FloatArray
 from support.browser import Opened, OpenPage
 from support.stories import END_S

@@ -13,14 +13,14 @@ from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.api import RunStart
 from petmjx.config import Simulation, Thresholds
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.errors import InputError
 from petmjx.plans.gather import find_plan, gather_plans, usable_plans
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.run_options import RunOptions
-from petmjx.sweeps.swept import SweptWorld
+from petmjx.simulate import RunStart
+from petmjx.study import MAX_WORLDS, FinishedWorld, Nominal
 
 STANDS = make_plan("stands", stack(2, 100.0))
 FALLS = make_plan("falls", stack(2, 260.0))
@@ -40,7 +40,7 @@ class Witness:
     def begin(self, start: RunStart) -> None:
         self.starts.append(start)
 
-    def world_done(self, world: SweptWorld) -> None:
+    def world_done(self, world: FinishedWorld) -> None:
         self.done.append(world.plan.plan_id)
 
 
@@ -72,6 +72,13 @@ def test_a_score_is_a_sweep_with_one_variant(tmp_path: Path) -> None:
     ):
         mine, theirs = (frame.sort_values(keys, ignore_index=True) for frame in (mine, theirs))
         pd.testing.assert_frame_equal(mine, theirs[mine.columns], check_exact=True)
+
+
+def test_more_than_a_million_plans_must_be_meant() -> None:
+    plans = [make_plan("p", stack(1))] * (MAX_WORLDS + 1)
+    with pytest.raises(InputError, match="1,000,001 plans, more than 1,000,000: pass --yes if that is meant"):
+        Nominal(Simulation(), plans, RunOptions())
+    assert Nominal(Simulation(), plans, RunOptions(allow_large=True)).total == MAX_WORLDS + 1
 
 
 def test_options_of_a_sweep_replace_those_of_its_file(tmp_path: Path) -> None:

@@ -24,9 +24,10 @@ from petmjx.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb
 from petmjx.pages.still import drawing_order, still_svg
 from petmjx.pages.story_data import framed, placed_s, story_blocks, story_info
 from petmjx.pages.story_page import story_page
-from petmjx.pages.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
-from petmjx.show.story import headline, story_tables
-from petmjx.story import Story
+from petmjx.show.story import story_tables
+from petmjx.story.events import headline
+from petmjx.story.tell import Story
+from petmjx.story.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.verdict import Flag, Reason, Verdict
 
 NASTY = "</script><!--<script>alert(1)</script>\u2028&\"'<img src=x onerror=alert(2)>💥,\n"

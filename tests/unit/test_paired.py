@@ -13,7 +13,7 @@ from statsmodels.stats.multitest import multipletests
 
 from petmjx.errors import InputError
 from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
-from petmjx.sweeps.shares import wilson_interval
+from petmjx.results.shares import wilson_interval
 
 counts = st.builds(PairedCounts, *[st.integers(0, 200)] * 4)
 

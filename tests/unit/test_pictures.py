@@ -26,7 +26,7 @@ from petmjx.pictures.encoder import h264_encoder
 from petmjx.pictures.options import Colour
 from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_of_frame
-from petmjx.story import Story
+from petmjx.story.tell import Story
 
 STORY = falling_story()
 

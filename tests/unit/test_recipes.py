@@ -94,7 +94,7 @@ def test_an_engine_by_name(copy: Copy) -> None:
     (copy.folder / "petmjx/engines/centre_rule.py").write_text(program, encoding="utf-8")
     copy.follow(engine)
     printed = copy.printed_by(
-        f"{STACK}from petmjx.doctor import examine\n"
+        f"{STACK}from petmjx.engines.doctor import examine\n"
         "run = petmjx.score(plan, engine='centre-rule')\n"
         "print(run.worlds[['engine', 'verdict']].iloc[0].tolist())\n"
         "print([report.works for report in examine().engines if report.name == 'centre-rule'])\n"
@@ -143,7 +143,7 @@ def test_a_reason(copy: Copy) -> None:
     overloaded = f"""{STACK}
 run = petmjx.score(plan, engine='mujoco', thresholds={{'load_n': 60}}, out='out', overwrite=True)
 petmjx.report('out', 'report.html', overwrite=True)
-from petmjx.pages.words import reason_in_words
+from petmjx.story.words import reason_in_words
 print(run.worlds.reason[0], reason_in_words(petmjx.tell('stack', run)), petmjx.load_run('out').info['counts'])
 """
     decided, known = copy.blocks("A reason of your own", "diff")

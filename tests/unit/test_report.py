@@ -35,7 +35,7 @@ from petmjx.pages.report.swept import explained, largest_survived
 from petmjx.pages.report.verdicts import verdict_table
 from petmjx.plans.plan import Plan
 from petmjx.results.reader import load_run
-from petmjx.sweeps.shares import wilson_interval
+from petmjx.results.shares import wilson_interval
 
 NASTY = "<img src=x onerror=alert(1)>\"'&</script><!-- 🧀 é"
 """An id that is markup, if somebody forgets to escape it."""

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from support.outcomes import make_boxes, make_outcome
 
+from petmjx.results.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.sweeps.eumos import eumos_assessment
 from petmjx.sweeps.search import Bisection, Probe, failure_mode
-from petmjx.sweeps.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.verdict import BoxMetrics, Outcome, Reason, Verdict
 
 

@@ -105,7 +105,7 @@ def test_another_engine_takes_the_place_of_one_that_cannot_run(
     run = petmjx.score(plan_file, engine="mujoco", out=tmp_path / "run")
     edit_info(run.path, lambda info: info["config"].update(engine="mjx-warp"))
 
-    from petmjx import story as module
+    from petmjx.story import tell as module
 
     def make_engine(name: str, **options: Any) -> MujocoEngine:
         if name == "mjx-warp":

@@ -13,8 +13,11 @@ import petmjx
 from petmjx.config import Check, Schedule
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
+from petmjx.run_options import RunOptions
+from petmjx.study import MAX_WORLDS
 from petmjx.sweeps.file import MIN_TOLERANCE, Search, Sweep, load_sweep
-from petmjx.sweeps.grid import MAX_WORLDS, SweepPlan
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.study import SweepStudy
 from petmjx.world.variants import DistributionShape, Variant
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
@@ -27,6 +30,10 @@ def sweep_file(folder: Path, text: str) -> Path:
 
 def sweep_plan(folder: Path, text: str, *plans: Plan, allow_large: bool = False) -> SweepPlan:
     return SweepPlan(load_sweep(sweep_file(folder, text)), plans or (make_plan("plan", 4),), allow_large)
+
+
+def sweep_study(folder: Path, text: str) -> SweepStudy:
+    return SweepStudy(load_sweep(sweep_file(folder, text)), [make_plan("plan", 4)], RunOptions())
 
 
 def variants(plan: SweepPlan) -> list[Variant]:
@@ -64,7 +71,7 @@ def test_ready_made_sweeps_load_and_make_the_worlds_they_promise(name: str) -> N
         assert set(made[0].parameters) == set(plan.parameter_columns)
     scene = plan.scene(groups[0])
     assert scene.n_boxes == 4
-    assert f"{worlds:,} variant" in plan.size(60.0)
+    assert f"{worlds:,} variant" in plan.amount
     readme = (SWEEPS.parent / "docs" / "sweeps.md").read_text(encoding="utf-8")
     line = next(line for line in readme.splitlines() if f"`{name}`" in line)
     assert str(worlds) in line
@@ -301,11 +308,11 @@ def test_what_a_timestep_cannot_show_is_refused_before_the_run(tmp_path: Path) -
 
 def test_estimates_count_placements_once(tmp_path: Path) -> None:
     text = "[axes]\nprofile = 'eumos-40509'\nlevel = {{from = 0.01, to = 0.64, count = {count}}}"
-    one, many = (sweep_plan(tmp_path, text.format(count=count)) for count in (2, 64))
+    one, many = (sweep_study(tmp_path, text.format(count=count)) for count in (2, 64))
     # 0.4 s of profile and 1 s of rest
-    assert many.work().steps - one.work().steps == pytest.approx([62 * (200 + 500)])
+    assert many.work.steps - one.work.steps == pytest.approx([62 * (200 + 500)])
     said = many.size(100.0)
     assert said.startswith("64 worlds (1 plan × 64 variants) from 1 placement, about ")
-    also_nominal = sweep_plan(tmp_path, "nominal = true\n" + text.format(count=64)).size(None)
+    also_nominal = sweep_study(tmp_path, "nominal = true\n" + text.format(count=64)).size(None)
     assert also_nominal.startswith("65 worlds (1 plan × 65 variants) from 2 placements, about ")
     assert said.endswith(" steps, about 2 min")

@@ -323,7 +323,8 @@ def test_a_signal_ends_a_command_with_workers_and_it_goes_on_without(
     assert "Traceback" not in stderr
     interrupted = petmjx.load_run(tmp_path / "o")
     done = len(interrupted.worlds)
-    assert f"interrupted: {done} of 150 plan{'s are' if done > 1 else ' is'} done" in stderr
+    are = "is" if done == 1 else "are"
+    assert f"interrupted: {done} of 150 plans {are} done" in stderr
     assert interrupted.info["status"] == "interrupted"
     assert 0 < done < 150
     whole = petmjx.score(plans, out=tmp_path / "o", engine="mujoco", resume=True)

@@ -15,7 +15,7 @@ from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import figure
 from petmjx.pages.report.verdicts import plan_link
 from petmjx.results.compare import KEY, Comparison, compare_runs
-from petmjx.sweeps.shares import wilson_interval
+from petmjx.results.shares import wilson_interval
 from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 

@@ -23,7 +23,7 @@ from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import Frame, Scale, figure
 from petmjx.pages.report.verdicts import ORDER
 from petmjx.results.compare import thresholds_of
-from petmjx.sweeps.shares import wilson_interval
+from petmjx.results.shares import wilson_interval
 from petmjx.units import MM_PER_M
 from petmjx.verdict import Verdict
 

@@ -15,7 +15,7 @@ from petmjx.errors import InputError
 from petmjx.pages.report.plans_again import FoundPlans, find_plans_again
 from petmjx.results.compare import KEY
 from petmjx.results.reader import RunResults, load_run
-from petmjx.sweeps.shares import ALL_PLANS, share_standing
+from petmjx.results.shares import ALL_PLANS, share_standing
 from petmjx.text import printable
 from petmjx.units import MM_PER_M
 

@@ -13,7 +13,7 @@ from petmjx.pages.report.markup import NOTHING, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import MOST_TICKS, Frame, Scale, figure, round_step
 from petmjx.pages.report.verdicts import link, plan_link
-from petmjx.sweeps.shares import ALL_PLANS, share_standing
+from petmjx.results.shares import ALL_PLANS, share_standing
 from petmjx.text import counted, three_digits
 from petmjx.units import FloatArray
 from petmjx.verdict import Verdict

@@ -11,7 +11,7 @@ import pandas as pd
 from petmjx.pages.report.charts import between, percent
 from petmjx.pages.report.markup import Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
-from petmjx.sweeps.shares import wilson_interval
+from petmjx.results.shares import wilson_interval
 from petmjx.text import counted, printable
 from petmjx.verdict import Verdict
 

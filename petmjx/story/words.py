@@ -10,7 +10,7 @@ import numpy as np
 from petmjx.config import Check, Thresholds
 from petmjx.metrics import motion_np
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, gaps_mm
-from petmjx.story import Story
+from petmjx.story.tell import Story
 from petmjx.text import shown
 from petmjx.units import MM_PER_M, FloatArray
 from petmjx.verdict import Flag, Reason, Verdict

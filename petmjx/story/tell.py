@@ -20,12 +20,12 @@ from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
 from petmjx.results.histories import read_history
 from petmjx.results.reader import RunResults, load_run
+from petmjx.results.recording import Recording
 from petmjx.results.worlds import read_outcome, world_row
 from petmjx.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
 from petmjx.sweeps.again import worlds_of_run
 from petmjx.sweeps.file import nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.recording import Recording
 from petmjx.sweeps.run import SweepRun
 from petmjx.sweeps.summary import SweepColumns
 from petmjx.text import shown

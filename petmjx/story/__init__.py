@@ -1,0 +1,1 @@
+"""The story of one world: told frame by frame, and in words."""

@@ -1,0 +1,159 @@
+"""Which worlds a run makes of its plans, and what it says of them.
+
+A score's are here: one a plan, the plan as it is. What has variants is in petmjx.sweeps, and stands on this.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine, Progress
+from petmjx.engines.cost import Work
+from petmjx.engines.retry import World, score_worlds
+from petmjx.errors import InputError
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import Skipped
+from petmjx.results.recorded import Recorded
+from petmjx.results.recording import Recording
+from petmjx.results.schema import Param
+from petmjx.results.writer import RunWriter
+from petmjx.run_options import RunOptions
+from petmjx.text import counted, duration, rounded
+from petmjx.verdict import Attempt, Outcome
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene, build_scene
+from petmjx.world.variants import UNCHANGED, Variant
+
+MAX_WORLDS: Final = 1_000_000
+"""More worlds than this are refused, unless the user allows them (``allow_large``)."""
+
+NOMINAL: Final = Variant(0, UNCHANGED)
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedWorld:
+    """One world with its final outcome.
+
+    Attributes:
+        placement: what the placement came to from which it was forked; None for a world that was simulated from its
+            beginning.
+        driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
+            early stop it is shaken, too, but is not stable.
+    """
+
+    plan: Plan
+    variant: Variant
+    scene: Scene
+    outcome: Outcome
+    attempts: tuple[Attempt, ...]
+    placement: Outcome | None = None
+    driven: bool = False
+
+
+@dataclass(eq=False, kw_only=True)
+class Study(ABC):
+    """What a run asks of its plans: which worlds it makes of them, and what it says of these.
+
+    Attributes:
+        sim: the options of every world, before attempts change them.
+        everything: the plans that can be simulated, also those of other shards.
+        plans: those of this run.
+        work: what all worlds cost, for estimates of time.
+        n_worlds: number of worlds, at most.
+        known: whether that is their number, whatever comes of them: not in a search.
+        amount: what is simulated, in words.
+        command: "score" or "sweep", as the results name it.
+        what: the user's word for a world.
+        skipped: plans that this study cannot take.
+        notes: warnings about the whole run.
+        params: columns of ``worlds`` that tell a plan's worlds apart.
+        dynamic: whether worlds have drives.
+        identity: what worlds depend on, beside plans and ``sim``.
+        config: what ``run.json`` says of the study, beside options.
+    """
+
+    sim: Simulation
+    everything: Sequence[Plan]
+    plans: Sequence[Plan]
+    work: Work
+    n_worlds: int
+    known: bool = True
+    amount: str
+    command: str = "score"
+    what: str = "plan"
+    skipped: Sequence[Skipped] = ()
+    notes: Sequence[str] = ()
+    params: Sequence[Param] = ()
+    dynamic: bool = False
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int | None:
+        """Number of worlds; None if it is not known."""
+        return self.n_worlds if self.known else None
+
+    def size(self, seconds: float | None) -> str:
+        """One line with the number of worlds and steps, and the expected time (``seconds``; None: not known)."""
+        long = "" if seconds is None else f", about {duration(seconds)}"
+        return f"{self.amount}, about {rounded(float(self.work.steps.sum()))} steps{long}"
+
+    @abstractmethod
+    def worlds(
+        self, engine: Engine, recorded: Recorded, recording: Recording, progress: Progress
+    ) -> Iterator[FinishedWorld]:
+        """Simulate what is missing; yield each world when it is final, in any order.
+
+        Args:
+            recorded: the worlds that the run already has.
+            recording: which worlds' histories are recorded.
+            progress: kept up to date.
+        """
+
+    def values(self, world: FinishedWorld) -> Mapping[str, Any]:
+        """A world's values of ``params``."""
+        return {}
+
+    def timings(self) -> Mapping[str, float]:
+        """What has taken how long, once all worlds are there."""
+        return {}
+
+    def summarise(self, writer: RunWriter) -> None:
+        """Write the table ``summary`` of a run whose worlds are all there."""
+        return None
+
+
+class Nominal(Study):
+    """One world a plan, the plan as it is: a score.
+
+    Raises:
+        InputError: more than a million plans, without ``allow_large``.
+    """
+
+    def __init__(self, sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
+        if len(plans) > MAX_WORLDS and not options.allow_large:
+            raise InputError(f"{len(plans):,} plans, more than {MAX_WORLDS:,}: pass --yes if that is meant")
+        own = [plan for plan in plans if options.takes(plan.plan_id)]
+        super().__init__(
+            sim=sim,
+            everything=plans,
+            plans=own,
+            work=Work(sim, [plan.n_boxes for plan in own]),
+            n_worlds=len(own),
+            amount=counted(len(own), "plan"),
+        )
+
+    def worlds(
+        self, engine: Engine, recorded: Recorded, recording: Recording, progress: Progress
+    ) -> Iterator[FinishedWorld]:
+        missing = (plan for plan in self.plans if (plan.plan_id, NOMINAL.index) not in recorded)
+        asked = (
+            World(plan, NOMINAL.index, Job(build_scene(plan, self.sim), record=recording.of(plan))) for plan in missing
+        )
+        for found in score_worlds(asked, self.sim, engine, progress=progress):
+            world = found.world
+            yield FinishedWorld(world.plan, NOMINAL, world.job.scene, found.outcome, found.attempts)

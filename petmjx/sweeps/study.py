@@ -1,0 +1,113 @@
+"""The study of a run with variants: of sweeps, and of scores that say how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from petmjx.engines.base import Engine, Progress
+from petmjx.plans.plan import Plan
+from petmjx.results.recorded import Recorded
+from petmjx.results.recording import Recording
+from petmjx.results.schema import summary_table
+from petmjx.results.writer import RunWriter
+from petmjx.run_options import RunOptions
+from petmjx.study import FinishedWorld, Study
+from petmjx.sweeps.confidence import write_confidence
+from petmjx.sweeps.file import Sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.identity import sweep_identity
+from petmjx.sweeps.run import Batching, SweepRun, Tally
+from petmjx.sweeps.sliding import hopeless_profiles
+from petmjx.sweeps.summary import (
+    ShareColumns,
+    SweepColumns,
+    search_frame,
+    search_row,
+    summarise_shares,
+    summary_units,
+)
+from petmjx.sweeps.swept import Answer
+
+
+class SweepStudy(Study):
+    """All variants of each plan.
+
+    Args:
+        confidence: worlds with errors for each plan, if their share is asked for: then it is a score.
+
+    Raises:
+        InputError: as ``SweepPlan``.
+    """
+
+    def __init__(
+        self,
+        asked: Sweep,
+        plans: Sequence[Plan],
+        options: RunOptions,
+        *,
+        confidence: int | None = None,
+        batching: Batching | None = None,
+    ) -> None:
+        plan = SweepPlan(asked, plans, options.allow_large, options.strict)
+        everything = tuple(plan.plans)
+        plan.plans = [each for each in everything if options.takes(each.plan_id)]
+        self._plan, self._columns = plan, SweepColumns(plan)
+        self._confidence, self._batching = confidence, batching or Batching()
+        self._shares = ShareColumns.of(plan) if confidence is None and asked.search is None else None
+        self._answers: list[dict[str, Any]] = []
+        self._tally = Tally()
+        super().__init__(
+            sim=asked.simulation,
+            everything=everything,
+            plans=plan.plans,
+            work=plan.work(),
+            n_worlds=plan.n_worlds,
+            known=asked.search is None,
+            amount=plan.amount,
+            command="sweep" if confidence is None else "score",
+            what="world",
+            skipped=plan.skipped,
+            notes=hopeless_profiles(asked),
+            params=self._columns.params,
+            dynamic=self._columns.has_drives,
+            identity={"sweep": sweep_identity(asked)},
+            config={
+                **({"confidence": confidence} if confidence is not None else {}),
+                "sweep": asked.resolved(),
+                **({"shares": asdict(self._shares)} if self._shares else {}),
+            },
+        )
+
+    def worlds(
+        self, engine: Engine, recorded: Recorded, recording: Recording, progress: Progress
+    ) -> Iterator[FinishedWorld]:
+        yield from SweepRun(
+            self._plan,
+            engine,
+            on_answer=self._take_answer,
+            values_of=self._columns.of,
+            recorded=recorded,
+            recording=recording,
+            progress=progress,
+            batching=self._batching,
+            tally=self._tally,
+        ).worlds()
+
+    def _take_answer(self, answer: Answer) -> None:
+        self._answers.append(search_row(answer, self._columns))
+
+    def values(self, world: FinishedWorld) -> Mapping[str, Any]:
+        return self._columns.of(world)
+
+    def timings(self) -> Mapping[str, float]:
+        return vars(self._tally)
+
+    def summarise(self, writer: RunWriter) -> None:
+        writer.flush()  # it is made of what is on disk
+        if self._confidence is not None:
+            write_confidence(writer)
+            return
+        frame = summarise_shares(writer.parts, self._shares) if self._shares else search_frame(self._answers)
+        writer.write_summary(summary_table(frame, *summary_units(frame, self._plan)))
