@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.arguments import list_of, text_of
-from petmjx.config import CARRIER_EXTENT_M, TARGETS, Carrier
+from petmjx.carrier import CARRIER_EXTENT_M, TARGETS, Carrier
 from petmjx.errors import InputError
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted, shown

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from petmjx.arguments import list_of, path_of
+from petmjx.carrier import CARRIER_EXTENT_M
 from petmjx.checked import similar
-from petmjx.config import CARRIER_EXTENT_M, Simulation
+from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.conventions import warn
 from petmjx.plans.forms import SupportsArrow

@@ -13,7 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.config import Carrier, Physics, Simulation, Triple
+from petmjx.carrier import Carrier
+from petmjx.config import Physics, Simulation, Triple
 from petmjx.units import MM_PER_M, mm_to_m
 from petmjx.world.body import Body
 

@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import CARRIER_EXTENT_M, Simulation, Triple
+from petmjx.carrier import CARRIER_EXTENT_M
+from petmjx.config import Simulation, Triple
 from petmjx.history import CARRIER
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre

@@ -11,7 +11,8 @@ from support.pictures import needs_pictures
 from support.plans import Box, make_plan
 
 import petmjx
-from petmjx.config import CARRIER_EXTENT_M, PHYSICS, Carrier
+from petmjx.carrier import CARRIER_EXTENT_M, Carrier
+from petmjx.config import PHYSICS
 from petmjx.units import MM_PER_M
 from petmjx.verdict import Verdict
 from petmjx.world.carriers import PALLETS, body_of, pallet
