@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
-from petmjx.carrier import Carrier
+from petmjx.carrier import AnyCarrier, Carrier
 from petmjx.checked import Checked, complaint, got
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
@@ -292,11 +292,11 @@ class Simulation(Checked):
         PHYSICS["pallet"],
         description="contact physics: pallet: pallets rest, the carrier is of wood; reference: as in PET-Physics",
     )
-    carrier: Annotated[Carrier, CliFlag("--carrier")] = Field(
+    carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE")] = Field(
         Carrier.FOOTPRINT,
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y); made of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
-        "(PET-Physics's)",
+        "(PET-Physics's), rollcontainer-grid, or your own, FILE.toml",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="boxes are smaller by this along x and y, so that neighbours start apart, mm"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from petmjx.arguments import list_of, path_of
-from petmjx.carrier import CARRIER_EXTENT_M
+from petmjx.carrier import extent_m
 from petmjx.checked import similar
 from petmjx.config import Simulation
 from petmjx.errors import InputError
@@ -93,8 +93,8 @@ def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
 
 
 def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
-    extent_m = CARRIER_EXTENT_M[sim.carrier]
-    return None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M)
+    extent = extent_m(sim.carrier)
+    return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
 
 
 def _with_conventions(found: PlanSet, sim: Simulation) -> PlanSet:

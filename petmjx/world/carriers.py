@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from petmjx.carrier import Carrier
+from petmjx.carrier import Carrier, OwnCarrier
 from petmjx.config import Physics, Simulation, Triple
 from petmjx.units import MM_PER_M, mm_to_m
 from petmjx.world.body import Body
@@ -28,10 +28,12 @@ class Pallet:
     Attributes:
         boards: corner and size of each, mm.
         masses_kg: of each.
+        frictions: coefficient of sliding friction of each; None: that of the physics' carrier, as all have if empty.
     """
 
     boards: tuple[Board, ...]
     masses_kg: tuple[float, ...]
+    frictions: tuple[float | None, ...] = ()
 
     @property
     def height_mm(self) -> float:
@@ -97,12 +99,34 @@ def _pet_eur() -> Pallet:
     return Pallet(tuple(boards), (2.0,) * len(boards))
 
 
-PALLETS: Final = {Carrier.EPAL_1: _epal_1, Carrier.GMA_48X40: _gma, Carrier.PET_EUR: _pet_eur}
+def _rollcontainer_grid() -> Pallet:
+    """The base of a roll container: 14 bars, 8 mm thick, with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
+
+    A typical one of no maker's. EN 12674 leaves bases open; the extents are those of the target ``rollcontainer``. Its
+    castors are blocks, which stand fast as those of all carriers do.
+    """
+    length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
+    under = top - bar - tube
+    boards: list[Board] = [((at, 0, top - bar), (bar, width, bar)) for at in _spread(length, (bar,) * 14)]
+    boards += [((0, at, under), (length, tube, tube)) for at in _spread(width, (tube,) * 4)]
+    boards += [((x, y, 0), (castor, castor, under)) for x in (0.0, length - castor) for y in (0.0, width - castor)]
+    return Pallet(tuple(boards), _by_volume(boards, 25.0))
 
 
-@cache
-def pallet(carrier: Carrier) -> Pallet | None:
+PALLETS: Final = {
+    Carrier.EPAL_1: _epal_1,
+    Carrier.GMA_48X40: _gma,
+    Carrier.PET_EUR: _pet_eur,
+    Carrier.ROLLCONTAINER_GRID: _rollcontainer_grid,
+}
+
+
+@lru_cache(maxsize=16)
+def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
     """The boards of a carrier; None of those that are slabs."""
+    if isinstance(carrier, OwnCarrier):
+        boards = tuple((board.corner_mm, board.size_mm) for board in carrier.boards)
+        return Pallet(boards, carrier.masses_kg, carrier.frictions)
     return PALLETS[carrier]() if carrier in PALLETS else None
 
 
@@ -111,6 +135,9 @@ def body_of(found: Pallet, physics: Physics) -> Body:
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*found.boards, strict=True))
     corner[:, 2] -= found.height_mm / MM_PER_M
     friction = np.tile(physics.carrier_friction, (len(size), 1))
+    for board, sliding in enumerate(found.frictions):
+        if sliding is not None:
+            friction[board, 0] = sliding
     return Body.of_boards(corner + size / 2, size / 2, np.array(found.masses_kg), friction)
 
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.carrier import CARRIER_EXTENT_M
+from petmjx.carrier import extent_m
 from petmjx.config import Simulation, Triple
 from petmjx.history import CARRIER
 from petmjx.plans.plan import Plan
@@ -153,7 +153,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
 def _slab(plan: Plan, sim: Simulation) -> Body:
     """A carrier of one box: as large as the plan's bounding box, or of a fixed size, its front-left corner the
     origin."""
-    extent = CARRIER_EXTENT_M[sim.carrier]
+    extent = extent_m(sim.carrier)
     if extent is None:
         low_mm = plan.corner_mm[:, :2].min(axis=0)
         extent_mm = (plan.corner_mm + plan.size_mm)[:, :2].max(axis=0) - low_mm
