@@ -152,8 +152,8 @@ def _check_sizes(carrier: OwnCarrier) -> None:
     longer = max(x, y)
     if longer < _SHORTEST_MM:
         low, high = _USUAL_MM
-        unit = next((name for factor, name in _UNITS if low <= factor * longer <= high), None)
-        asked = f"is that in {unit}? Lengths are in mm" if unit else f"no side reaches {_SHORTEST_MM:g} mm"
+        units = " or ".join(name for factor, name in _UNITS if low <= factor * longer <= high)
+        asked = f"is that in {units}? Lengths are in mm" if units else f"no side reaches {_SHORTEST_MM:g} mm"
         raise complaint(f"{extents}: {asked}")
     if longer > _LONGEST_MM:
         raise complaint(f"{extents}: no side may be longer than {_LONGEST_MM:g} mm")

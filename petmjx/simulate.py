@@ -41,6 +41,7 @@ from petmjx.sweeps.summary import (
 from petmjx.sweeps.swept import Answer, SweptWorld
 from petmjx.text import counted, shown
 from petmjx.units import FloatArray
+from petmjx.world.carriers import carrier_notes
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,8 @@ class _Run:
         for skipped in self.found.skipped:
             writer.skip(skipped)
         writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
-        for note in (*self.found.conventions, *self.found.notes, *hopeless_profiles(self.asked)):
+        sim = self.asked.simulation
+        for note in (*self.found.conventions, *self.found.notes, *carrier_notes(sim), *hopeless_profiles(self.asked)):
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = counted(missing, "world")

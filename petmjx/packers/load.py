@@ -11,7 +11,6 @@ import pandas as pd
 
 from petmjx.arguments import list_of, text_of
 from petmjx.carrier import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
-from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted, shown
@@ -115,16 +114,8 @@ def _of_run(run: RunResults) -> pd.DataFrame:
 
 def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
     """The carrier of all runs; ``footprint`` where they have different ones."""
-    carriers = [_carrier_of(run) for run in runs.values()]
+    carriers = [run.carrier for run in runs.values()]
     return carriers[0] if all(carrier == carriers[0] for carrier in carriers) else Carrier.FOOTPRINT
-
-
-def _carrier_of(run: RunResults) -> Carrier | OwnCarrier:
-    """A run's carrier; ``footprint`` where it does not say one that petmjx knows."""
-    try:
-        return Simulation.read({"carrier": _option(run, "carrier")}).carrier
-    except InputError:
-        return Carrier.FOOTPRINT
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
@@ -142,11 +133,6 @@ def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
         room = (x <= length + 1e-9) & (y <= width + 1e-9)
         area = np.where(room, length * width, area)
     return area
-
-
-def _option(run: RunResults, name: str) -> Any:
-    simulation = run.info.get("config", {}).get("simulation", {})
-    return simulation.get(name) if isinstance(simulation, Mapping) else None
 
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:

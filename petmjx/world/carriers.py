@@ -6,16 +6,17 @@ the origin and its bottom at z = 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from petmjx.carrier import Carrier, OwnCarrier
+from petmjx.carrier import TOUCH_MM, Carrier, OwnCarrier
 from petmjx.config import Physics, Simulation, Triple
-from petmjx.units import MM_PER_M, mm_to_m
+from petmjx.text import shown
+from petmjx.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.world.body import Body
 
 Board = tuple[Triple, Triple]
@@ -39,6 +40,14 @@ class Pallet:
     def height_mm(self) -> float:
         """From the floor to the top of its deck."""
         return max(corner[2] + size[2] for corner, size in self.boards)
+
+    @property
+    def deck_mm(self) -> FloatArray:
+        """(b, 2, 2) lowest and highest corner along x and y of each board whose top is the pallet's."""
+        corner, size = np.array(self.boards, np.float64).swapaxes(0, 1)
+        end = corner + size
+        on_top = end[:, 2] >= self.height_mm - TOUCH_MM
+        return np.stack([corner, end], axis=1)[on_top, :, :2]
 
 
 def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
@@ -100,10 +109,10 @@ def _pet_eur() -> Pallet:
 
 
 def _rollcontainer_grid() -> Pallet:
-    """The base of a roll container: 14 bars, 8 mm thick, with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
+    """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
 
-    A typical one of no maker's. EN 12674 leaves bases open; the extents are those of the target ``rollcontainer``. Its
-    castors are blocks, which stand fast as those of all carriers do.
+    A typical one, of no maker's, with the extents of the target ``rollcontainer``: no source was found for the bars of
+    a certain one. Its castors are blocks, and roll no more than the feet of a pallet do.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -119,6 +128,10 @@ PALLETS: Final = {
     Carrier.PET_EUR: _pet_eur,
     Carrier.ROLLCONTAINER_GRID: _rollcontainer_grid,
 }
+
+
+OF_SLABS: Final = ("floor_z_m", "carrier_half_height_m", "carrier_mass_kg")
+"""Fields of ``Physics`` that boards have themselves."""
 
 
 @lru_cache(maxsize=16)
@@ -139,6 +152,23 @@ def body_of(found: Pallet, physics: Physics) -> Body:
         if sliding is not None:
             friction[board, 0] = sliding
     return Body.of_boards(corner + size / 2, size / 2, np.array(found.masses_kg), friction)
+
+
+def carrier_notes(sim: Simulation) -> Iterator[str]:
+    """What of the options does not count with this carrier, a line each."""
+    found, physics = pallet(sim.carrier), sim.physics
+    if found is None:
+        return
+    name = shown(sim.carrier if isinstance(sim.carrier, Carrier) else sim.carrier.name or "the carrier")
+    idle = [field for field in OF_SLABS if getattr(physics, field) != Physics.model_fields[field].default]
+    if idle:
+        verb = "does" if len(idle) == 1 else "do"
+        these = " and ".join(f"physics.{field}" for field in idle)
+        yield f"{these} {verb} not count: {name} is made of boards, which have their own height and mass"
+    own = [friction for friction in found.frictions if friction is not None]
+    if own and min(own) < physics.box_friction[0]:
+        why = f"between two the larger counts, and boxes have {physics.box_friction[0]:g}"
+        yield f"friction {min(own):g} of boards of {name} does not count: {why} (physics.box_friction)"
 
 
 def floor_z_m(sim: Simulation) -> float:
