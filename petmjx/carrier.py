@@ -53,6 +53,8 @@ whole millimetres, as for boxes (``petmjx.plans.warnings.DEFAULT_TOLERANCE_MM``)
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 """Of the longer side and the height. A half-size dolly has 400 mm, and a pallet in cm, inches or metres less than 200;
 a pallet is 100 to 170 mm high, the base of a roll container about 200."""
+_THINNEST_MM: Final = 0.001
+"""Of a board: one given in metres is to be asked about all of its carrier's."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
 """A carrier of cardboard has 2 kg. What is lighter than its load by a factor of 1,000 sinks into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
@@ -65,7 +67,7 @@ _USUAL_MM: Final = (300.0, 2500.0)
 """Longer sides of carriers."""
 
 Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
-Length = Annotated[StrictFloat, Field(gt=0, le=_LONGEST_MM)]
+Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
 Mass = Annotated[StrictFloat, Field(gt=0, le=_HEAVIEST_KG)]
 Coefficient = Annotated[StrictFloat, Field(ge=0, le=100)]
 
@@ -100,9 +102,7 @@ class OwnCarrier(Checked):
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")
-    mass_kg: Annotated[StrictFloat, Field(gt=0)] | None = Field(
-        None, description="the mass of all boards together, if they have none of their own"
-    )
+    mass_kg: Mass | None = Field(None, description="the mass of all boards together, if they have none of their own")
     friction: Coefficient | None = Field(
         None, description="coefficient of sliding friction of boards that have none of their own"
     )

@@ -171,6 +171,13 @@ def carrier_notes(sim: Simulation) -> Iterator[str]:
         yield f"friction {min(own):g} of boards of {name} does not count: {why} (physics.box_friction)"
 
 
+def carrier_friction(sim: Simulation) -> float:
+    """The largest coefficient of sliding friction of the carrier."""
+    found, usual = pallet(sim.carrier), sim.physics.carrier_friction[0]
+    frictions = () if found is None else found.frictions
+    return max((usual if own is None else own for own in frictions), default=usual)
+
+
 def floor_z_m(sim: Simulation) -> float:
     """Height of the floor, m: where pallets of boards stand, else as the physics says."""
     found = pallet(sim.carrier)

@@ -59,13 +59,28 @@ def slippery_and_rough() -> Scene:
     return replace(scene, carrier=boards(0.1), friction=np.array([[LOW, 0.005, 1e-4], [HIGH, 0.005, 1e-4]]))
 
 
+def on_own_carrier(beyond_mm: float) -> Scene:
+    """A post whose middle is this far beyond the edge of the deck, of a carrier that does not balance: its deck is one
+    board, on one side of what it stands on."""
+    boards = [((0, 0, 0), (800, 400, 60), 12.0), ((0, 0, 60), (400, 400, 60), 4.0)]
+    tables = [{"corner_mm": corner, "size_mm": size, "mass_kg": kg} for corner, size, kg in boards]
+    sim = SIM.changed(carrier={"boards": tables})
+    return make_scene([((60, 60, 200), (370 + beyond_mm, 100, 0), 3.0), ((SIDE_MM,) * 3, (0, 100, 0), 4.0)], sim)
+
+
 def push() -> Drive:
     samples = np.zeros((200, 3))
     samples[:, 0] = PUSH_G * STANDARD_GRAVITY
     return Drive(Excitation("push", ACCELERATION, samples), rest_s=0.1)
 
 
-SCENES = {"stands": at_the_edge(2 * BEYOND_M), "tips": at_the_edge(0.0), "slides": slippery_and_rough()}
+SCENES = {
+    "stands": at_the_edge(2 * BEYOND_M),
+    "tips": at_the_edge(0.0),
+    "slides": slippery_and_rough(),
+    "own stands": on_own_carrier(-8.0),
+    "own tips": on_own_carrier(8.0),
+}
 
 
 @pytest.fixture(scope="module", params=["mujoco", "mjx-jax", "mjx-warp"])
@@ -82,6 +97,14 @@ def test_a_gap_bears_nothing_and_the_centre_of_mass_decides(outcomes: dict[str, 
     assert outcomes["stands"].verdict is Verdict.STABLE
     assert outcomes["tips"].verdict is Verdict.UNSTABLE
     assert outcomes["tips"].culprit == 0
+
+
+def test_a_carrier_of_ones_own_bears_up_to_its_edge(outcomes: dict[str, Outcome]) -> None:
+    found = outcomes["own stands"]
+    assert found.verdict is Verdict.STABLE
+    np.testing.assert_allclose(found.boxes.pos, SCENES["own stands"].target, atol=SAME_PLACE_M)
+    assert outcomes["own tips"].verdict is Verdict.UNSTABLE
+    assert outcomes["own tips"].culprit == 0
 
 
 def test_places_are_those_of_middles(outcomes: dict[str, Outcome]) -> None:

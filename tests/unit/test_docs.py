@@ -244,6 +244,11 @@ def test_examples_of_kpis_and_loads_run(with_the_minimal_plan: Path) -> None:
     )
 
 
+def test_the_example_of_a_carrier_runs(tmp_path: Path) -> None:
+    (tmp_path / "half-pallet.toml").write_text(blocks("carriers.md", "toml")[0], encoding="utf-8")
+    assert "half pallet 5" in run_in(tmp_path, blocks("carriers.md", "python")[0])
+
+
 def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
     """All blocks as one program."""
     printed = run_in(with_the_minimal_plan, "\n".join(blocks("extending.md", "python")))

@@ -82,7 +82,7 @@ def test_one_mass_is_shared_out_by_volume_and_a_file_has_its_name() -> None:
         (changed("[0, 0, 122]", "[0, 0, -1]"), "boards[0].corner_mm[2] must be ≥ 0, got -1"),
         (changed("size_mm = [800, 145, 22]", "size_mm = [800, 145]"), "boards[0].size_mm[2] is missing"),
         (changed("[800, 145, 22]", "[800, nan, 22]"), "boards[0].size_mm[1] must be a finite number, got nan"),
-        (changed(" 22]", " 0]"), "boards[0].size_mm[2] must be > 0, got 0"),
+        (changed(" 22]", " 0]"), "boards[0].size_mm[2] must be ≥ 0.001, got 0"),
         (changed("mass_kg = 1.3", 'mass_kg = "1"'), "boards[0].mass_kg must be a finite number, got '1'"),
         (changed("mass_kg = 1.3", "mass_kg = true"), "boards[0].mass_kg must be a finite number, got True"),
         (
