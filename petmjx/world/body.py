@@ -28,6 +28,7 @@ class Body:
         friction: (s, 3) their sliding, torsional and rolling coefficients.
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
+        surface: (s,) their surfaces (petmjx/world/pairs.py); None: all 0.
     """
 
     pos: FloatArray
@@ -36,6 +37,7 @@ class Body:
     shape_pos: FloatArray
     friction: FloatArray
     inertia_box: FloatArray
+    surface: NDArray[np.intp] | None = None
 
     @classmethod
     def solid(cls, pos: FloatArray, half_size: FloatArray, mass: float, friction: Triple) -> Body:
@@ -91,12 +93,14 @@ class Shapes:
     Attributes:
         body: (s,) the box that a shape belongs to, or ``CARRIER``.
         half_size, pos, friction: (s, 3) as in ``Body``.
+        surface: (s,) as there.
     """
 
     body: NDArray[np.intp]
     half_size: FloatArray
     pos: FloatArray
     friction: FloatArray
+    surface: NDArray[np.intp]
 
     def of(self, body: int) -> range:
         """The rows of a body's shapes."""

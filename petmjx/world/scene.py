@@ -33,6 +33,7 @@ OF_BOXES: Final = (
     "friction",
     "mass_center",
     "inertia_box",
+    "surface",
 )
 """What of a scene has a row for each box, or is None."""
 
@@ -55,6 +56,9 @@ class Scene:
         floor_z: m.
         mass_center: (n, 3) centres of mass, seen from the middles along the boxes' axes, m; None: in the middles.
         inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
+        surface: (n,) the boxes' surfaces; None: all 0.
+        pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.pairs.LARGER``; None: the larger
+            one of two shapes everywhere.
     """
 
     half_size: NDArray[np.float64]
@@ -68,6 +72,8 @@ class Scene:
     floor_z: float
     mass_center: NDArray[np.float64] | None = None
     inertia_box: NDArray[np.float64] | None = None
+    surface: NDArray[np.intp] | None = None
+    pair_friction: NDArray[np.float64] | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -116,6 +122,12 @@ class Scene:
             half_size=np.concatenate([carrier.half_size, self.half_size]),
             pos=np.concatenate([carrier.shape_pos, self.middle]),
             friction=np.concatenate([carrier.friction, self.friction]),
+            surface=np.concatenate(
+                [
+                    np.zeros(count, np.intp) if surface is None else surface
+                    for count, surface in ((len(carrier.half_size), carrier.surface), (self.n_boxes, self.surface))
+                ]
+            ),
         )
 
     @cached_property

@@ -218,6 +218,23 @@ def _friction(tables: Tables, world: int, geom: int) -> float:
 
 
 @wp.func
+def _surface(tables: Tables, world: int, geom: int) -> int:
+    """Surface of a geom; the floor has 0, of which nothing is said."""
+    if geom == 0:
+        return 0
+    return tables.shape_surface[world, geom - 1]
+
+
+@wp.func
+def _friction_of_pair(tables: Tables, world: int, first: int, second: int) -> float:
+    """Sliding friction between two geoms: that of their surfaces, else the larger one."""
+    own = tables.pair_friction[world, _surface(tables, world, first), _surface(tables, world, second)]
+    if own >= 0.0:
+        return own
+    return wp.max(_friction(tables, world, first), _friction(tables, world, second))
+
+
+@wp.func
 def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: Lane, n_contacts: int) -> None:
     """Rows of all contacts.
 
@@ -237,7 +254,7 @@ def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: L
         body_two = body_of(tables, world, second)
         one = body_one - at.held
         two = body_two - at.held
-        mu = wp.max(wp.max(_friction(tables, world, first), _friction(tables, world, second)), MIN_FRICTION)
+        mu = wp.max(_friction_of_pair(tables, world, first, second), MIN_FRICTION)
         weight = _give(tables, at, body_one) + _give(tables, at, body_two)
         if model.pyramidal != 0:
             weight = 2.0 * mu * mu * weight * (1.0 + mu * mu)
