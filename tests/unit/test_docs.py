@@ -21,8 +21,8 @@ from support.plan_files import placement
 
 from petmjx.checked import Checked
 from petmjx.config import Simulation
+from petmjx.plans.articles import read_articles
 from petmjx.plans.read import load_plans
-from petmjx.results.articles import read_articles
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCUMENTS = (

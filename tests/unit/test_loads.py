@@ -16,7 +16,7 @@ from support.plan_files import placement, tower
 from support.runs import leave_unfinished
 
 import petmjx
-from petmjx.results.articles import Strength, read_articles
+from petmjx.plans.articles import Strength, read_articles
 from petmjx.show.load_tables import load_tables
 from petmjx.units import STANDARD_GRAVITY
 
