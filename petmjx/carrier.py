@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Discriminator, Field, StrictFloat, Tag, Va
 
 from petmjx.checked import TABLE, VALUE, Checked, complaint, got, read_toml, shape
 from petmjx.errors import InputError
+from petmjx.materials import WOOD
 from petmjx.text import printable, shown
 from petmjx.units import MM_PER_M
 
@@ -86,8 +87,9 @@ class Board(Checked):
     size_mm: tuple[Length, Length, Length] = Field(description="its extents along x, y and z")
     mass_kg: Mass | None = Field(None, description="its mass; or mass_kg of the carrier, shared out by volume")
     friction: Coefficient | None = Field(
-        None, description="its coefficient of sliding friction; by default that of the carrier"
+        None, description="coefficient of sliding friction between it and boxes; by default that of the carrier"
     )
+    material: Name = Field("", description="what it is made of; by default what the carrier is")
 
     @property
     def volume_mm3(self) -> float:
@@ -106,6 +108,7 @@ class OwnCarrier(Checked):
     friction: Coefficient | None = Field(
         None, description="coefficient of sliding friction of boards that have none of their own"
     )
+    material: Name = Field(WOOD, description="what boards are made of that do not say it, for friction by materials")
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
         description="[[boards]] tables with corner_mm, size_mm and mass_kg"
     )
@@ -130,6 +133,11 @@ class OwnCarrier(Checked):
     def frictions(self) -> tuple[float | None, ...]:
         """Of each board; None: that of the physics' carrier."""
         return tuple(self.friction if board.friction is None else board.friction for board in self.boards)
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Of each board."""
+        return tuple(board.material or self.material for board in self.boards)
 
     @model_validator(mode="after")
     def _can_be_a_carrier(self) -> Self:

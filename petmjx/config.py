@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, computed_field, field_validator, mod
 
 from petmjx.carrier import AnyCarrier, Carrier
 from petmjx.checked import Checked, complaint, got
+from petmjx.materials import FrictionPair
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -297,6 +298,12 @@ class Simulation(Checked):
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y); made of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
         "(PET-Physics's), rollcontainer-grid, or your own, FILE.toml",
+    )
+    friction_pairs: tuple[FrictionPair, ...] = Field(
+        (),
+        max_length=100,
+        description="friction between materials of boxes and boards, beside the table that petmjx has: tables with "
+        "between, a list of two materials, and friction",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="boxes are smaller by this along x and y, so that neighbours start apart, mm"

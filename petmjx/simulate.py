@@ -42,6 +42,7 @@ from petmjx.sweeps.swept import Answer, SweptWorld
 from petmjx.text import counted, shown
 from petmjx.units import FloatArray
 from petmjx.world.carriers import carrier_notes
+from petmjx.world.surfaces import check_surfaces
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,8 @@ def simulate(
         whole, strict = options.limit is None, options.strict
         orders = check_orders(options.orders, everything, takes=options.takes, all_plans=whole, strict=strict)
     late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in plan.skipped)
-    found = replace(found, skipped=[*found.skipped, *late])
+    notes = [*found.notes, *check_surfaces(everything, asked.simulation)]
+    found = replace(found, skipped=[*found.skipped, *late], notes=notes)
     with engine_for(options, plan.work()) as (engine, choice):
         recording = recording_of(options, choice.name, everything)
         held = {} if are_files(plans) else {each.plan_id: each for each in everything}
@@ -237,7 +239,9 @@ class _Run:
             writer.skip(skipped)
         writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
         sim = self.asked.simulation
-        for note in (*self.found.conventions, *self.found.notes, *carrier_notes(sim), *hopeless_profiles(self.asked)):
+        # friction by materials may hold what that of boxes and carrier does not
+        hopeless = () if any(plan.materials for plan in self.everything) else hopeless_profiles(self.asked)
+        for note in (*self.found.conventions, *self.found.notes, *carrier_notes(sim), *hopeless):
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = counted(missing, "world")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.read import read_plans, with_conventions
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
-from petmjx.text import counted, first_names, shown
+from petmjx.text import counted, first_names, printable, shown
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
@@ -65,7 +66,31 @@ def are_files(plans: PlanSource | None) -> bool:
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """Read and check files; take plans as they are, those that repeat an id under names of their own."""
+    """Read and check files; take plans as they are, those that repeat an id under names of their own. All with what the
+    table of articles says of their boxes."""
+    found = _gather_plans(plans, sim, options)
+    return found if options.articles is None else _with_articles(found, options.articles, options.strict)
+
+
+def _with_articles(found: PlanSet, file: Path, strict: bool) -> PlanSet:
+    """Plans with what a table says of their boxes, without those that it does not fit."""
+    from petmjx.plans.articles import read_articles, with_articles  # loads Arrow
+
+    articles = read_articles(file)
+    kept, skipped, changed = [], list(found.skipped), 0
+    for plan in found.plans:
+        try:
+            kept.append(with_articles(plan, articles))
+        except InputError as error:
+            why = Skipped.plan(plan, str(error), strict)
+            skipped.append(replace(why, number=found.numbers.get(plan.plan_id)))
+        else:
+            changed += kept[-1] is not plan
+    notes = [] if changed else [f"{printable(str(file))}: says nothing of how the boxes of these plans are"]
+    return replace(found, plans=kept, skipped=skipped, notes=[*found.notes, *notes])
+
+
+def _gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):

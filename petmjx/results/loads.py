@@ -152,7 +152,7 @@ def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame,
         groups = plan.product_groups or ("",) * plan.n_boxes
         sizes = plan.size_mm[:, :2].tolist()
         for box, (article, group, (x, y)) in enumerate(zip(plan.articles, groups, sizes, strict=True)):
-            strength = articles.find(article, group)
+            strength = articles.find(article, group).strength
             if strength is None:
                 missing[article] += 1
             rows["plan_id"].append(plan.plan_id)

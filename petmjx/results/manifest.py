@@ -33,6 +33,10 @@ def plan_digest(plan: Plan) -> str:
     digest.update(repr((plan.plan_id, plan.item_ids, plan.articles)).encode("utf-8", "backslashreplace"))
     for values in (plan.size_mm, plan.corner_mm, plan.mass_kg, plan.sequence):
         digest.update(values.tobytes())
+    if plan.materials:
+        digest.update(repr(plan.materials).encode("utf-8", "backslashreplace"))
+    if plan.mass_center_mm is not None:
+        digest.update(plan.mass_center_mm.tobytes())
     return digest.hexdigest()
 
 

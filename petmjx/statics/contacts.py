@@ -39,6 +39,7 @@ class PlanContacts:
         low_mm, high_mm: (c, 2) corners of the rectangle along x and y.
         under_low_mm, under_high_mm: (c, 2) corners of all of what bears there: the top of the box below, a deck board.
         tolerance_mm: gaps and overlaps up to this count as touching.
+        mass_center_mm: (n, 3) as in ``Plan``.
     """
 
     size_mm: FloatArray
@@ -51,6 +52,7 @@ class PlanContacts:
     under_low_mm: FloatArray
     under_high_mm: FloatArray
     tolerance_mm: float
+    mass_center_mm: FloatArray | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -58,9 +60,9 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity: boxes are of uniform density."""
+        """(n, 3) centres of gravity: in the middles, unless the plan has others."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
-        return centre
+        return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
     @cached_property
     def corners_mm(self) -> FloatArray:
@@ -156,6 +158,7 @@ def find_contacts(
         under_low_mm=under_low,
         under_high_mm=under_high,
         tolerance_mm=tolerance_mm,
+        mass_center_mm=plan.mass_center_mm,
     )
 
 

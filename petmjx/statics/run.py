@@ -16,6 +16,7 @@ from petmjx.errors import InputError
 from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
+from petmjx.results.plans_again import how_read
 from petmjx.results.reader import RunResults, load_run
 from petmjx.run_options import Anchor, RunOptions
 from petmjx.statics.answers import Answers, answer
@@ -76,6 +77,8 @@ def criteria(
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
     if physics is not None and "carrier" not in options:
         chosen = chosen.changed(carrier=physics.carrier)
+    if physics is not None:
+        read = read.changed(articles=how_read(physics.info).articles)
     found = gather_plans(plans, Simulation(), read)
     warn(found.conventions)
     if not found.plans:

@@ -15,6 +15,7 @@ import numpy as np
 
 from petmjx.carrier import TOUCH_MM, Carrier, OwnCarrier
 from petmjx.config import Physics, Simulation, Triple
+from petmjx.materials import STEEL
 from petmjx.text import shown
 from petmjx.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.world.body import Body
@@ -30,11 +31,13 @@ class Pallet:
         boards: corner and size of each, mm.
         masses_kg: of each.
         frictions: coefficient of sliding friction of each; None: that of the physics' carrier, as all have if empty.
+        materials: of each; empty: all are of wood.
     """
 
     boards: tuple[Board, ...]
     masses_kg: tuple[float, ...]
     frictions: tuple[float | None, ...] = ()
+    materials: tuple[str, ...] = ()
 
     @property
     def height_mm(self) -> float:
@@ -119,7 +122,7 @@ def _rollcontainer_grid() -> Pallet:
     boards: list[Board] = [((at, 0, top - bar), (bar, width, bar)) for at in _spread(length, (bar,) * 14)]
     boards += [((0, at, under), (length, tube, tube)) for at in _spread(width, (tube,) * 4)]
     boards += [((x, y, 0), (castor, castor, under)) for x in (0.0, length - castor) for y in (0.0, width - castor)]
-    return Pallet(tuple(boards), _by_volume(boards, 25.0))
+    return Pallet(tuple(boards), _by_volume(boards, 25.0), materials=(STEEL,) * len(boards))
 
 
 PALLETS: Final = {
@@ -139,7 +142,7 @@ def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
     """The boards of a carrier; None of those that are slabs."""
     if isinstance(carrier, OwnCarrier):
         boards = tuple((board.corner_mm, board.size_mm) for board in carrier.boards)
-        return Pallet(boards, carrier.masses_kg, carrier.frictions)
+        return Pallet(boards, carrier.masses_kg, carrier.frictions, carrier.materials)
     return PALLETS[carrier]() if carrier in PALLETS else None
 
 
@@ -166,9 +169,9 @@ def carrier_notes(sim: Simulation) -> Iterator[str]:
         these = " and ".join(f"physics.{field}" for field in idle)
         yield f"{these} {verb} not count: {name} is made of boards, which have their own height and mass"
     own = [friction for friction in found.frictions if friction is not None]
-    if own and min(own) < physics.box_friction[0]:
+    if not physics.has_own_friction and own and min(own) < physics.box_friction[0]:
         why = f"between two the larger counts, and boxes have {physics.box_friction[0]:g}"
-        yield f"friction {min(own):g} of boards of {name} does not count: {why} (physics.box_friction)"
+        yield f"friction {min(own):g} of boards of {name} does not count with pyramidal cones: {why}"
 
 
 def carrier_friction(sim: Simulation) -> float:

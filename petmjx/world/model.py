@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.config import Cone, Physics, Triple
 from petmjx.history import CARRIER, FLOOR
 from petmjx.units import FloatArray
-from petmjx.world.pairs import LARGER, pair_table
+from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 FLOOR_NAME = "floor"
@@ -90,7 +90,7 @@ def build_spec(
     )
     if held_carrier is None:
         of_body = _partners(scene, physics)
-        _declare_pairs(spec, physics, pair_table(scene), of_body[FLOOR], of_body[CARRIER])
+        _declare_pairs(spec, physics, filled_up(scene.pair_friction), of_body[FLOOR], of_body[CARRIER])
     add_boxes(spec, scene, physics, range(count))
     return spec
 
@@ -101,7 +101,7 @@ def add_boxes(
     """Add boxes, whose bodies then have this order, to a spec that already holds those before them."""
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics)
     others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
-    table = pair_table(scene)
+    table = filled_up(scene.pair_friction)
     for box in boxes:
         body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
         body.add_freejoint(name=box_name(box))

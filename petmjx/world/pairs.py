@@ -6,14 +6,12 @@ Shapes have surfaces, numbered from 1; a table has the coefficient of sliding fr
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.units import FloatArray
-
-if TYPE_CHECKING:
-    from petmjx.world.scene import Scene
 
 MOST_SURFACES: Final = 16
 """Rows of a world's table on devices, surface 0 included."""
@@ -27,30 +25,30 @@ def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
     return np.full((n_surfaces, n_surfaces), LARGER)
 
 
-def scaled_pairs(scene: Scene, box_factor: float, carrier_factor: float) -> FloatArray | None:
-    """(k, k) a scene's table with other friction of boxes and carrier.
+def scaled_pairs(
+    table: FloatArray | None, of_boards: NDArray[np.intp] | None, box_factor: float, carrier_factor: float
+) -> FloatArray | None:
+    """(k, k) a table with other friction of boxes and carrier, whose boards have surfaces of their own.
 
     Between two the larger factor counts, as the larger coefficient does where nothing is said of a pair.
     """
-    table = scene.pair_friction
     if table is None:
         return None
     factor = np.full(len(table), box_factor)
-    if scene.carrier.surface is not None:
-        factor[scene.carrier.surface] = carrier_factor
+    if of_boards is not None:
+        factor[of_boards] = carrier_factor
     return np.where(table == LARGER, LARGER, table * np.maximum.outer(factor, factor))
 
 
-def pair_table(scene: Scene) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a scene's table, filled up.
+def filled_up(table: FloatArray | None) -> FloatArray:
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table with rows for all surfaces.
 
     Raises:
-        ValueError: it has more surfaces.
+        ValueError: it has more.
     """
-    table = no_pairs()
-    if scene.pair_friction is not None:
-        if len(scene.pair_friction) > MOST_SURFACES:
-            raise ValueError(f"at most {MOST_SURFACES - 1} surfaces, got {len(scene.pair_friction) - 1}")
-        k = len(scene.pair_friction)
-        table[:k, :k] = scene.pair_friction
-    return table
+    filled = no_pairs()
+    if table is not None:
+        if len(table) > MOST_SURFACES:
+            raise ValueError(f"at most {MOST_SURFACES} surfaces, got {len(table)}")
+        filled[: len(table), : len(table)] = table
+    return filled

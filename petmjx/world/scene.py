@@ -20,6 +20,7 @@ from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
 from petmjx.world.body import Body, Shapes
 from petmjx.world.carriers import body_of, floor_z_m, pallet
+from petmjx.world.surfaces import find_surfaces
 from petmjx.world.turned import turned
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
@@ -149,6 +150,8 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     half_size = round_to_micrometre(mm_to_m(size / 2))
     target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
     boards = pallet(sim.carrier)
+    carrier = _slab(plan, sim) if boards is None else body_of(boards, physics)
+    surfaces = find_surfaces(plan, sim, len(carrier.half_size))
     return Scene(
         half_size=half_size,
         mass=plan.mass_kg.copy(),
@@ -156,9 +159,12 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         start_pos=target.copy(),
         start_quat=np.tile(np.array(IDENTITY_QUAT), (len(target), 1)),
         friction=np.tile(physics.box_friction, (len(target), 1)),
-        carrier=_slab(plan, sim) if boards is None else body_of(boards, physics),
+        carrier=carrier if surfaces is None else replace(carrier, surface=surfaces.of_boards),
         floor_friction=physics.floor_friction,
         floor_z=floor_z_m(sim),
+        mass_center=None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm),
+        surface=None if surfaces is None else surfaces.of_boxes,
+        pair_friction=None if surfaces is None else surfaces.friction,
     )
 
 

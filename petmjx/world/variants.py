@@ -210,7 +210,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
         start_quat=_turned(scene.start_quat, yaw),
         friction=scene.friction * of_boxes,
         carrier=replace(scene.carrier, friction=scene.carrier.friction * of_carrier),
-        pair_friction=scaled_pairs(scene, of_boxes, of_carrier),
+        pair_friction=scaled_pairs(scene.pair_friction, scene.carrier.surface, of_boxes, of_carrier),
     )
 
 

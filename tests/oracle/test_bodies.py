@@ -103,7 +103,7 @@ def outcomes(request: pytest.FixtureRequest) -> Iterator[dict[str, Outcome]]:
     engines: dict[str, type[Engine] | object] = {"mujoco": MujocoEngine, "mjx-jax": MjxJaxEngine}
     engine = warp_engine() if request.param == "mjx-warp" else engines[request.param](4)  # type: ignore[operator]
     drives = {"slides": push(), "pairs": push()}
-    jobs = [Job(scene, drives.get(name), record=Record(50)) for name, scene in SCENES.items()]
+    jobs = [Job(scene, drives.get(name), record=Record(0.1)) for name, scene in SCENES.items()]
     with jax.numpy_rank_promotion("allow"):
         yield {list(SCENES)[outcome.job]: outcome for outcome in engine.run(jobs, SIM)}
 

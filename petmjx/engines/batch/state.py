@@ -20,7 +20,7 @@ from petmjx.config import SOFT_START_STEPS, Simulation
 from petmjx.history import CARRIER
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
-from petmjx.world.pairs import pair_table
+from petmjx.world.pairs import filled_up
 from petmjx.world.release import NOTHING, release_of
 from petmjx.world.scene import IDENTITY_QUAT
 
@@ -260,7 +260,7 @@ def upload_worlds(
         friction=spread(friction),
         floor_friction=spread([scene.floor_friction for scene in scenes]),
         shape_surface=spread(shape_surface, np.int32),
-        pair_friction=spread([pair_table(scene) for scene in scenes]),
+        pair_friction=spread([filled_up(scene.pair_friction) for scene in scenes]),
         floor_z=spread([scene.floor_z for scene in scenes]),
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
         drive_scale=each(_drive_factor, np.float32),
