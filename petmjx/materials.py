@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Final
 
 from pydantic import Field, StrictFloat
@@ -56,18 +57,19 @@ def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float
     return said[-1] if said else FRICTION_OF_PAIRS.get((min(one, other), max(one, other)))
 
 
-def check_pairs(boxes: Collection[str], boards: Iterable[str], own: Sequence[FrictionPair]) -> None:
+def check_pairs(boxes: Sequence[str], boards: Iterable[str], own: Sequence[FrictionPair]) -> None:
     """Whether friction between materials of boxes, and between them and those of boards, is known.
+
+    Args:
+        boxes: of each box that has one. A box does not touch itself.
 
     Raises:
         InputError: of which pairs it is not.
     """
-    names = sorted(boxes)
-    pairs = [
-        *itertools.combinations_with_replacement(names, 2),
-        *itertools.product(names, sorted({*boards} - {*names})),
-    ]
-    missing = [pair for pair in pairs if friction_between(*pair, own) is None]
+    count = Counter(boxes)
+    pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}
+    pairs |= {(min(pair), max(pair)) for pair in itertools.product(count, {*boards})}
+    missing = sorted(pair for pair in pairs if friction_between(*pair, own) is None)
     if missing:
         named = ", ".join(f"{shown(one)} on {shown(other)}" for one, other in missing[:_MOST_NAMED])
         more = f" and {counted(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""

@@ -54,9 +54,9 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
     if not sim.physics.has_own_friction or not (said or any(own is not None for own, _ in boards)):
         return None
     of_boxes, of_boards = sorted(set(materials)), sorted(set(boards), key=repr)
-    named = {material for material in of_boxes if material}
     if said:
-        check_pairs(named, (material for _, material in of_boards), sim.friction_pairs)
+        of_materials = [material for own, material in of_boards if own is None]
+        check_pairs([material for material in materials if material], of_materials, sim.friction_pairs)
     if 1 + len(of_boxes) + len(of_boards) > MOST_SURFACES:
         raise InputError(
             f"plan {shown(plan.plan_id)}: at most {MOST_SURFACES - 1} surfaces of boxes and boards, got "
@@ -102,8 +102,6 @@ def _boards(sim: Simulation, count: int) -> list[_Board]:
 
 
 def _between(one: str, other: str, sim: Simulation) -> float:
-    if not (one and other):
-        return LARGER
-    found = friction_between(one, other, sim.friction_pairs)
-    assert found is not None  # check_pairs has asked
-    return found
+    """As in a table; of a pair that is not known no two bodies touch (``check_pairs``)."""
+    found = friction_between(one, other, sim.friction_pairs) if one and other else None
+    return LARGER if found is None else found

@@ -92,15 +92,15 @@ def test_a_run_with_articles() -> None:
     with pytest.raises(InputError) as caught:
         petmjx.score("plans.json", **options, out="run")
     assert str(caught.value) == (
-        "no friction is known of film on plastic, plastic on plastic: give it, as in friction_pairs = "
+        "no friction is known of film on plastic: give it, as in friction_pairs = "
         '[{between = ["film", "plastic"], friction = 0.4}]'
     )
     assert not Path("run").exists()
-    pairs = [{"between": [one, "plastic"], "friction": 0.25} for one in ("film", "plastic")]
+    pairs = [{"between": ["film", "plastic"], "friction": 0.25}]
     results = petmjx.score("plans.json", **options, friction_pairs=pairs, out="run")
     config = json.loads(Path("run/run.json").read_text())["config"]
     assert config["articles"] == "articles.csv"
-    assert [pair["friction"] for pair in config["simulation"]["friction_pairs"]] == [0.25, 0.25]
+    assert [pair["friction"] for pair in config["simulation"]["friction_pairs"]] == [0.25]
     scene = petmjx.tell("p", results).scene
     assert scene.mass_center is not None
     assert scene.pair_friction is not None
