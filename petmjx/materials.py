@@ -51,10 +51,16 @@ class FrictionPair(Checked):
 
 
 def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float | None:
-    """The coefficient of a pair of materials; None: it is not known. Of users' own the last one counts."""
-    pair = tuple(sorted((one, other)))
-    said = [each.friction for each in own if tuple(sorted(each.between)) == pair]
-    return said[-1] if said else FRICTION_OF_PAIRS.get((min(one, other), max(one, other)))
+    """The coefficient of a pair of materials, whose names differ neither by case nor by white space around them; None:
+    it is not known. Of users' own the last one counts."""
+    pair = _pair(one, other)
+    said = [each.friction for each in own if _pair(*each.between) == pair]
+    return said[-1] if said else FRICTION_OF_PAIRS.get(pair)
+
+
+def _pair(one: str, other: str) -> tuple[str, str]:
+    first, second = sorted((one.strip().lower(), other.strip().lower()))
+    return first, second
 
 
 def check_pairs(boxes: Sequence[str], boards: Iterable[str], own: Sequence[FrictionPair]) -> None:

@@ -26,7 +26,7 @@ from petmjx.checked import read_toml, reason
 from petmjx.errors import InputError
 from petmjx.plans.fields import LARGEST_MM, kind, listed
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
-from petmjx.plans.plan import Plan
+from petmjx.plans.plan import Plan, com_along_axes
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.text import number_in, printable, shown
 
@@ -262,7 +262,7 @@ def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 def with_articles(plan: Plan, articles: Articles) -> Plan:
     """The plan with materials and centres of mass of its boxes; the same object if nothing is said of them.
 
-    Of a box that is turned, with its length along y, the length's offset is along y and the width's against x.
+    What the plan says of a box itself comes before what the table says.
 
     Raises:
         InputError: ", placement 3: …": a centre of mass is not inside its box.
@@ -271,7 +271,8 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
     said = [articles.find(*names) for names in zip(plan.articles, groups, strict=True)]
     changes: dict[str, Any] = {}
     if any(each.material for each in said):
-        changes["materials"] = tuple(each.material or "" for each in said)
+        own_materials = plan.materials or ("",) * plan.n_boxes
+        changes["materials"] = tuple(own or each.material or "" for own, each in zip(own_materials, said, strict=True))
     if any(each.com_mm for each in said):
         offset = np.array([each.com_mm or (0.0, 0.0, 0.0) for each in said])
         outside = 2 * np.abs(offset) >= plan.item_size_mm
@@ -280,6 +281,7 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
             where, size = f", placement {box}: {_COM[axis]}", plan.item_size_mm[box, axis]
             name = shown(plan.articles[box])
             raise InputError(f"{where} of article {name} is {offset[box, axis]:g}, not inside the box of {size:g} mm")
-        across = offset[:, [1, 0, 2]] * (-1.0, 1.0, 1.0)
-        changes["mass_center_mm"] = np.where(plan.turned[:, None], across, offset)
+        own = plan.item_com_mm
+        offset = np.where(own.any(axis=1, keepdims=True), own, offset)
+        changes["mass_center_mm"] = com_along_axes(offset, plan.turned)
     return replace(plan, **changes) if changes else plan

@@ -141,12 +141,29 @@ class Plan:
         return np.zeros(self.n_boxes, dtype=bool) if self.orientation is None else self.orientation == 1
 
     @property
+    def item_com_mm(self) -> NDArray[np.float64]:
+        """(n, 3) centres of mass, seen from the items' middles along their length, width and height."""
+        if self.mass_center_mm is None:
+            return np.zeros((self.n_boxes, 3))
+        along = self.mass_center_mm[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
+        return np.where(self.turned[:, None], along, self.mass_center_mm) + 0.0  # not -0.0
+
+    @property
     def item_size_mm(self) -> NDArray[np.float64]:
         """(n, 3) length, width and height of the items themselves."""
         return np.where(self.turned[:, None], self.size_mm[:, [1, 0, 2]], self.size_mm)
 
     def __repr__(self) -> str:
         return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
+
+
+def com_along_axes(item_com_mm: NDArray[np.float64], turned: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(n, 3) centres of mass along x, y and z, from those along items' length, width and height.
+
+    Of an item that is turned the length lies along y and the width against x.
+    """
+    across = item_com_mm[:, [1, 0, 2]] * (-1.0, 1.0, 1.0)
+    return np.where(turned[:, None], across, item_com_mm) + 0.0  # not -0.0
 
 
 def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:

@@ -85,6 +85,24 @@ def test_a_centre_of_mass_outside_its_box_costs_the_plan(capsys: pytest.CaptureF
     assert "plan p, placement 3: com_width_mm of article bread is 150, not inside the box of 300 mm" in line
 
 
+def test_plans_say_it_themselves() -> None:
+    """In all forms; what a box has itself comes before what a table says of its article."""
+    said = with_articles(plan(1), read_articles(write(Path("articles.csv"), TABLE)))
+    table = write(Path("others.csv"), "article,material,com_length_mm\ncrate,steel,-9\nbread,wood,7\n")
+    for name in ("a.json", "a.csv", "a.parquet"):
+        petmjx.save_plans(said, name)
+        (found,) = petmjx.load_plans(name).plans
+        assert found.materials == said.materials
+        np.testing.assert_array_equal(found.mass_center_mm, said.mass_center_mm)
+        more = with_articles(found, read_articles(table))
+        assert more.materials == ("plastic", "film", "film", "wood")
+        np.testing.assert_array_equal(more.mass_center_mm, [(-10, 50, -20), (0, 0, 0), (0, 0, 30), (7, 0, 0)])
+    text = Path("a.csv").read_text().replace("-20", "-100")
+    write(Path("a.csv"), text)
+    fault = "com_height_mm must be inside the box, less than half of its 200 from the middle, got -100"
+    assert str(petmjx.load_plans("a.csv").skipped[0]) == f"a.csv: plan p, row 2: {fault}"
+
+
 def test_a_run_with_articles() -> None:
     petmjx.save_plans(plan(), "plans.json")
     write(Path("articles.csv"), TABLE)
