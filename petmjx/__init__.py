@@ -12,9 +12,9 @@ from petmjx.version import __version__
 
 if TYPE_CHECKING:
     from petmjx.api import score, sweep
+    from petmjx.carrier import Carrier
     from petmjx.config import (
         PHYSICS,
-        Carrier,
         Check,
         Cone,
         Physics,
@@ -48,7 +48,7 @@ _HOME = {
     "sweep": "petmjx.api",
     "criteria": "petmjx.statics.run",
     "CriteriaResults": "petmjx.statics.record",
-    "Carrier": "petmjx.config",
+    "Carrier": "petmjx.carrier",
     "Check": "petmjx.config",
     "Cone": "petmjx.config",
     "PHYSICS": "petmjx.config",

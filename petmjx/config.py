@@ -12,7 +12,9 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
+from petmjx.carrier import AnyCarrier, Carrier
 from petmjx.checked import Checked, CliFlag, complaint, got, within
+from petmjx.materials import FrictionPair
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -57,30 +59,6 @@ class Solver(StrEnum):
     NEWTON = "newton"
     CG = "cg"
 
-
-class Carrier(StrEnum):
-    """What the boxes stand on."""
-
-    FOOTPRINT = "footprint"
-    EURO_PALLET = "euro-pallet"
-    ROLLCONTAINER = "rollcontainer"
-    EPAL_1 = "epal-1"
-    GMA_48X40 = "gma-48x40"
-    PET_EUR = "pet-eur"
-
-
-CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
-    Carrier.FOOTPRINT: None,
-    Carrier.EURO_PALLET: (1.2, 0.8),
-    Carrier.ROLLCONTAINER: (0.8, 0.7),
-    Carrier.EPAL_1: (1.2, 0.8),
-    Carrier.GMA_48X40: (1.219, 1.016),
-    Carrier.PET_EUR: (1.2, 0.8),
-}
-"""x–y extent of each carrier in metres. None: the plan's bounding box."""
-
-TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
-"""Carriers that are BED-BPP's targets."""
 
 Triple = tuple[float, float, float]
 
@@ -288,11 +266,17 @@ class Simulation(Checked):
         PHYSICS["pallet"],
         description="contact physics: pallet: pallets rest, the carrier is of wood; reference: as in PET-Physics",
     )
-    carrier: Annotated[Carrier, CliFlag("--carrier")] = Field(
+    carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE")] = Field(
         Carrier.FOOTPRINT,
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y); made of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
-        "(PET-Physics's)",
+        "(PET-Physics's), rollcontainer-grid, or your own, FILE.toml",
+    )
+    friction_pairs: tuple[FrictionPair, ...] = Field(
+        (),
+        max_length=100,
+        description="friction between materials of boxes and boards, beside the table that petmjx has: tables with "
+        "between, a list of two materials, and friction",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="boxes are smaller by this along x and y, so that neighbours start apart, mm"

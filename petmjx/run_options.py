@@ -150,6 +150,11 @@ class RunOptions(Checked):
         description="the point of a box whose coordinates the plans have: corner, the one with the smallest x, y and "
         "z; centre; base-centre, the centre of its base; or far-corner",
     )
+    articles: Annotated[File | None, CliFlag("--articles", "FILE")] = Field(
+        None,
+        description="table of articles or product groups, as for petmjx loads: what boxes are made of, by which "
+        "friction between them is known, and where their centres of mass are",
+    )
     record: Annotated[str | tuple[str, ...] | None, CliFlag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
         description="keep histories, frame by frame, of the worlds that are not stable, of all, or of these plans; no "

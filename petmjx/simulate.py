@@ -28,7 +28,9 @@ from petmjx.study import FinishedWorld, Study
 from petmjx.text import counted, shown
 from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
+from petmjx.world.carriers import carrier_notes
 from petmjx.world.scene import Scene
+from petmjx.world.surfaces import check_surfaces
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
 """(n, 2) least and most force on top of each box at rest, N; None where a world has none."""
@@ -92,7 +94,8 @@ def simulate(
         whole, strict = options.limit is None, options.strict
         orders = check_orders(options.orders, study.everything, takes=options.takes, all_plans=whole, strict=strict)
     late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in study.skipped)
-    found = replace(found, skipped=[*found.skipped, *late])
+    notes = [*found.notes, *carrier_notes(sim), *check_surfaces(study.everything, sim)]
+    found = replace(found, skipped=[*found.skipped, *late], notes=notes)
     with engine_for(options, study.work) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, found, orders, engine, choice, recording, intervals)

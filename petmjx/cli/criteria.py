@@ -25,6 +25,7 @@ ASKED = "What is asked"
     "anchor",
     "friction",
     "side_friction",
+    "carrier",
     "tolerance_mm",
     "seed",
     more=((CriteriaOptions, ASKED),),

@@ -124,16 +124,18 @@ def takes(
         fields: names of fields of the two records; none: all.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
-        more: further records with their headings.
+        more: further records with their headings. A field of theirs takes the place of one of ``Simulation``.
     """
+    theirs = {name for record, _ in more for name in record.model_fields}
     records: list[tuple[type[Checked], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
     options = [
         option
         for record, section in records
         for option in _options_of(record, section)
         if option.path[0] not in without and (not fields or option.path[0] in fields)
+        if record is not Simulation or option.path[0] not in theirs
     ]
-    settable = [name for name in Simulation.model_fields if not fields or name in fields]
+    settable = [name for name in Simulation.model_fields if (not fields or name in fields) and name not in theirs]
 
     def decorate(command: Command) -> Command:
         def with_options(**given: Any) -> None:

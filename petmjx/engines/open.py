@@ -13,6 +13,7 @@ from petmjx.config import Schedule, Simulation
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive
+from petmjx.world.pairs import filled_up
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
@@ -73,6 +74,8 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the world's carrier")
+    if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
+        raise ValueError("the scene must have the world's friction of pairs")
 
 
 class OpenWorlds(ABC):

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.arguments import list_of, text_of
-from petmjx.config import CARRIER_EXTENT_M, TARGETS, Carrier
+from petmjx.carrier import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.errors import InputError
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted, shown
@@ -112,13 +112,13 @@ def _of_run(run: RunResults) -> pd.DataFrame:
     return table.astype(dict.fromkeys(("boxes", *of_plan[1:]), np.float64))
 
 
-def _carrier(runs: Mapping[str, RunResults]) -> Carrier:
+def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
     """The carrier of all runs; ``footprint`` where they have different ones."""
-    carriers = {_option(run, "carrier") for run in runs.values()}
-    return Carrier(carriers.pop()) if len(carriers) == 1 and carriers <= set(Carrier) else Carrier.FOOTPRINT
+    carriers = [run.carrier for run in runs.values()]
+    return carriers[0] if all(carrier == carriers[0] for carrier in carriers) else Carrier.FOOTPRINT
 
 
-def _target_area_m2(by_order: Any, carrier: Carrier) -> FloatArray:
+def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
     """The area of each row's target, the same for all packers of an order.
 
     It is the carrier's. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of all packers
@@ -127,17 +127,12 @@ def _target_area_m2(by_order: Any, carrier: Carrier) -> FloatArray:
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
     known = [extent for target in TARGETS if (extent := CARRIER_EXTENT_M[target]) is not None]
-    if CARRIER_EXTENT_M[carrier] is not None:
-        return np.full(len(area), np.prod(CARRIER_EXTENT_M[carrier] or ()))
+    if (own := extent_m(carrier)) is not None:
+        return np.full(len(area), np.prod(own))
     for length, width in sorted(known, key=lambda extent: -extent[0] * extent[1]):
         room = (x <= length + 1e-9) & (y <= width + 1e-9)
         area = np.where(room, length * width, area)
     return area
-
-
-def _option(run: RunResults, name: str) -> Any:
-    simulation = run.info.get("config", {}).get("simulation", {})
-    return simulation.get(name) if isinstance(simulation, Mapping) else None
 
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:

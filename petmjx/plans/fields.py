@@ -94,6 +94,14 @@ def _out_of_range(field: str, value: Any, smallest: float, largest: float, unit:
     return f"{field} must be from {smallest:g} to {largest:g} ({unit}), got {kind(value)}"
 
 
+def com_fault(field: str, value: Any, size: float) -> str | None:
+    """What is wrong with a centre of mass along a side of this length, in the same unit; None if nothing is."""
+    fault = number_fault(field, value)
+    if fault is None and not 2 * abs(value) < size:
+        return f"{field} must be inside the box, less than half of its {size:g} from the middle, got {kind(value)}"
+    return fault
+
+
 def whole_fault(field: str, value: object) -> str | None:
     """What is wrong with a running number; None if nothing is."""
     if type(value) is not int:

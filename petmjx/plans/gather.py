@@ -7,13 +7,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from petmjx.arguments import list_of, path_of
+from petmjx.carrier import extent_m
 from petmjx.checked import similar
-from petmjx.config import CARRIER_EXTENT_M, Simulation
+from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.forms import SupportsArrow
@@ -23,7 +25,7 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.read import read_plans
 from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
-from petmjx.text import counted, first_names, shown
+from petmjx.text import counted, first_names, printable, shown
 from petmjx.units import MM_PER_M
 
 PathArgument = str | PathLike[str]
@@ -64,7 +66,31 @@ def are_files(plans: PlanSource | None) -> bool:
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """Read and check files; take plans as they are, those that repeat an id under names of their own."""
+    """Read and check files; take plans as they are, those that repeat an id under names of their own. All with what the
+    table of articles says of their boxes."""
+    found = _gather_plans(plans, sim, options)
+    return found if options.articles is None else _with_articles(found, options.articles, options.strict)
+
+
+def _with_articles(found: PlanSet, file: Path, strict: bool) -> PlanSet:
+    """Plans with what a table says of their boxes, without those that it does not fit."""
+    from petmjx.plans.articles import read_articles, with_articles  # loads Arrow
+
+    articles = read_articles(file)
+    kept, skipped, changed = [], list(found.skipped), 0
+    for plan in found.plans:
+        try:
+            kept.append(with_articles(plan, articles))
+        except InputError as error:
+            why = Skipped.plan(plan, str(error), strict)
+            skipped.append(replace(why, number=found.numbers.get(plan.plan_id)))
+        else:
+            changed += kept[-1] is not plan
+    notes = [] if changed else [f"{printable(str(file))}: says nothing of how the boxes of these plans are"]
+    return replace(found, plans=kept, skipped=skipped, notes=[*found.notes, *notes])
+
+
+def _gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     if plans is None:
         plans = bundled_path()
     if isinstance(plans, PlanSet):
@@ -92,8 +118,8 @@ def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
 
 
 def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
-    extent_m = CARRIER_EXTENT_M[sim.carrier]
-    return None if extent_m is None else (extent_m[0] * MM_PER_M, extent_m[1] * MM_PER_M)
+    extent = extent_m(sim.carrier)
+    return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
 
 
 def _named_apart(found: PlanSet, options: RunOptions) -> PlanSet:

@@ -32,6 +32,8 @@ class Plan:
         orientation: (n,) 0 or 1: whether the item's own length lies along x or along y; None: nobody said, and the
             extents are taken as the item's own sizes.
         product_groups: n names, "" where an item has none; empty: no item has one.
+        materials: n names, by which friction is known (petmjx.materials), "" where nothing is said; empty: nowhere.
+        mass_center_mm: (n, 3) centres of mass, seen from the boxes' middles along x, y and z; None: in the middles.
     """
 
     plan_id: str
@@ -44,6 +46,8 @@ class Plan:
     sequence: NDArray[np.int64]
     orientation: NDArray[np.int64] | None = None
     product_groups: tuple[str, ...] = ()
+    materials: tuple[str, ...] = ()
+    mass_center_mm: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Take lists for arrays, and refuse what no engine could use; from_boxes says which box it is.
@@ -67,6 +71,11 @@ class Plan:
         groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
         if groups:
             fields["product_groups"] = groups
+        materials = tuple(list_of(self.materials, "materials", str, "text"))
+        if materials:
+            fields["materials"] = materials
+        if self.mass_center_mm is not None:
+            fields["mass_center_mm"] = array_of(self.mass_center_mm, "mass_center_mm", (3,))
         n_boxes = len(fields["mass_kg"])
         if not n_boxes:
             raise InputError("mass_kg must have a value for each box, got none")
@@ -77,7 +86,10 @@ class Plan:
         for name in ("size_mm", "mass_kg"):
             if not fields[name].min() > 0:
                 raise InputError(f"{name} must be > 0, got {fields[name].min():g}")
+        if self.mass_center_mm is not None and not (2 * np.abs(self.mass_center_mm) < self.size_mm).all():
+            raise InputError("mass_center_mm must be inside the boxes, less than half of size_mm from their middles")
         object.__setattr__(self, "product_groups", groups)
+        object.__setattr__(self, "materials", materials)
 
     @classmethod
     def from_boxes(
@@ -129,12 +141,29 @@ class Plan:
         return np.zeros(self.n_boxes, dtype=bool) if self.orientation is None else self.orientation == 1
 
     @property
+    def item_com_mm(self) -> NDArray[np.float64]:
+        """(n, 3) centres of mass, seen from the items' middles along their length, width and height."""
+        if self.mass_center_mm is None:
+            return np.zeros((self.n_boxes, 3))
+        along = self.mass_center_mm[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
+        return np.where(self.turned[:, None], along, self.mass_center_mm) + 0.0  # not -0.0
+
+    @property
     def item_size_mm(self) -> NDArray[np.float64]:
         """(n, 3) length, width and height of the items themselves."""
         return np.where(self.turned[:, None], self.size_mm[:, [1, 0, 2]], self.size_mm)
 
     def __repr__(self) -> str:
         return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
+
+
+def com_along_axes(item_com_mm: NDArray[np.float64], turned: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(n, 3) centres of mass along x, y and z, from those along items' length, width and height.
+
+    Of an item that is turned the length lies along y and the width against x.
+    """
+    across = item_com_mm[:, [1, 0, 2]] * (-1.0, 1.0, 1.0)
+    return np.where(turned[:, None], across, item_com_mm) + 0.0  # not -0.0
 
 
 def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:

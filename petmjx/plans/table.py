@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
+    com_fault,
     coordinate_fault,
     missing_anywhere,
     missing_fault,
+    number_fault,
     orientation_fault,
     positive_fault,
     text_fault,
@@ -28,6 +30,7 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given, Limits
+from petmjx.plans.plan import com_along_axes
 from petmjx.text import counted, first_names, shown
 from petmjx.units import FloatArray
 
@@ -35,14 +38,15 @@ _SIZE: Final = ("length_mm", "width_mm", "height_mm")
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")
 NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
 """Columns that every table has."""
-OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence")
+_COM: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
+OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", "material", *_COM)
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
 there is none, ``sequence`` is taken for it."""
-_TEXTS: Final = ("article", "item_id", "product_group")
+_TEXTS: Final = ("article", "item_id", "product_group", "material")
 _NAMES: Final = ("plan_id", *_TEXTS)
-_MAY_LACK: Final = ("item_id", "product_group")
+_MAY_LACK: Final = ("item_id", "product_group", "material", *_COM)
 """Columns that may have no value in a row."""
-_ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg")}
+_ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *_COM)}
 """BED-BPP's own spelling of sizes and weights."""
 
 
@@ -183,6 +187,17 @@ class _Reading:
         return found
 
     @cached_property
+    def _com(self) -> dict[str, FloatArray]:
+        """Centres of mass along the items' sides, mm; 0 where nothing is said, NaN where a value cannot be used."""
+        found = {}
+        for name, of in zip(_COM, _SIZE, strict=True):
+            if name in self.table.columns:
+                numbers, usable = self.table.columns[name].numbers()
+                offset = np.where(self._missing[name], 0.0, np.where(usable, numbers * self.given.length_mm, np.nan))
+                found[name] = np.where(2 * np.abs(offset) < self._numbers[of], offset, np.nan)
+        return found
+
+    @cached_property
     def _limits(self) -> dict[str, Limits]:
         given = self.given
         return (
@@ -204,7 +219,7 @@ class _Reading:
         for name, (_, usable) in (*self._texts.items(), *self._whole.items()):
             if name != "plan_id":
                 bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
-        for numbers in self._numbers.values():
+        for numbers in (*self._numbers.values(), *self._com.values()):
             bad |= np.isnan(numbers)
         return bad
 
@@ -249,6 +264,10 @@ class _Reading:
         if "orientation" in whole:
             found["orientation"] = turned = whole["orientation"][0][order]
             size[turned == 1, :2] = size[turned == 1, 1::-1]
+        if self._com:
+            along = np.stack([self._com.get(name, np.zeros(len(order)))[order] for name in _COM], axis=1)
+            turned = found.get("orientation", np.zeros(len(order), np.int64)) == 1
+            found["com"] = com_along_axes(along, turned)
         point = np.stack([number[name][order] for name in _CORNER], axis=1)
         return {"size": size, "corner": self.given.corner_mm(point, size), **found}
 
@@ -260,7 +279,8 @@ class _Reading:
         if numbers[0] not in (0, 1) or numbers[-1] - numbers[0] != len(numbers) - 1:
             self.gaps.append(plan_id)
         names = {name: tuple(sorted_[name][rows].tolist()) for name in _TEXTS if name in sorted_}
-        groups = names.get("product_group", ())
+        groups, materials = (names.get(name, ()) for name in ("product_group", "material"))
+        com = sorted_["com"][rows].copy() if "com" in sorted_ else None
         return {
             "plan_id": plan_id,
             "source": self.source,
@@ -272,6 +292,8 @@ class _Reading:
             "sequence": sorted_["sequence"][rows].copy(),
             "orientation": sorted_["orientation"][rows].copy() if "orientation" in sorted_ else None,
             "product_groups": groups if any(groups) else (),
+            "materials": materials if any(materials) else (),
+            "mass_center_mm": com if com is not None and com.any() else None,
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
@@ -316,6 +338,11 @@ class _Reading:
             *(whole_fault(name, _whole_value(raw[name])) for name in ("sequence", "order_sequence") if name in raw),
             *(text_fault(name, value) for name, value in texts.items()),
             *(positive_fault(name, raw[name], *self._limits[name]) for name in (*_SIZE, "weight_kg")),
+            *(
+                com_fault(name, raw[name], raw[of])
+                for name, of in zip(_COM, _SIZE, strict=True)
+                if raw.get(name) is not None and number_fault(of, raw[of]) is None
+            ),
             orientation_fault(_whole_value(raw["orientation"])) if "orientation" in raw else None,
             *(coordinate_fault(name, raw[name], *self._limits[name]) for name in _CORNER),
         )

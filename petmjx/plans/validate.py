@@ -16,6 +16,7 @@ from petmjx.plans.fields import (
     SMALLEST_KG,
     SMALLEST_MM,
     Unread,
+    com_fault,
     coordinate_fault,
     kind,
     missing_anywhere,
@@ -28,14 +29,17 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given
-from petmjx.plans.plan import Plan
+from petmjx.plans.plan import Plan, com_along_axes
 from petmjx.plans.scan import Repeating
 from petmjx.text import is_text, shown
 
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _NUMBERS_OF_ITEM: Final = (*_SIZES, "weight/kg")
 _NEEDED: Final = ("article", "id", *_NUMBERS_OF_ITEM, "sequence")
-_ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group"})
+_COM: Final = ("com_length/mm", "com_width/mm", "com_height/mm")
+_MORE: Final = frozenset({"material", *_COM})
+"""Fields that few plans have."""
+_ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group", *_MORE})
 _OF_PLACEMENT: Final = ("item", "orientation", "flb_coordinates")
 _PLACEMENT_FIELDS: Final = frozenset(_OF_PLACEMENT)
 _NUMBERS: Final = {int, float}
@@ -115,6 +119,9 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         articles = [item["article"] for item in items]
         groups = ["" if (group := item.get("product_group")) is None else group for item in items]
         corner_lengths = set(map(len, corners))
+        more = not all(map(_MORE.isdisjoint, items))
+        materials = [_said(item, "material", "") for item in items] if more else []
+        offsets = [[_said(item, field, 0.0) for field in _COM] for item in items] if more else []
     except (AttributeError, KeyError, TypeError, IndexError):
         return None
     coordinates = list(chain.from_iterable(corners))
@@ -122,12 +129,12 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         corner_lengths == {3}
         and not any(isinstance(each, Repeating) for each in chain(value, items))
         and set(map(type, corners)) == {list}
-        and set(map(type, chain(coordinates, *columns))) <= _NUMBERS
+        and set(map(type, chain(coordinates, *columns, *offsets))) <= _NUMBERS
         and set(map(type, chain(orientations, sequences))) == {int}
         and set(orientations) <= {0, 1}
-        and set(map(type, chain(ids, articles, groups))) == {str}
-        and max(map(len, chain(ids, articles, groups))) <= LONGEST_NAME
-        and is_text("".join(chain(ids, articles, groups)))
+        and set(map(type, chain(ids, articles, groups, materials))) == {str}
+        and max(map(len, chain(ids, articles, groups, materials))) <= LONGEST_NAME
+        and is_text("".join(chain(ids, articles, groups, materials)))
     )
     if not well_typed:
         return None
@@ -135,6 +142,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         numbers = np.array(columns, dtype=np.float64)
         point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
         sequence = np.array(sequences, dtype=np.int64)
+        com = np.array(offsets, dtype=np.float64) * given.length_mm if more else None
     except OverflowError:
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
@@ -144,6 +152,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
         and (np.abs(point) <= FARTHEST_MM).all()
+        and (com is None or (2 * np.abs(com) < size).all())
     )
     if not in_range:
         return None
@@ -161,7 +170,15 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         sequence=sequence,
         orientation=orientation,
         product_groups=tuple([names.setdefault(name, name) for name in groups]) if any(groups) else (),
+        materials=tuple([names.setdefault(name, name) for name in materials]) if any(materials) else (),
+        mass_center_mm=com_along_axes(com, swapped) if com is not None and com.any() else None,
     )
+
+
+def _said(item: dict[str, Any], field: str, otherwise: Any) -> Any:
+    """A value that may be missing, or null."""
+    value = item.get(field)
+    return otherwise if value is None else value
 
 
 def find_fault(placement: object, given: Given = USUAL) -> str | None:
@@ -184,6 +201,10 @@ def find_fault(placement: object, given: Given = USUAL) -> str | None:
         or (None if group is None else text_fault("product_group", group))
         or next(filter(None, (positive_fault(field, item[field], *given.sizes) for field in _SIZES)), None)
         or positive_fault("weight/kg", item["weight/kg"], *given.weights)
+        or text_fault("material", _said(item, "material", ""))
+        or next(
+            filter(None, (com_fault(f, _said(item, f, 0), item[of]) for f, of in zip(_COM, _SIZES, strict=True))), None
+        )
         or whole_fault("sequence", item["sequence"])
         or orientation_fault(placement["orientation"])
         or _corner_fault(placement["flb_coordinates"], given)

@@ -27,8 +27,10 @@ _JSON: Final = (".json", ".json.gz")
 _CSV: Final = (".csv", ".csv.gz")
 _PARQUET: Final = (".parquet",)
 
+_COM: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
+_COM_JSON: Final = tuple(name.replace("_mm", "/mm") for name in _COM)
 _UNITS: Final = {
-    **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm"), "mm"),
+    **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm", *_COM), "mm"),
     "weight_kg": "kg",
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
 }
@@ -73,6 +75,7 @@ def as_placements(plan: Plan) -> list[Placement]:
     """A plan as BED-BPP writes it. Whole numbers are written without decimals."""
     size, corner, mass = plan.item_size_mm.tolist(), plan.corner_mm.tolist(), plan.mass_kg.tolist()
     groups = plan.product_groups
+    com = None if plan.mass_center_mm is None else plan.item_com_mm.tolist()
     return [
         {
             "item": {
@@ -84,6 +87,8 @@ def as_placements(plan: Plan) -> list[Placement]:
                 "height/mm": _exact(size[box][2]),
                 "weight/kg": _exact(mass[box]),
                 "sequence": int(plan.sequence[box]),
+                **({"material": plan.materials[box]} if plan.materials and plan.materials[box] else {}),
+                **({} if com is None else dict(zip(_COM_JSON, map(_exact, com[box]), strict=True))),
             },
             "orientation": int(plan.turned[box]),
             "flb_coordinates": [_exact(value) for value in corner[box]],
@@ -130,6 +135,8 @@ class _Columns:
     product_group: bool
     orientation: bool
     order_sequence: bool
+    material: bool
+    com: bool
 
     @classmethod
     def of(cls, plans: Sequence[Plan]) -> _Columns:
@@ -138,6 +145,8 @@ class _Columns:
             product_group=any(plan.product_groups for plan in plans),
             orientation=any(plan.orientation is not None for plan in plans),
             order_sequence=any((plan.sequence != np.arange(1, plan.n_boxes + 1)).any() for plan in plans),
+            material=any(plan.materials for plan in plans),
+            com=any(plan.mass_center_mm is not None for plan in plans),
         )
 
     @property
@@ -152,6 +161,8 @@ class _Columns:
             **({"orientation": pa.int64()} if self.orientation else {}),
             **dict.fromkeys(("x_mm", "y_mm", "z_mm"), pa.float64()),
             **({"order_sequence": pa.int64()} if self.order_sequence else {}),
+            **({"material": pa.string()} if self.material else {}),
+            **(dict.fromkeys(_COM, pa.float64()) if self.com else {}),
         }
         return pa.schema(
             [pa.field(name, kind, metadata={"unit": _UNITS.get(name, "")}) for name, kind in kinds.items()]
@@ -175,6 +186,8 @@ class _Columns:
             "orientation": np.concatenate([plan.turned for plan in plans]).astype(np.int64),
             **dict(zip(("x_mm", "y_mm", "z_mm"), corner.T, strict=True)),
             "order_sequence": np.concatenate([plan.sequence for plan in plans]),
+            "material": [name for plan in plans for name in plan.materials or ("",) * plan.n_boxes],
+            **dict(zip(_COM, np.concatenate([plan.item_com_mm for plan in plans]).T, strict=True)),
         }
         schema = self.schema
         return pa.table([pa.array(values[name], schema.field(name).type) for name in schema.names], schema=schema)

@@ -13,8 +13,10 @@ import pyarrow.compute as pc
 
 from petmjx.config import Check
 from petmjx.errors import InputError
+from petmjx.plans.articles import read_articles, with_articles
 from petmjx.plans.plan import Plan
 from petmjx.results.manifest import plan_digest
+from petmjx.results.plans_again import how_read
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import shown
 from petmjx.verdict import Verdict
@@ -85,6 +87,9 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
     if run.info["config"]["command"] == "sweep":
         raise InputError(f"{run.path}: is a sweep; KPIs need a run of petmjx score")
     digests = dict(zip(run.plans["plan_id"], run.plans["digest"], strict=True))
+    if (file := how_read(run.info).articles) is not None:
+        articles = read_articles(file)
+        plans = [with_articles(plan, articles) for plan in plans]
     for plan in plans:
         if digests.get(plan.plan_id, digest := plan_digest(plan)) != digest:
             raise InputError(f"{run.path}: plan {shown(plan.plan_id)} differs from the one that was simulated there")

@@ -12,9 +12,9 @@ import pandas as pd
 
 from petmjx.arguments import path_of
 from petmjx.errors import InputError
+from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
-from petmjx.results.articles import Articles, read_articles
 from petmjx.results.described import write_described
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
@@ -103,7 +103,7 @@ def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans
 
     Args:
         run: a run's folder, or what ``petmjx.score`` returned.
-        articles: table of strengths (``petmjx.results.articles.read_articles``).
+        articles: table of strengths (``petmjx.plans.articles.read_articles``).
         plans: the plans of the run, for sizes and product groups; None: the files that it was of.
 
     Raises:
@@ -152,7 +152,7 @@ def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame,
         groups = plan.product_groups or ("",) * plan.n_boxes
         sizes = plan.size_mm[:, :2].tolist()
         for box, (article, group, (x, y)) in enumerate(zip(plan.articles, groups, sizes, strict=True)):
-            strength = articles.find(article, group)
+            strength = articles.find(article, group).strength
             if strength is None:
                 missing[article] += 1
             rows["plan_id"].append(plan.plan_id)

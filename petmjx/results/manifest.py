@@ -33,6 +33,10 @@ def plan_digest(plan: Plan) -> str:
     digest.update(repr((plan.plan_id, plan.item_ids, plan.articles)).encode("utf-8", "backslashreplace"))
     for values in (plan.size_mm, plan.corner_mm, plan.mass_kg, plan.sequence):
         digest.update(values.tobytes())
+    if plan.materials:
+        digest.update(repr(plan.materials).encode("utf-8", "backslashreplace"))
+    if plan.mass_center_mm is not None:
+        digest.update(plan.mass_center_mm.tobytes())
     return digest.hexdigest()
 
 
@@ -179,11 +183,23 @@ def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:
                 continue  # only one of them has confidence, which is said
             inner = f"{path}.{name}" if path else str(name)
             yield from _setting_differences(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
+    elif _are_tables(was) and _are_tables(now) and len(was) == len(now):
+        for number, (before, after) in enumerate(zip(was, now, strict=True)):
+            yield from _setting_differences(before, after, f"{path}[{number}]")
     elif was != now:
         yield f"{path} is {_said(now)}, was {_said(was)}"
+
+
+def _are_tables(value: Any) -> bool:
+    """Whether a value is a list of tables, such as the boards of a carrier."""
+    return isinstance(value, list) and all(isinstance(each, Mapping) for each in value)
 
 
 def _said(value: Any) -> str:
     if value is _NOTHING or value is None:
         return "none"
+    if _are_tables(value) and value:
+        return counted(len(value), "table")
+    if isinstance(value, Mapping) and "name" in value:
+        return shown(str(value["name"]))
     return shortened(printable(str(value)))

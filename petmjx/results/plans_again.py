@@ -68,13 +68,13 @@ def find_plans(
 
 
 def how_read(info: Mapping[str, Any]) -> RunOptions:
-    """The options with which a run read its plans: units and anchor.
+    """The options with which a run read its plans: units, anchor and articles.
 
     Raises:
         InputError: they are damaged.
     """
     config = info.get("config", {})
-    return RunOptions(**{name: config[name] for name in ("units", "anchor") if name in config})
+    return RunOptions(**{name: config[name] for name in ("units", "anchor", "articles") if name in config})
 
 
 def file_again(source: str) -> Path | None:

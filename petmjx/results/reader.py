@@ -16,6 +16,8 @@ import pyarrow as pa
 
 from petmjx.arguments import path_of
 from petmjx.bounded import read_regular
+from petmjx.carrier import Carrier, OwnCarrier
+from petmjx.config import Simulation
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
@@ -62,6 +64,15 @@ class RunResults:
         """How the run ended if not at its end, such as ``interrupted``: then worlds are missing. Else None."""
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
+
+    @property
+    def carrier(self) -> Carrier | OwnCarrier:
+        """What the boxes stood on; ``footprint`` where the run says none that is known."""
+        said = self.info.get("config", {}).get("simulation", {})
+        try:
+            return Simulation.read({"carrier": said["carrier"]}).carrier
+        except (InputError, KeyError, TypeError):
+            return Carrier.FOOTPRINT
 
     def doubts(self, name: str) -> list[str]:
         """A line if the run is not finished, which is called ``name`` there; else none."""

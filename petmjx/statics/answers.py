@@ -39,7 +39,7 @@ class Answers:
     """What c criteria say of n boxes at their placement.
 
     Attributes:
-        n_supports: (n,) bodies on which a box lies.
+        n_supports: (n,) areas on which a box lies (``PlanContacts.n_supports``).
         share: (n,) borne share of the base.
         corners: (n,) bottom corners that lie on something.
         slack: (n, c) NaN where there is none.
@@ -53,14 +53,20 @@ class Answers:
     stable: NDArray[np.int8]
 
 
-def answer(plan: Plan, criteria: Sequence[Criterion], friction: Friction, tolerance_mm: float) -> Answers:
+def answer(
+    plan: Plan,
+    criteria: Sequence[Criterion],
+    friction: Friction,
+    tolerance_mm: float,
+    deck_mm: FloatArray | None = None,
+) -> Answers:
     """Ask the criteria of one plan.
 
     Args:
         friction: coefficients, for force balance.
-        tolerance_mm: see ``petmjx.statics.contacts.find_contacts``.
+        tolerance_mm, deck_mm: see ``petmjx.statics.contacts.find_contacts``.
     """
-    contacts = find_contacts(plan, tolerance_mm)
+    contacts = find_contacts(plan, tolerance_mm, deck_mm)
     share, corners = support_share(contacts), corners_supported(contacts)
     wanted = {criterion.name for criterion in criteria}
     found = _base_slacks(share, corners) | _stack_slacks(contacts, wanted, friction)

@@ -14,8 +14,8 @@ edge.
 After each placement only what hangs together with the new box can change: its structure. Three things are used, each
 exact:
 
-- A box on the carrier is borne on its whole base, so vertical forces on its top always have an answer below; it is
-  taken as part of the carrier, and separates structures.
+- A box that has all four corners on the carrier is in balance whatever presses on its top: vertical forces there always
+  have an answer below. It is taken as part of the carrier, and separates structures.
 - Vertical forces that balance are forces that balance. So friction, and with it horizontal forces and heights, is
   looked at only where there are no such forces. It may then help: a box is held by what lies across it and its
   neighbour. The slack is then that with friction, if it is larger.
@@ -95,7 +95,7 @@ class _Structures:
         self._alone = _slack_alone(contacts, hulls)
         self._joined = np.arange(contacts.n_boxes)
         self._starts = np.searchsorted(contacts.upper, np.arange(contacts.n_boxes + 1))
-        self._grounded = contacts.on_carrier
+        self._grounded = contacts.grounded
         self._system = _VerticalSystem(contacts)
 
     def of(self, box: int) -> NDArray[np.bool_]:
@@ -108,7 +108,7 @@ class _Structures:
         if self._grounded[box]:
             return 1.0
         supports = self._contacts.lower[self._starts[box] : self._starts[box + 1]]
-        free = supports[~self._grounded[supports]]
+        free = supports[(supports != CARRIER) & ~self._grounded[supports]]
         if not len(free):
             return float(self._alone[box])
         for name in {int(self._joined[support]) for support in free}:
@@ -140,7 +140,7 @@ class _VerticalSystem:
         self._share = even_share(contacts, self._weight)
         # (2, c) the bodies that must balance: neither the carrier nor boxes on it
         body = np.stack([contacts.upper, contacts.lower])
-        self._body = np.where((body == CARRIER) | contacts.on_carrier[body], CARRIER, body)
+        self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
         # (2, c, 3, 4) by body, contact, row and corner
         self._value = np.stack([np.ones(arm.shape[:-1]), arm[..., 0], arm[..., 1]], axis=2)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from petmjx.history import CARRIER
-from petmjx.statics.contacts import IntArray, PlanContacts, rectangle_corners
+from petmjx.statics.contacts import N_CORNERS, IntArray, PlanContacts
 from petmjx.units import FloatArray
-
-N_CORNERS = 4
 
 
 def support_share(contacts: PlanContacts) -> FloatArray:
@@ -44,15 +41,7 @@ def _union_area(contacts: PlanContacts, box: int) -> float:
 
 def corners_supported(contacts: PlanContacts) -> IntArray:
     """(n,) how many of the four bottom corners lie on something, within the tolerance; edges count."""
-    low = contacts.corner_mm[:, :2]
-    own = rectangle_corners(low, low + contacts.size_mm[:, :2])[contacts.upper]
-    other = np.where(contacts.lower == CARRIER, contacts.upper, contacts.lower)
-    near = contacts.corner_mm[other, :2] - contacts.tolerance_mm
-    far = contacts.corner_mm[other, :2] + contacts.size_mm[other, :2] + contacts.tolerance_mm
-    inside = ((own >= near[:, None]) & (own <= far[:, None])).all(axis=-1)
-    borne = np.zeros((contacts.n_boxes, N_CORNERS), dtype=bool)
-    np.logical_or.at(borne, contacts.upper, inside)
-    count: IntArray = borne.sum(axis=1)
+    count: IntArray = contacts.borne_corners(np.ones(len(contacts.upper), dtype=bool)).sum(axis=1)
     return count
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,17 @@ from petmjx.units import FloatArray
 
 IntArray = NDArray[np.int64]
 
+N_CORNERS: Final = 4
+"""Of a box's base."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlanContacts:
     """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
 
-    A box lies on the carrier if its bottom is not above the carrier's top, and then with its whole base: the carrier is
-    taken to reach under all boxes. It lies on another box if that one was placed before, its top is at the height of
+    A box lies on the carrier if its bottom is not above the carrier's top: with its whole base, as the carrier is taken
+    to reach under all boxes; or, if the carrier is made of boards, on those of its deck that it overlaps along x and y,
+    each an area of its own. It lies on another box if that one was placed before, its top is at the height of
     the bottom, and the two overlap along x and y. A box that is pushed in under another one later bears nothing:
     what hangs in the air until then has fallen.
 
@@ -32,7 +37,9 @@ class PlanContacts:
         upper: (c,) the box above.
         lower: (c,) the box below, placed earlier, or ``CARRIER``.
         low_mm, high_mm: (c, 2) corners of the rectangle along x and y.
+        under_low_mm, under_high_mm: (c, 2) corners of all of what bears there: the top of the box below, a deck board.
         tolerance_mm: gaps and overlaps up to this count as touching.
+        mass_center_mm: (n, 3) as in ``Plan``.
     """
 
     size_mm: FloatArray
@@ -42,7 +49,10 @@ class PlanContacts:
     lower: IntArray
     low_mm: FloatArray
     high_mm: FloatArray
+    under_low_mm: FloatArray
+    under_high_mm: FloatArray
     tolerance_mm: float
+    mass_center_mm: FloatArray | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -50,9 +60,9 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity: boxes are of uniform density."""
+        """(n, 3) centres of gravity: in the middles, unless the plan has others."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
-        return centre
+        return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
     @cached_property
     def corners_mm(self) -> FloatArray:
@@ -61,15 +71,30 @@ class PlanContacts:
 
     @cached_property
     def n_supports(self) -> IntArray:
-        """(n,) on how many bodies each box lies."""
+        """(n,) on how many areas each box lies: one a box below, and of the carrier one or one a board."""
         return np.bincount(self.upper, minlength=self.n_boxes)
 
     @cached_property
-    def on_carrier(self) -> NDArray[np.bool_]:
-        """(n,) whether a box lies on the carrier."""
-        found = np.zeros(self.n_boxes, dtype=bool)
-        found[self.upper[self.lower == CARRIER]] = True
+    def grounded(self) -> NDArray[np.bool_]:
+        """(n,) whether a box lies on the carrier with all four corners, so that nothing tips it."""
+        n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
+        found: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
         return found
+
+    def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n, 4) whether a bottom corner lies on something, within the tolerance; edges count.
+
+        Args:
+            chosen: (c,) which contacts are looked at.
+        """
+        base = self.corner_mm[:, :2]
+        own = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
+        near = self.under_low_mm[chosen] - self.tolerance_mm
+        far = self.under_high_mm[chosen] + self.tolerance_mm
+        inside = ((own >= near[:, None]) & (own <= far[:, None])).all(axis=-1)
+        borne = np.zeros((self.n_boxes, N_CORNERS), dtype=bool)
+        np.logical_or.at(borne, self.upper[chosen], inside)
+        return borne
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,32 +123,49 @@ def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
     return corners
 
 
-def find_contacts(plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM) -> PlanContacts:
+def find_contacts(
+    plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM, deck_mm: FloatArray | None = None
+) -> PlanContacts:
     """What the boxes of a plan lie on.
 
     Args:
         tolerance_mm: gaps and overlaps in height up to this count as touching, and contacts that are narrower than this
             do not count. By default that of the warnings about a plan: half of the last digit of whole millimetres.
+        deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
+            carrier reaches under all boxes.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     below, above = np.nonzero(_rests(low, high, tolerance_mm))
     on_carrier = np.flatnonzero(low[:, 2] <= tolerance_mm)
+    carrier_low, carrier_high = low[on_carrier, :2], high[on_carrier, :2]
+    if deck_mm is not None:
+        lying, board = np.nonzero(_overlap(carrier_low, carrier_high, deck_mm, tolerance_mm))
+        on_carrier, carrier_low, carrier_high = on_carrier[lying], deck_mm[board, 0], deck_mm[board, 1]
     upper = np.concatenate([on_carrier, above])
     lower = np.concatenate([np.full(len(on_carrier), CARRIER), below])
+    under_low = np.concatenate([carrier_low, low[below, :2]])
+    under_high = np.concatenate([carrier_high, high[below, :2]])
     order = np.lexsort((lower, upper))
-    upper, lower = upper[order], lower[order]
-    # of the carrier: itself, so that the rectangle is the base
-    other = np.where(lower == CARRIER, upper, lower)
+    upper, lower, under_low, under_high = upper[order], lower[order], under_low[order], under_high[order]
     return PlanContacts(
         size_mm=plan.size_mm,
         corner_mm=plan.corner_mm,
         mass_kg=plan.mass_kg,
         upper=upper,
         lower=lower,
-        low_mm=np.maximum(low[upper, :2], low[other, :2]),
-        high_mm=np.minimum(high[upper, :2], high[other, :2]),
+        low_mm=np.maximum(low[upper, :2], under_low),
+        high_mm=np.minimum(high[upper, :2], under_high),
+        under_low_mm=under_low,
+        under_high_mm=under_high,
         tolerance_mm=tolerance_mm,
+        mass_center_mm=plan.mass_center_mm,
     )
+
+
+def _overlap(low: FloatArray, high: FloatArray, deck_mm: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
+    """(k, b): whether rectangles share more than the tolerance with boards along x and y."""
+    shares = np.minimum(high[:, None], deck_mm[:, 1]) - np.maximum(low[:, None], deck_mm[:, 0]) > tolerance_mm
+    return shares[..., 0] & shares[..., 1]
 
 
 def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:

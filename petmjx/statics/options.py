@@ -6,6 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from petmjx.carrier import AnyCarrier, Carrier
 from petmjx.checked import Checked, CliFlag, within
 from petmjx.config import PHYSICS
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
@@ -23,6 +24,11 @@ class CriteriaOptions(Checked):
     )
     tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
         DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
+    )
+    carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE", default="that of the run, or footprint")] = Field(
+        Carrier.FOOTPRINT,
+        description="what the boxes stand on, as for petmjx score, and by default that of the run: boards bear, gaps "
+        "do not; one without boards reaches under all boxes",
     )
     only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
     processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")

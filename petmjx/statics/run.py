@@ -16,6 +16,7 @@ from petmjx.errors import InputError
 from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
+from petmjx.results.plans_again import how_read
 from petmjx.results.reader import RunResults, load_run
 from petmjx.run_options import Anchor, RunOptions
 from petmjx.statics.answers import Answers, answer
@@ -26,6 +27,7 @@ from petmjx.statics.record import CriteriaResults, check_folder_free
 from petmjx.statics.tables import boxes_frame, plans_frame
 from petmjx.text import counted, shown
 from petmjx.units import PLAN_UNITS
+from petmjx.world.carriers import pallet
 
 CHUNK: Final = 16
 """Plans that a process takes at a time: half a second of force balance."""
@@ -59,7 +61,8 @@ def criteria(
         units, anchor: of files and data frames, as for ``petmjx.load_plans``.
         progress: called with the number of plans done, and of all.
         options: fields of ``petmjx.statics.options.CriteriaOptions``: ``friction``, ``side_friction``,
-            ``tolerance_mm``, ``only``, ``processes``, ``seed``. With ``processes`` a script needs its ``if __name__``.
+            ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``seed``. With
+            ``processes`` a script needs its ``if __name__``.
 
     Raises:
         InputError: unusable plans, run or options; or SciPy or shapely is missing.
@@ -72,6 +75,10 @@ def criteria(
         out = path_of(out, "out")
         check_folder_free(out, overwrite)
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
+    if physics is not None and "carrier" not in options:
+        chosen = chosen.changed(carrier=physics.carrier)
+    if physics is not None:
+        read = read.changed(articles=how_read(physics.info).articles)
     found = gather_plans(plans, Simulation(), read)
     warn(found.conventions)
     if not found.plans:
@@ -88,7 +95,7 @@ def criteria(
         thresholds = best_thresholds(by_plan, worlds, asked, chosen.seed)
     info = {
         "criteria": [criterion.name for criterion in asked],
-        "options": chosen.model_dump(exclude={"only"}),
+        "options": chosen.model_dump(mode="json", exclude={"only"}),
         "run": None if physics is None else str(physics.path),
         "doubts": [] if physics is None else physics.doubts("the run"),
         "n_plans": len(found.plans),
@@ -138,7 +145,9 @@ def _answers(
 
 def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
     friction = Friction(options.friction, options.side_friction)
-    return [answer(plan, options.criteria, friction, options.tolerance_mm) for plan in plans]
+    boards = pallet(options.carrier)
+    deck_mm = None if boards is None else boards.deck_mm
+    return [answer(plan, options.criteria, friction, options.tolerance_mm, deck_mm) for plan in plans]
 
 
 def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:

@@ -70,7 +70,10 @@ def described_boxes(criteria: Sequence[Criterion]) -> Described:
     columns["box"] = (DIMENSIONLESS, "index of the box in packing order, from 0")
     columns["item_id"] = (TEXT, "id of the item in the plan")
     columns["article"] = (TEXT, "article of the item")
-    columns["n_supports"] = (DIMENSIONLESS, "bodies on which the box lies, the carrier included")
+    columns["n_supports"] = (
+        DIMENSIONLESS,
+        "areas on which the box lies: one a box below; of the carrier one, or one a board",
+    )
     columns["support_share"] = (DIMENSIONLESS, "borne share of the base")
     columns["corners"] = (DIMENSIONLESS, "bottom corners that lie on something")
     for criterion in criteria:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -115,8 +116,8 @@ def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
     """Names and values of what the answer depends on most: engine, physics, check, schedule, carrier, solver."""
     options, outcome = story.options, story.outcome
     physics = options.get("physics", "")
-    facts = [("engine", story.engine), ("physics", str(physics if isinstance(physics, str) else physics.get("name")))]
-    facts += [(name, str(options[name])) for name in ("check", "schedule", "carrier") if name in options]
+    facts = [("engine", story.engine), ("physics", _named(physics))]
+    facts += [(name, _named(options[name])) for name in ("check", "schedule", "carrier") if name in options]
     facts.append(("solver", outcome.solver if outcome.attempt == 1 else f"{outcome.solver}, attempt {outcome.attempt}"))
     if story.drive is not None:
         drive = story.drive
@@ -124,6 +125,11 @@ def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
     facts += [(shown(str(name)), _value(value)) for name, value in story.values.items() if value is not None]
     facts.append(("simulated", f"{outcome.sim_time_s:.2f} s in {outcome.n_steps:,} steps"))
     return [(name, value) for name, value in facts if value]
+
+
+def _named(option: object) -> str:
+    """An option's value; of one that is a table, its name."""
+    return shown(str(option.get("name") if isinstance(option, Mapping) else option))
 
 
 def _value(value: object) -> str:

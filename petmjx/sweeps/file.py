@@ -285,6 +285,9 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """
     path = Path(path)
     tables = read_toml(path)
+    said = tables.get("simulation")
+    if simulation and "carrier" in simulation and isinstance(said, dict):
+        said.pop("carrier", None)  # of a run that is looked at again: its file may be gone, or another one by now
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
         changes: dict[str, Any] = {"plans": None if plans_given else _existing(sweep.plans, path.parent)}

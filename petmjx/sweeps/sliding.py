@@ -11,6 +11,7 @@ import numpy as np
 from petmjx.config import Simulation
 from petmjx.sweeps.file import Sweep
 from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.carriers import carrier_friction
 from petmjx.world.job import ACCELERATION
 from petmjx.world.profiles.acceleration import Tilt
 from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
@@ -86,7 +87,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     both = values("friction_factor")
     box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
     # MuJoCo takes the larger coefficient of two partners
-    friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], sim.physics.carrier_friction[0] * carrier[-1])
+    friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
     errors = _friction_errors(sweep)
     friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
     varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(each.random for each in errors)

@@ -69,7 +69,8 @@ class SweepStudy(Study):
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
-            notes=hopeless_profiles(asked),
+            # friction by materials may hold what that of boxes and carrier does not
+            notes=() if any(each.materials for each in everything) else hopeless_profiles(asked),
             params=self._columns.params,
             dynamic=self._columns.has_drives,
             identity={"sweep": sweep_identity(asked)},

@@ -1,13 +1,12 @@
 """What the bodies of a scene are made of: shapes, which are boxes fixed to them.
 
-A body's frame has its origin in the centre of mass and the axes of its shapes; they are its principal axes. So the
-inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of mass.
+A body's frame has its origin in the centre of mass and the axes of its shapes, which are taken for its principal axes.
+So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of mass.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,6 @@ from numpy.typing import NDArray
 from petmjx.config import Triple
 from petmjx.units import FloatArray
 from petmjx.world.turned import rotations
-
-_ASKEW: Final = 1e-6
-"""Largest product of inertia, as a share of the largest second moment, that is taken for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +28,7 @@ class Body:
         friction: (s, 3) their sliding, torsional and rolling coefficients.
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
+        surface: (s,) their surfaces (petmjx/world/pairs.py); None: all 0.
     """
 
     pos: FloatArray
@@ -40,6 +37,7 @@ class Body:
     shape_pos: FloatArray
     friction: FloatArray
     inertia_box: FloatArray
+    surface: NDArray[np.intp] | None = None
 
     @classmethod
     def solid(cls, pos: FloatArray, half_size: FloatArray, mass: float, friction: Triple) -> Body:
@@ -50,21 +48,19 @@ class Body:
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
         """Boards that are solid boxes.
 
+        Their axes are taken for the body's principal ones. Where boards do not balance, the products of inertia that
+        are left out (of a pallet without one of its outer deck boards a few per cent of the moments) count only for
+        how a carrier turns, and it stands on the floor.
+
         Args:
             center: (s, 3) of each board, m.
             half_size: (s, 3) m.
             mass: (s,) kg.
             friction: (s, 3).
-
-        Raises:
-            ValueError: their principal axes are not the axes of the boards.
         """
         pos = mass @ center / mass.sum()
         place = center - pos
-        products = np.einsum("s,si,sj->ij", mass, place, place)  # second moments of mass, boards as points
-        second = np.diag(products) + mass @ half_size**2 / 3
-        if (np.abs(products - np.diag(np.diag(products))) > _ASKEW * second.max()).any():
-            raise ValueError("the boards of a carrier must balance, so that its principal axes are those of the boards")
+        second = np.einsum("s,si,si->i", mass, place, place) + mass @ half_size**2 / 3
         return cls(pos, float(mass.sum()), half_size, place, friction, np.sqrt(3 * second / mass.sum()))
 
     def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -97,12 +93,14 @@ class Shapes:
     Attributes:
         body: (s,) the box that a shape belongs to, or ``CARRIER``.
         half_size, pos, friction: (s, 3) as in ``Body``.
+        surface: (s,) as there.
     """
 
     body: NDArray[np.intp]
     half_size: FloatArray
     pos: FloatArray
     friction: FloatArray
+    surface: NDArray[np.intp]
 
     def of(self, body: int) -> range:
         """The rows of a body's shapes."""

@@ -6,15 +6,18 @@ the origin and its bottom at z = 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from petmjx.config import Carrier, Physics, Simulation, Triple
-from petmjx.units import MM_PER_M, mm_to_m
+from petmjx.carrier import TOUCH_MM, Carrier, OwnCarrier
+from petmjx.config import Physics, Simulation, Triple
+from petmjx.materials import STEEL
+from petmjx.text import shown
+from petmjx.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.world.body import Body
 
 Board = tuple[Triple, Triple]
@@ -27,15 +30,27 @@ class Pallet:
     Attributes:
         boards: corner and size of each, mm.
         masses_kg: of each.
+        frictions: coefficient of sliding friction of each; None: that of the physics' carrier, as all have if empty.
+        materials: of each; empty: all are of wood.
     """
 
     boards: tuple[Board, ...]
     masses_kg: tuple[float, ...]
+    frictions: tuple[float | None, ...] = ()
+    materials: tuple[str, ...] = ()
 
     @property
     def height_mm(self) -> float:
         """From the floor to the top of its deck."""
         return max(corner[2] + size[2] for corner, size in self.boards)
+
+    @property
+    def deck_mm(self) -> FloatArray:
+        """(b, 2, 2) lowest and highest corner along x and y of each board whose top is the pallet's."""
+        corner, size = np.array(self.boards, np.float64).swapaxes(0, 1)
+        end = corner + size
+        on_top = end[:, 2] >= self.height_mm - TOUCH_MM
+        return np.stack([corner, end], axis=1)[on_top, :, :2]
 
 
 def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
@@ -96,12 +111,38 @@ def _pet_eur() -> Pallet:
     return Pallet(tuple(boards), (2.0,) * len(boards))
 
 
-PALLETS: Final = {Carrier.EPAL_1: _epal_1, Carrier.GMA_48X40: _gma, Carrier.PET_EUR: _pet_eur}
+def _rollcontainer_grid() -> Pallet:
+    """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
+
+    A typical one, of no maker's, with the extents of the target ``rollcontainer``: no source was found for the bars of
+    a certain one. Its castors are blocks, and roll no more than the feet of a pallet do.
+    """
+    length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
+    under = top - bar - tube
+    boards: list[Board] = [((at, 0, top - bar), (bar, width, bar)) for at in _spread(length, (bar,) * 14)]
+    boards += [((0, at, under), (length, tube, tube)) for at in _spread(width, (tube,) * 4)]
+    boards += [((x, y, 0), (castor, castor, under)) for x in (0.0, length - castor) for y in (0.0, width - castor)]
+    return Pallet(tuple(boards), _by_volume(boards, 25.0), materials=(STEEL,) * len(boards))
 
 
-@cache
-def pallet(carrier: Carrier) -> Pallet | None:
+PALLETS: Final = {
+    Carrier.EPAL_1: _epal_1,
+    Carrier.GMA_48X40: _gma,
+    Carrier.PET_EUR: _pet_eur,
+    Carrier.ROLLCONTAINER_GRID: _rollcontainer_grid,
+}
+
+
+OF_SLABS: Final = ("floor_z_m", "carrier_half_height_m", "carrier_mass_kg")
+"""Fields of ``Physics`` that boards have themselves."""
+
+
+@lru_cache(maxsize=16)
+def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
     """The boards of a carrier; None of those that are slabs."""
+    if isinstance(carrier, OwnCarrier):
+        boards = tuple((board.corner_mm, board.size_mm) for board in carrier.boards)
+        return Pallet(boards, carrier.masses_kg, carrier.frictions, carrier.materials)
     return PALLETS[carrier]() if carrier in PALLETS else None
 
 
@@ -110,7 +151,34 @@ def body_of(found: Pallet, physics: Physics) -> Body:
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*found.boards, strict=True))
     corner[:, 2] -= found.height_mm / MM_PER_M
     friction = np.tile(physics.carrier_friction, (len(size), 1))
+    for board, sliding in enumerate(found.frictions):
+        if sliding is not None:
+            friction[board, 0] = sliding
     return Body.of_boards(corner + size / 2, size / 2, np.array(found.masses_kg), friction)
+
+
+def carrier_notes(sim: Simulation) -> Iterator[str]:
+    """What of the options does not count with this carrier, a line each."""
+    found, physics = pallet(sim.carrier), sim.physics
+    if found is None:
+        return
+    name = shown(sim.carrier if isinstance(sim.carrier, Carrier) else sim.carrier.name or "the carrier")
+    idle = [field for field in OF_SLABS if getattr(physics, field) != Physics.model_fields[field].default]
+    if idle:
+        verb = "does" if len(idle) == 1 else "do"
+        these = " and ".join(f"physics.{field}" for field in idle)
+        yield f"{these} {verb} not count: {name} is made of boards, which have their own height and mass"
+    own = [friction for friction in found.frictions if friction is not None]
+    if not physics.has_own_friction and own and min(own) < physics.box_friction[0]:
+        why = f"between two the larger counts, and boxes have {physics.box_friction[0]:g}"
+        yield f"friction {min(own):g} of boards of {name} does not count with pyramidal cones: {why}"
+
+
+def carrier_friction(sim: Simulation) -> float:
+    """The largest coefficient of sliding friction of the carrier."""
+    found, usual = pallet(sim.carrier), sim.physics.carrier_friction[0]
+    frictions = () if found is None else found.frictions
+    return max((usual if own is None else own for own in frictions), default=usual)
 
 
 def floor_z_m(sim: Simulation) -> float:

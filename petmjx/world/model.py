@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.config import Cone, Physics, Triple
 from petmjx.history import CARRIER, FLOOR
 from petmjx.units import FloatArray
+from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 FLOOR_NAME = "floor"
@@ -89,7 +90,7 @@ def build_spec(
     )
     if held_carrier is None:
         of_body = _partners(scene, physics)
-        _declare_pairs(spec, physics, of_body[FLOOR], of_body[CARRIER])
+        _declare_pairs(spec, physics, filled_up(scene.pair_friction), of_body[FLOOR], of_body[CARRIER])
     add_boxes(spec, scene, physics, range(count))
     return spec
 
@@ -100,12 +101,13 @@ def add_boxes(
     """Add boxes, whose bodies then have this order, to a spec that already holds those before them."""
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics)
     others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
+    table = filled_up(scene.pair_friction)
     for box in boxes:
         body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
         body.add_freejoint(name=box_name(box))
         _add_shapes(body, scene, physics, box, _BOX_COLOURS[box % len(_BOX_COLOURS)])
         _set_inertia(body, scene, physics, box)
-        _declare_pairs(spec, physics, others, of_body[box])
+        _declare_pairs(spec, physics, table, others, of_body[box])
         others += of_body[box]
 
 
@@ -129,13 +131,17 @@ class _Partner:
     name: str
     friction: Triple
     skin_m: float
+    surface: int = 0
 
 
-def _declare_pairs(spec: mujoco.MjSpec, physics: Physics, these: Sequence[_Partner], those: Sequence[_Partner]) -> None:
+def _declare_pairs(
+    spec: mujoco.MjSpec, physics: Physics, table: FloatArray, these: Sequence[_Partner], those: Sequence[_Partner]
+) -> None:
     """Each of these touches each of those.
 
     Pairs are declared if friction has a time constant of its own: MuJoCo gives it to declared pairs only. All else is
-    what it would be without: MuJoCo takes the larger friction of two geoms.
+    what it would be without: MuJoCo takes the larger friction of two geoms, unless the table of their surfaces says
+    another one.
     """
     if not physics.has_own_friction:
         return
@@ -143,6 +149,8 @@ def _declare_pairs(spec: mujoco.MjSpec, physics: Physics, these: Sequence[_Partn
     for one in these:
         for two in those:
             sliding, torsional, rolling = map(max, one.friction, two.friction)
+            own = float(table[one.surface, two.surface])
+            sliding = sliding if own == LARGER else own
             spec.add_pair(
                 geomname1=one.name,
                 geomname2=two.name,
@@ -159,10 +167,11 @@ def _partners(scene: Scene, physics: Physics) -> dict[int, list[_Partner]]:
     """The shapes of each body and the floor."""
     found = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)]}
     shapes = scene.shapes
-    for body, friction in zip(shapes.body.tolist(), shapes.friction.tolist(), strict=True):
+    rows = zip(shapes.body.tolist(), shapes.friction.tolist(), shapes.surface.tolist(), strict=True)
+    for body, friction, surface in rows:
         skin_m = physics.carrier_skin_m if body == CARRIER else physics.skin_m
         name = CARRIER_NAME if body == CARRIER else box_name(body)
-        found.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m))
+        found.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m, surface))
     for body, several in found.items():
         if len(several) > 1:
             found[body] = [replace(each, name=f"{each.name}_{number}") for number, each in enumerate(several)]

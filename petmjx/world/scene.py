@@ -13,12 +13,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import CARRIER_EXTENT_M, Simulation, Triple
+from petmjx.carrier import extent_m
+from petmjx.config import Simulation, Triple
 from petmjx.history import CARRIER
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
 from petmjx.world.body import Body, Shapes
 from petmjx.world.carriers import body_of, floor_z_m, pallet
+from petmjx.world.surfaces import find_surfaces
 from petmjx.world.turned import turned
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
@@ -32,6 +34,7 @@ OF_BOXES: Final = (
     "friction",
     "mass_center",
     "inertia_box",
+    "surface",
 )
 """What of a scene has a row for each box, or is None."""
 
@@ -54,6 +57,9 @@ class Scene:
         floor_z: m.
         mass_center: (n, 3) centres of mass, seen from the middles along the boxes' axes, m; None: in the middles.
         inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
+        surface: (n,) the boxes' surfaces; None: all 0.
+        pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.pairs.LARGER``; None: the larger
+            one of two shapes everywhere.
     """
 
     half_size: NDArray[np.float64]
@@ -67,6 +73,8 @@ class Scene:
     floor_z: float
     mass_center: NDArray[np.float64] | None = None
     inertia_box: NDArray[np.float64] | None = None
+    surface: NDArray[np.intp] | None = None
+    pair_friction: NDArray[np.float64] | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -115,6 +123,12 @@ class Scene:
             half_size=np.concatenate([carrier.half_size, self.half_size]),
             pos=np.concatenate([carrier.shape_pos, self.middle]),
             friction=np.concatenate([carrier.friction, self.friction]),
+            surface=np.concatenate(
+                [
+                    np.zeros(count, np.intp) if surface is None else surface
+                    for count, surface in ((len(carrier.half_size), carrier.surface), (self.n_boxes, self.surface))
+                ]
+            ),
         )
 
     @cached_property
@@ -136,6 +150,8 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     half_size = round_to_micrometre(mm_to_m(size / 2))
     target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
     boards = pallet(sim.carrier)
+    carrier = _slab(plan, sim) if boards is None else body_of(boards, physics)
+    surfaces = find_surfaces(plan, sim, len(carrier.half_size))
     return Scene(
         half_size=half_size,
         mass=plan.mass_kg.copy(),
@@ -143,16 +159,19 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         start_pos=target.copy(),
         start_quat=np.tile(np.array(IDENTITY_QUAT), (len(target), 1)),
         friction=np.tile(physics.box_friction, (len(target), 1)),
-        carrier=_slab(plan, sim) if boards is None else body_of(boards, physics),
+        carrier=carrier if surfaces is None else replace(carrier, surface=surfaces.of_boards),
         floor_friction=physics.floor_friction,
         floor_z=floor_z_m(sim),
+        mass_center=None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm),
+        surface=None if surfaces is None else surfaces.of_boxes,
+        pair_friction=None if surfaces is None else surfaces.friction,
     )
 
 
 def _slab(plan: Plan, sim: Simulation) -> Body:
     """A carrier of one box: as large as the plan's bounding box, or of a fixed size, its front-left corner the
     origin."""
-    extent = CARRIER_EXTENT_M[sim.carrier]
+    extent = extent_m(sim.carrier)
     if extent is None:
         low_mm = plan.corner_mm[:, :2].min(axis=0)
         extent_mm = (plan.corner_mm + plan.size_mm)[:, :2].max(axis=0) - low_mm

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.units import FloatArray, mm_to_m
+from petmjx.world.pairs import scaled_pairs
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene
 
@@ -199,6 +200,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     mass_share = 1.0 + change.mass_rel.draw(key.rng("mass-rel"), (n_boxes,))
     (friction_share,) = 1.0 + change.friction_rel.draw(key.rng("friction-rel"), (1,))
     friction = max(float(friction_share), MIN_FRICTION_FRACTION)
+    of_boxes, of_carrier = change.box_friction_factor * friction, change.carrier_friction_factor * friction
     return replace(
         scene,
         half_size=half_size,
@@ -206,8 +208,9 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
         target=target,
         start_pos=start_pos,
         start_quat=_turned(scene.start_quat, yaw),
-        friction=scene.friction * (change.box_friction_factor * friction),
-        carrier=replace(scene.carrier, friction=scene.carrier.friction * (change.carrier_friction_factor * friction)),
+        friction=scene.friction * of_boxes,
+        carrier=replace(scene.carrier, friction=scene.carrier.friction * of_carrier),
+        pair_friction=scaled_pairs(scene.pair_friction, scene.carrier.surface, of_boxes, of_carrier),
     )
 
 

@@ -18,6 +18,7 @@ from petmjx.units import STANDARD_GRAVITY
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.body import Body
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
+from petmjx.world.pairs import no_pairs
 from petmjx.world.scene import Scene
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -34,9 +35,11 @@ SIDE_MM, GAP_M = 200.0, 0.3
 HALF_HEIGHT_M = SIM.physics.carrier_half_height_m
 BEYOND_M = 0.03
 """How far the middle of a box is beyond the edge of its board."""
-LOW, HIGH, PUSH_G = 0.2, 0.6, 0.4
-"""Friction of a box that slides, and of one that does not, when the carrier is accelerated by so many g."""
+LOWER, LOW, HIGH, PUSH_G = 0.1, 0.2, 0.6, 0.4
+"""Friction of boxes that slide, and of one that does not, when the carrier is accelerated by so many g."""
 SAME_PLACE_M = 1e-3
+SAME_FRICTION = 0.03
+"""Of a coefficient that is worked out from places in float32."""
 
 
 def boards(friction: float) -> Body:
@@ -59,21 +62,48 @@ def slippery_and_rough() -> Scene:
     return replace(scene, carrier=boards(0.1), friction=np.array([[LOW, 0.005, 1e-4], [HIGH, 0.005, 1e-4]]))
 
 
+def on_own_carrier(beyond_mm: float) -> Scene:
+    """A post whose middle is this far beyond the edge of the deck, of a carrier that does not balance: its deck is one
+    board, on one side of what it stands on."""
+    boards = [((0, 0, 0), (800, 400, 60), 12.0), ((0, 0, 60), (400, 400, 60), 4.0)]
+    tables = [{"corner_mm": corner, "size_mm": size, "mass_kg": kg} for corner, size, kg in boards]
+    sim = SIM.changed(carrier={"boards": tables})
+    return make_scene([((60, 60, 200), (370 + beyond_mm, 100, 0), 3.0), ((SIDE_MM,) * 3, (0, 100, 0), 4.0)], sim)
+
+
+def by_pairs() -> Scene:
+    """Three alike boxes on a rough carrier, whose surfaces say that the first two slide on it, each with its own
+    friction, though the larger coefficient of two shapes would hold them."""
+    boxes = [((SIDE_MM, SIDE_MM, 100), (-300, y, 0), 4.0) for y in (0, 300, 600)]
+    table = no_pairs(4)
+    for surface, friction in ((1, LOW), (2, LOWER)):
+        table[surface, 3] = table[3, surface] = friction
+    carrier = replace(boards(0.9), surface=np.array([3, 3]))
+    return replace(make_scene(boxes, SIM), carrier=carrier, surface=np.array([1, 2, 0]), pair_friction=table)
+
+
 def push() -> Drive:
     samples = np.zeros((200, 3))
     samples[:, 0] = PUSH_G * STANDARD_GRAVITY
     return Drive(Excitation("push", ACCELERATION, samples), rest_s=0.1)
 
 
-SCENES = {"stands": at_the_edge(2 * BEYOND_M), "tips": at_the_edge(0.0), "slides": slippery_and_rough()}
+SCENES = {
+    "stands": at_the_edge(2 * BEYOND_M),
+    "tips": at_the_edge(0.0),
+    "slides": slippery_and_rough(),
+    "pairs": by_pairs(),
+    "own stands": on_own_carrier(-8.0),
+    "own tips": on_own_carrier(8.0),
+}
 
 
 @pytest.fixture(scope="module", params=["mujoco", "mjx-jax", "mjx-warp"])
 def outcomes(request: pytest.FixtureRequest) -> Iterator[dict[str, Outcome]]:
     engines: dict[str, type[Engine] | object] = {"mujoco": MujocoEngine, "mjx-jax": MjxJaxEngine}
     engine = warp_engine() if request.param == "mjx-warp" else engines[request.param](4)  # type: ignore[operator]
-    drives = {"slides": push()}
-    jobs = [Job(scene, drives.get(name), record=Record(50)) for name, scene in SCENES.items()]
+    drives = {"slides": push(), "pairs": push()}
+    jobs = [Job(scene, drives.get(name), record=Record(0.1)) for name, scene in SCENES.items()]
     with jax.numpy_rank_promotion("allow"):
         yield {list(SCENES)[outcome.job]: outcome for outcome in engine.run(jobs, SIM)}
 
@@ -82,6 +112,14 @@ def test_a_gap_bears_nothing_and_the_centre_of_mass_decides(outcomes: dict[str, 
     assert outcomes["stands"].verdict is Verdict.STABLE
     assert outcomes["tips"].verdict is Verdict.UNSTABLE
     assert outcomes["tips"].culprit == 0
+
+
+def test_a_carrier_of_ones_own_bears_up_to_its_edge(outcomes: dict[str, Outcome]) -> None:
+    found = outcomes["own stands"]
+    assert found.verdict is Verdict.STABLE
+    np.testing.assert_allclose(found.boxes.pos, SCENES["own stands"].target, atol=SAME_PLACE_M)
+    assert outcomes["own tips"].verdict is Verdict.UNSTABLE
+    assert outcomes["own tips"].culprit == 0
 
 
 def test_places_are_those_of_middles(outcomes: dict[str, Outcome]) -> None:
@@ -99,3 +137,16 @@ def test_each_box_has_its_own_friction(outcomes: dict[str, Outcome]) -> None:
     seconds = 200 * SIM.physics.timestep_s
     assert sway[0] >= 0.95 * (PUSH_G - LOW) * STANDARD_GRAVITY * seconds**2 / 2
     assert sway[1] < SAME_PLACE_M
+
+
+def test_each_box_slides_by_the_friction_of_its_pair(outcomes: dict[str, Outcome]) -> None:
+    """A box that slides has gone ½ (a − μ g) (t − t₀)² after t, seen from the carrier: the root of its way grows with
+    the time, by √(½ (a − μ g)). The third box has no surface, and the larger coefficient of two shapes holds it."""
+    history = outcomes["pairs"].history
+    assert history is not None
+    way = np.abs(history.pos[:, :, 0] - SCENES["pairs"].target[:, 0])
+    first = int(np.argmax(way[:, 1] > 5 * SAME_PLACE_M))
+    sliding = slice(first, first + 2)
+    growth = np.diff(np.sqrt(way[sliding, :2]), axis=0)[0] / np.diff(history.time_s[sliding])
+    np.testing.assert_allclose(PUSH_G - 2 * growth**2 / STANDARD_GRAVITY, [LOW, LOWER], rtol=SAME_FRICTION)
+    assert way[sliding, 2].max() < SAME_PLACE_M

@@ -11,7 +11,8 @@ import pandas as pd
 import pytest
 
 import petmjx
-from petmjx.config import Carrier, Check, Schedule, Simulation
+from petmjx.carrier import Carrier
+from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one, write_plans

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from support.plans import make_scene, stack
 
-from petmjx.config import PHYSICS, Carrier, Cone, Schedule, Simulation, Thresholds
+from petmjx.carrier import Carrier
+from petmjx.config import PHYSICS, Cone, Schedule, Simulation, Thresholds
 from petmjx.engines.base import GrowingJobs, Progress
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu import live as mujoco_live

@@ -11,8 +11,9 @@ from support.pictures import needs_pictures
 from support.plans import Box, make_plan
 
 import petmjx
-from petmjx.config import CARRIER_EXTENT_M, PHYSICS, Carrier
-from petmjx.units import MM_PER_M
+from petmjx.carrier import CARRIER_EXTENT_M, Carrier, OwnCarrier
+from petmjx.config import PHYSICS
+from petmjx.units import MM_PER_M, STANDARD_GRAVITY
 from petmjx.verdict import Verdict
 from petmjx.world.carriers import PALLETS, body_of, pallet
 
@@ -28,7 +29,9 @@ def test_a_pallet_is_as_large_as_it_says_and_of_one_piece(carrier: Carrier) -> N
     body = body_of(found, PHYSICS["pallet"])
     np.testing.assert_allclose(body.low, [0, 0, -found.height_mm / MM_PER_M], atol=1e-12)
     np.testing.assert_allclose(body.high, [*(CARRIER_EXTENT_M[carrier] or ()), 0.0], atol=1e-12)
-    assert body.mass == pytest.approx({"epal-1": 25.0, "gma-48x40": 20.0, "pet-eur": 40.0}[carrier])
+    assert body.mass == pytest.approx(
+        {"epal-1": 25.0, "gma-48x40": 20.0, "pet-eur": 40.0, "rollcontainer-grid": 25.0}[carrier]
+    )
     center, half = body.pos + body.shape_pos, body.half_size
     inside = half[:, None] + half - np.abs(center[:, None] - center)
     for one, two in itertools.combinations(range(len(half)), 2):
@@ -66,3 +69,29 @@ def test_a_picture_has_room_for_all_boards(tmp_path: Path) -> None:
     story = petmjx.tell("post", [make_plan("post", post(-4.0))], carrier="epal-1")
     petmjx.draw(story, tmp_path / "post.png")
     assert (tmp_path / "post.png").stat().st_size > 1000
+
+
+def bars(*, width_mm: float, span_mm: float) -> OwnCarrier:
+    """Two narrow bars along x, whose middles are this far apart, on two blocks."""
+    bar = {"size_mm": [600.0, width_mm, 40.0], "mass_kg": 0.2 * width_mm}
+    block = {"size_mm": [100.0, span_mm + width_mm, 100.0], "mass_kg": 5.0}
+    places = [(bar, (0.0, 0.0, 100.0)), (bar, (0.0, span_mm, 100.0)), (block, (0.0,) * 3), (block, (500.0, 0.0, 0.0))]
+    return OwnCarrier.read({"boards": [{**board, "corner_mm": corner} for board, corner in places]})
+
+
+def test_two_bars_share_the_load_of_a_box_by_the_lever_rule() -> None:
+    """Bars are 4 mm wide, so that it matters by half a per cent where on them the box presses."""
+    width, span, length, kg = 4.0, 400.0, 560.0, 20.0
+    plan = make_plan("plank", (((300.0, length, 200.0), (150.0, 0.0, 0.0), kg),))
+    carrier = bars(width_mm=width, span_mm=span)
+    results = petmjx.score([plan], engine="mujoco", threads=1, carrier=carrier, record="all", record_details=True)
+    assert results.worlds.verdict[0] == Verdict.STABLE
+    contacts = petmjx.tell("plank", results).history.contacts
+    last = contacts.frame == contacts.frame.max()
+    on_box = last & (contacts.body.max(axis=1) == 0)
+    pressing = np.abs(contacts.force[on_box, 2])
+    far = contacts.point[on_box, 1] * MM_PER_M > span / 2
+    share = (length / 2 - width / 2) / span
+    weight = kg * STANDARD_GRAVITY
+    assert pressing[far].sum() == pytest.approx(share * weight, rel=0.02)
+    assert pressing[~far].sum() == pytest.approx((1 - share) * weight, rel=0.02)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from support.plans import Box, make_scene, stack
 
-from petmjx.config import PHYSICS, Carrier, Check, Schedule, Simulation
+from petmjx.carrier import Carrier
+from petmjx.config import PHYSICS, Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.units import FloatArray
 from petmjx.verdict import Outcome, Verdict

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from support.plans import make_plan
 
-from petmjx.config import Carrier, Simulation
+from petmjx.carrier import Carrier
+from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans

@@ -19,7 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.config import PHYSICS, Carrier, Simulation
+from petmjx.carrier import Carrier
+from petmjx.config import PHYSICS, Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.batch.padded import PaddedModel, Stepped

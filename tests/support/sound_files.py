@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.carrier import read_carrier
+from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
@@ -21,6 +23,7 @@ from petmjx.plans.samples.order_files import read_orders
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.world.profiles.files import read_psd, read_windows
+from petmjx.world.scene import build_scene
 
 SWEEPS = Path(__file__).resolve().parents[2] / "sweeps"
 
@@ -60,6 +63,11 @@ def _sweep(path: Path) -> list[str]:
 
 def _windows(path: Path) -> list[str]:
     read_windows(path)
+    return []
+
+
+def _carrier(path: Path) -> list[str]:
+    build_scene(PLAN, Simulation(carrier=read_carrier(path)))
     return []
 
 
@@ -170,6 +178,18 @@ def _sound_parquet(rng: random.Random) -> bytes:
     return stream.getvalue()
 
 
+def own_carrier() -> str:
+    """A pallet of five boards."""
+    decks = (("left", 0, ""), ("middle", 227.5, "friction = 0.3\n"), ("right", 455, ""))
+    feet = (("front", 0), ("back", 700))
+    boards = [
+        *(f'name = "deck {name}"\ncorner_mm = [0, {y}, 122]\nsize_mm = [800, 145, 22]\nmass_kg = 1.3\n{more}'
+          for name, y, more in decks),
+        *(f'name = "{name}"\ncorner_mm = [{x}, 0, 0]\nsize_mm = [100, 600, 122]\nmass_kg = 3.5\n' for name, x in feet),
+    ]  # fmt: skip
+    return 'name = "half pallet"\nfriction = 0.4\n\n' + "\n".join(f"[[boards]]\n{board}" for board in boards)
+
+
 def _sound_psd(rng: random.Random) -> bytes:
     frequencies = sorted({round(rng.uniform(1, 200), 2) for _ in range(rng.randrange(2, 30))})
     rows = [f"{hz},{rng.choice([0.01, 1e-5, 0.2])}" for hz in frequencies]
@@ -184,5 +204,6 @@ KINDS = {
     "sweeps": Kind("sweep.toml", _sweep, _sound_sweep),
     "windows": Kind("windows.toml", _windows, _sound_windows),
     "windows-parquet": Kind("windows.parquet", _windows, _sound_parquet),
+    "carriers": Kind("carrier.toml", _carrier, lambda rng: own_carrier().encode()),
     "psd": Kind("psd.csv", _psd, _sound_psd),
 }

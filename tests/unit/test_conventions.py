@@ -15,8 +15,9 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
+from petmjx.carrier import Carrier
 from petmjx.cli import main
-from petmjx.config import Carrier, Simulation
+from petmjx.config import Simulation
 from petmjx.errors import InputError, PlanWarning
 from petmjx.plans.gather import gather_plans
 from petmjx.plans.plan import Plan

@@ -286,12 +286,55 @@ def test_the_closed_form_of_one_box_is_what_its_linear_programme_finds() -> None
     for _ in range(60):
         contacts = find_contacts(make_plan(boxes=random_stack(rng, 4)))
         system, alone = _VerticalSystem(contacts), _slack_alone(contacts, contact_hulls(contacts))
-        for each in np.flatnonzero(~contacts.on_carrier):
-            if not contacts.on_carrier[contacts.lower[contacts.upper == each]].all():
+        for each in np.flatnonzero(~contacts.grounded):
+            if not contacts.grounded[contacts.lower[contacts.upper == each]].all():
                 continue  # part of a larger structure
             assert system.slack(np.array([each])) == pytest.approx(min(alone[each], 1), abs=1e-6)
             compared += 1
     assert compared > 60
+
+
+def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
+    """What is asked of a box on a deck of boards is what is asked of it on boxes in the boards' places.
+
+    Criteria that pass loads down also ask boxes in the boards' places, which may be lifted. And force balance takes a
+    box that stands on the deck with all its corners for part of the carrier, with a slack of 1.
+    """
+    rng, compared, unstable = np.random.default_rng(4), 0, 0
+    loads = [NAMES.index(name) for name in ("stacking_tree", "equilibrium")]
+    of_base = slice(min(loads))
+    for _ in range(60):
+        edges = np.sort(rng.choice(np.arange(0, 61), 8, replace=False)) * 10.0
+        boards = [box(0, low, 0, 600, high - low, 100) for low, high in edges.reshape(4, 2)]
+        boxes = random_stack(rng, 5)
+        lifted = [*boards, *((size, (x, y, z + 100), kg) for size, (x, y, z), kg in boxes)]
+        deck = np.array([((0.0, low), (600.0, high)) for low, high in edges.reshape(4, 2)])
+        found, twin = answer(make_plan(boxes=boxes), CRITERIA, MU, 0.5, deck), asked(lifted)
+        np.testing.assert_array_equal(found.n_supports, twin.n_supports[4:])
+        np.testing.assert_array_equal(found.corners, twin.corners[4:])
+        np.testing.assert_allclose(found.share, twin.share[4:], atol=1e-12)
+        np.testing.assert_allclose(found.slack[:, of_base], twin.slack[4:, of_base], atol=1e-9)
+        same = [number for number in range(len(NAMES)) if number not in loads]
+        np.testing.assert_array_equal(found.stable[:, same], twin.stable[4:, same])
+        assert (found.stable[:, loads] >= twin.stable[4:, loads]).all()
+        compared, unstable = compared + found.stable.size, unstable + int((found.stable == NO).sum())
+    assert 0.2 < unstable / compared < 0.8
+
+
+def test_a_box_over_a_gap_is_judged_by_what_bears_it() -> None:
+    deck = np.array([((0.0, 0.0), (1000.0, 145.0)), ((0.0, 186.0), (1000.0, 286.0))])
+    post = ((60.0, 60.0, 200.0), (100.0, 119.0, 0.0), 1.0)  # its centre 4 mm beyond the edge of the first board
+    found = answer(make_plan(boxes=[post]), CRITERIA, MU, 0.5, deck)
+    assert not any(says(found)[name] for name in HULL)
+    assert slack(found, "centre") == pytest.approx(-4)
+    assert found.share[0] == pytest.approx(26 / 60)
+    assert found.corners.tolist() == [2]
+    bridge = ((60.0, 100.0, 200.0), (100.0, 115.0, 0.0), 1.0)
+    found = answer(make_plan(boxes=[bridge]), CRITERIA, MU, 0.5, deck)
+    assert all(says(found)[name] for name in HULL)
+    assert found.n_supports.tolist() == [2]
+    assert slack(found, "force_balance") == pytest.approx(1 - 0.5 / 50, abs=0.05)
+    assert found.share[0] == pytest.approx(59 / 100)
 
 
 def test_friction_can_hold_what_vertical_forces_cannot() -> None:

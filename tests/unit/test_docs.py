@@ -21,8 +21,8 @@ from support.plan_files import placement
 
 from petmjx.checked import Checked
 from petmjx.config import Simulation
+from petmjx.plans.articles import read_articles
 from petmjx.plans.read import load_plans
-from petmjx.results.articles import read_articles
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCUMENTS = (
@@ -242,6 +242,11 @@ def test_examples_of_kpis_and_loads_run(with_the_minimal_plan: Path) -> None:
     assert read_articles(with_the_minimal_plan / "articles.csv") == read_articles(
         with_the_minimal_plan / "articles.toml"
     )
+
+
+def test_the_example_of_a_carrier_runs(tmp_path: Path) -> None:
+    (tmp_path / "half-pallet.toml").write_text(blocks("carriers.md", "toml")[0], encoding="utf-8")
+    assert "half pallet 5" in run_in(tmp_path, blocks("carriers.md", "python")[0])
 
 
 def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:

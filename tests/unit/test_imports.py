@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "version", "machine", "bounded", "checked", "arguments", "whole", "config"}),
+    frozenset({"errors", "text", "units", "version", "machine", "bounded", "checked", "arguments", "whole"}),
+    frozenset({"carrier", "materials", "config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),

@@ -16,7 +16,7 @@ from support.plan_files import placement, tower
 from support.runs import leave_unfinished
 
 import petmjx
-from petmjx.results.articles import Strength, read_articles
+from petmjx.plans.articles import Article, Strength, read_articles
 from petmjx.show.load_tables import load_tables
 from petmjx.units import STANDARD_GRAVITY
 
@@ -44,8 +44,8 @@ def test_mckee_by_hand() -> None:
 def test_all_forms_say_the_same() -> None:
     rows = ("milk,,900,,,", ",dairy products,,5,4,3", "jam,,1200,,,2")
     expected = read_articles(table(*rows))
-    assert expected.by_article == {"milk": Strength(900), "jam": Strength(1200, safety_factor=2)}
-    assert expected.by_group == {"dairy products": Strength(None, 5, 4, 3)}
+    assert expected.by_article == {"milk": Article(Strength(900)), "jam": Article(Strength(1200, safety_factor=2))}
+    assert expected.by_group == {"dairy products": Article(Strength(None, 5, 4, 3))}
     write(
         Path("articles.toml"),
         "[articles.milk]\nstrength_n = 900\n[articles.jam]\nstrength_n = 1200\nsafety_factor = 2\n"
@@ -60,9 +60,9 @@ def test_all_forms_say_the_same() -> None:
 
 def test_the_article_counts_before_its_group() -> None:
     articles = read_articles(table("milk,,900,,,", ",dairy,500,,,"))
-    assert articles.find("milk", "dairy") == Strength(900)
-    assert articles.find("cheese", "dairy") == Strength(500)
-    assert articles.find("bread", "") is None
+    assert articles.find("milk", "dairy").strength == Strength(900)
+    assert articles.find("cheese", "dairy").strength == Strength(500)
+    assert articles.find("bread", "").strength is None
 
 
 @pytest.mark.parametrize(

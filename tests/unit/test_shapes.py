@@ -35,6 +35,7 @@ from petmjx.engines.batch.template import parked_positions
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.metrics import motion_jax as motion
 from petmjx.world.job import Job
+from petmjx.world.pairs import MOST_SURFACES
 
 ROWS, WIDTH = 8, 5
 SIM = Simulation()
@@ -106,7 +107,8 @@ def axis_sizes(record: Any) -> dict[str, int]:
 
 def of_boxes(rows: int, boxes: int) -> dict[str, int]:
     """Sizes of the axes of ``Worlds`` whose carriers have one shape."""
-    return {"world": rows, "box": boxes, "body": boxes + 1, "body_end": boxes + 2, "shape": boxes + 1}
+    of_bodies = {"body": boxes + 1, "body_end": boxes + 2, "shape": boxes + 1}
+    return {"world": rows, "box": boxes, **of_bodies, "surface": MOST_SURFACES}
 
 
 @pytest.fixture(scope="module")

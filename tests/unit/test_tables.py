@@ -78,7 +78,7 @@ coordinates = st.one_of(st.integers(-20_000, 20_000), st.floats(-20_000, 20_000)
 @st.composite
 def plan_lists(draw: st.DrawFn) -> list[Plan]:
     plan_ids = draw(st.lists(names.filter(bool), min_size=1, max_size=4, unique=True))
-    with_groups, turned, numbered = draw(st.booleans()), draw(st.booleans()), draw(st.booleans())
+    with_groups, turned, numbered, like_others = (draw(st.booleans()) for _ in range(4))
     plans = []
     for plan_id in plan_ids:
         n = draw(st.integers(1, 4))
@@ -92,6 +92,10 @@ def plan_lists(draw: st.DrawFn) -> list[Plan]:
             columns["orientation"] = draw(st.lists(st.integers(0, 1), min_size=n, max_size=n))
         if numbered:
             columns["order_sequence"] = draw(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=n, max_size=n))
+        if like_others:
+            columns["material"] = draw(st.lists(names, min_size=n, max_size=n))
+            for side in ("length", "width", "height"):
+                columns[f"com_{side}_mm"] = draw(st.lists(st.floats(-0.49, 0.49), min_size=n, max_size=n))
         arrays = {
             "size_mm": draw(st.lists(st.tuples(sizes, sizes, sizes), min_size=n, max_size=n)),
             "corner_mm": draw(st.lists(st.tuples(coordinates, coordinates, coordinates), min_size=n, max_size=n)),

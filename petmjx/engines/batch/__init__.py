@@ -6,6 +6,7 @@ Shapes are annotations that tests check at every call. Their axes, here and in `
 * ``box``: boxes of a world, padded to the same number in all worlds of a table;
 * ``body``: the carrier, then the boxes, and with ``body_end`` one more; MuJoCo's have the world's body before them;
 * ``shape``: shapes of the bodies, in their order; with the floor before them they are MuJoCo's geoms;
+* ``surface``: surfaces of shapes, between which friction is said;
 * ``coordinate`` and ``velocity``: generalized positions and velocities of one world;
 * ``constraint``: rows of MuJoCo's constraints;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;

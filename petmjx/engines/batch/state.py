@@ -20,6 +20,7 @@ from petmjx.config import SOFT_START_STEPS, Simulation
 from petmjx.history import CARRIER
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
+from petmjx.world.pairs import filled_up
 from petmjx.world.release import NOTHING, release_of
 from petmjx.world.scene import IDENTITY_QUAT
 
@@ -49,11 +50,11 @@ class Worlds(NamedTuple):
     Body 0 is the carrier, and box k is body k + 1. The shapes of body b are from ``first_shape[b]`` on, in the order of
     bodies, and ``shape_body`` says whose each is. ``half`` and ``middle`` are the boxes' half extents and their middles
     in their frames; ``inertia_box`` is as in ``petmjx.world.body.Body``. ``floor_friction`` and ``friction``: sliding,
-    torsional and rolling coefficients. ``drive_yaw`` is (cos, sin); ``drive_steps`` counts from the drive's
-    first step to the world's end. ``driven``: a drive follows; ``held``: it holds the carrier fast. ``settles``: the
-    placement ends in a settled state, for a drive or to keep. ``pauses``: when its boxes rest the world waits for more
-    (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``
-    is where the plan has it (petmjx/world/release.py).
+    torsional and rolling coefficients; ``shape_surface`` and ``pair_friction``: petmjx/world/pairs.py. ``drive_yaw`` is
+    (cos, sin); ``drive_steps`` counts from the drive's first step to the world's end. ``driven``: a drive follows;
+    ``held``: it holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
+    ``pauses``: when its boxes rest the world waits for more (petmjx/engines/open.py). ``start`` is where a box is
+    released if its ``support`` is where the plan has it (petmjx/world/release.py).
     """
 
     n_boxes: Int[Array, " world"]
@@ -71,6 +72,8 @@ class Worlds(NamedTuple):
     shape_pos: Float[Array, "world shape 3"]
     friction: Float[Array, "world shape 3"]
     floor_friction: Float[Array, "world 3"]
+    shape_surface: Int[Array, "world shape"]
+    pair_friction: Float[Array, "world surface surface"]
     floor_z: Float[Array, " world"]
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]
@@ -211,7 +214,7 @@ def upload_worlds(
     support = np.full((n, width), NOTHING, np.int32)
     mass, inertia_box = np.ones((n, width + 1), np.float32), np.full((n, width + 1, 3), 0.1, np.float32)
     first_shape = np.tile(np.arange(width + 2, dtype=np.int32), (n, 1))
-    shape_body = np.zeros((n, boards + width), np.int32)
+    shape_body, shape_surface = (np.zeros((n, boards + width), np.int32) for _ in range(2))
     shape_half, shape_pos, friction = (np.full((n, boards + width, 3), fill, np.float32) for fill in (0.1, 0.0, 1.0))
     for row, scene in enumerate(scenes):
         k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
@@ -224,6 +227,7 @@ def upload_worlds(
         first_shape[row, 1:] += len(scene.carrier.half_size) - 1
         shape_body[row, :s], shape_half[row, :s] = shapes.body - CARRIER, shapes.half_size
         shape_pos[row, :s], friction[row, :s] = shapes.pos, shapes.friction
+        shape_surface[row, :s] = shapes.surface
     spare = rows - len(jobs)
     fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
 
@@ -255,6 +259,8 @@ def upload_worlds(
         shape_pos=spread(shape_pos),
         friction=spread(friction),
         floor_friction=spread([scene.floor_friction for scene in scenes]),
+        shape_surface=spread(shape_surface, np.int32),
+        pair_friction=spread([filled_up(scene.pair_friction) for scene in scenes]),
         floor_z=spread([scene.floor_z for scene in scenes]),
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
         drive_scale=each(_drive_factor, np.float32),

@@ -17,6 +17,7 @@ from petmjx.config import Physics, Solver
 from petmjx.engines.batch.state import Worlds
 from petmjx.world.body import Body
 from petmjx.world.model import HeldCarrier, build_spec
+from petmjx.world.pairs import LARGER
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 FLOOR_GEOM = 0
@@ -146,5 +147,10 @@ def override_fields(
         partners = jnp.maximum(
             fields["geom_friction"][:, model.pair_geom1], fields["geom_friction"][:, model.pair_geom2]
         )
-        fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])]
+        surface = jnp.concatenate([jnp.zeros((n_worlds, 1), jnp.int32), worlds.shape_surface], axis=1)
+        own = worlds.pair_friction[
+            jnp.arange(n_worlds)[:, None], surface[:, model.pair_geom1], surface[:, model.pair_geom2]
+        ]
+        sliding = jnp.where(own == LARGER, partners[..., 0], own)
+        fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])].at[..., :2].set(sliding[..., None])
     return fields

@@ -118,6 +118,8 @@ class Worlds:
     shape_pos: Annotated[wp.array3d[float], "world shape 3"]
     friction: Annotated[wp.array3d[float], "world shape 3"]
     floor_friction: Annotated[wp.array2d[float], "world 3"]
+    shape_surface: Annotated[wp.array2d[int], "world shape"]
+    pair_friction: Annotated[wp.array3d[float], "world surface surface"]
     floor_z: Annotated[wp.array[float], "world"]
     profile: Annotated[wp.array[int], "world"]
     drive_scale: Annotated[wp.array[float], "world"]

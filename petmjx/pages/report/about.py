@@ -9,7 +9,7 @@ from petmjx.config import Simulation
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.results.reader import FINISHED, told_apart
-from petmjx.text import counted, duration, three_digits
+from petmjx.text import counted, duration, shown, three_digits
 
 MOST_LINES: Final = 20
 """Skipped plans, warnings or files that are listed; of more there is the number."""
@@ -91,6 +91,8 @@ def differing(values: Mapping[str, Any], defaults: Mapping[str, Any], path: str 
 def _said(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(_said, value))
+    if isinstance(value, Mapping):  # a carrier of the user's own
+        return shown(str(value.get("name")))
     return "none" if value is None else str(value)
 
 

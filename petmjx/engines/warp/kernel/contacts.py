@@ -236,6 +236,23 @@ def _friction(worlds: Worlds, world: int, geom: int) -> float:
 
 
 @wp.func
+def _surface(worlds: Worlds, world: int, geom: int) -> int:
+    """Surface of a geom; the floor has 0, of which nothing is said."""
+    if geom == 0:
+        return 0
+    return worlds.shape_surface[world, geom - 1]
+
+
+@wp.func
+def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
+    """Sliding friction between two geoms: that of their surfaces, else the larger one."""
+    own = worlds.pair_friction[world, _surface(worlds, world, first), _surface(worlds, world, second)]
+    if own >= 0.0:
+        return own
+    return wp.max(_friction(worlds, world, first), _friction(worlds, world, second))
+
+
+@wp.func
 def make_constraint(
     # Model:
     model: Model,
@@ -266,7 +283,7 @@ def make_constraint(
         body_two = body_of(worlds, world, second)
         one = body_one - at.held
         two = body_two - at.held
-        mu = wp.max(wp.max(_friction(worlds, world, first), _friction(worlds, world, second)), MIN_FRICTION)
+        mu = wp.max(_friction_of_pair(worlds, world, first, second), MIN_FRICTION)
         weight = _give(worlds, at, body_one) + _give(worlds, at, body_two)
         if model.pyramidal != 0:
             weight = 2.0 * mu * mu * weight * (1.0 + mu * mu)

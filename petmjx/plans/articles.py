@@ -1,8 +1,9 @@
-"""How much boxes bear: a table of articles or product groups, given by the user.
+"""What the boxes of an article or a product group are like: a table of the user's.
 
-A strength is given in newtons, or follows from the carton's board by McKee's formula (McKee, Gander, Wachuta 1963,
-"Compression strength formula for corrugated boxes", Paperboard Packaging 48(8)): 5.87 · edge crush strength ·
-√(thickness · perimeter). It is that of a new box in a press; a safety factor makes it what a box bears in use.
+It says what boxes are made of, where their centres of mass are, and what they bear. A strength is given in newtons, or
+follows from the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for
+corrugated boxes", Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). It is that of a
+new box in a press; a safety factor makes it what a box bears in use.
 """
 
 from __future__ import annotations
@@ -12,18 +13,20 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from petmjx.bounded import open_regular
 from petmjx.checked import read_toml, reason
 from petmjx.errors import InputError
-from petmjx.plans.fields import kind, listed
+from petmjx.plans.fields import LARGEST_MM, kind, listed
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
+from petmjx.plans.plan import Plan, com_along_axes
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.text import number_in, printable, shown
 
@@ -33,13 +36,19 @@ MCKEE: Final = 5.87
 _KEYS: Final = ("article", "product_group")
 _SIMPLE: Final = "strength_n"
 _BOARD: Final = ("ect_kn_m", "thickness_mm", "safety_factor")
+_COM: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
+_MATERIAL: Final = "material"
 _NUMBERS: Final = {
     _SIMPLE: (0.0, 1e9),
     "ect_kn_m": (0.0, 1e3),
     "thickness_mm": (0.0, 100.0),
     "safety_factor": (1.0, 1e3),
+    **dict.fromkeys(_COM, (-LARGEST_MM / 2, LARGEST_MM / 2)),
 }
-"""Fields and the limits between which they make sense; the lower one is allowed for the factor only."""
+"""Fields and the limits between which they make sense; a lower one of 0 is not allowed itself."""
+_FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
+
+_LONGEST_MATERIAL: Final = 100
 
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group"}
 
@@ -71,15 +80,39 @@ class Strength:
 
 
 @dataclass(frozen=True)
+class Article:
+    """What is said of an article or a product group.
+
+    Attributes:
+        strength: what boxes bear; None: it is not said.
+        material: what they are made of, for friction (petmjx.materials); None: it is not said.
+        com_mm: centre of mass, seen from the box's middle along its length, width and height, mm; None: it is not said.
+    """
+
+    strength: Strength | None = None
+    material: str | None = None
+    com_mm: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Articles:
-    """Strengths by article and by product group; the article's counts where there are both."""
+    """What is said by article and by product group; field by field the article's counts where there are both."""
 
-    by_article: Mapping[str, Strength]
-    by_group: Mapping[str, Strength]
+    by_article: Mapping[str, Article]
+    by_group: Mapping[str, Article]
 
-    def find(self, article: str, group: str) -> Strength | None:
-        """The strength of a box; None where there is none."""
-        return self.by_article.get(article) or (self.by_group.get(group) if group else None)
+    def find(self, article: str, group: str) -> Article:
+        """All that is said of a box."""
+        own = self.by_article.get(article, _NOTHING)
+        others = self.by_group.get(group, _NOTHING) if group else _NOTHING
+        return Article(
+            own.strength or others.strength,
+            own.material if own.material is not None else others.material,
+            own.com_mm if own.com_mm is not None else others.com_mm,
+        )
+
+
+_NOTHING: Final = Article()
 
 
 def read_articles(path: str | Path) -> Articles:
@@ -104,33 +137,44 @@ def read_articles(path: str | Path) -> Articles:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from None
     if not rows:
         raise InputError(f"{name}: holds no article")
-    found: dict[str, dict[str, Strength]] = {key: {} for key in _KEYS}
+    found: dict[str, dict[str, Article]] = {key: {} for key in _KEYS}
     for where, row in rows:
-        key, value, strength = _strength(f"{name}: {where}", row)
+        key, value, article = _article(f"{name}: {where}", row)
         if value in found[key]:
             raise InputError(f"{name}: {where}: {key} {shown(value)} is there twice")
-        found[key][value] = strength
+        found[key][value] = article
     return Articles(found["article"], found["product_group"])
 
 
-def _strength(where: str, row: Mapping[str, Any]) -> tuple[str, str, Strength]:
-    """One checked row: which name it is of, the name, and its strength."""
+def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
+    """One checked row: which name it is of, the name, and what it says."""
     known = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
-    unknown = [name for name in known if name not in (*_KEYS, *_NUMBERS)]
+    unknown = [name for name in known if name not in _FIELDS]
     if unknown:
-        fields = ", ".join((*_KEYS, *_NUMBERS))
-        raise InputError(f"{where}: unknown field {shown(unknown[0])}; there are {fields}")
+        raise InputError(f"{where}: unknown field {shown(unknown[0])}; there are {', '.join(_FIELDS)}")
     keys = [key for key in _KEYS if key in known]
     if len(keys) != 1:
         raise InputError(f"{where}: must name either an article or a product_group")
     numbers = {field: _number(where, field, known[field]) for field in _NUMBERS if field in known}
+    com = [numbers.pop(field) if field in numbers else None for field in _COM]
+    com_mm = None if com == [None] * 3 else (com[0] or 0.0, com[1] or 0.0, com[2] or 0.0)
+    material = known.get(_MATERIAL)
+    if material is not None and not (isinstance(material, str) and len(material) <= _LONGEST_MATERIAL):
+        raise InputError(
+            f"{where}: {_MATERIAL} must be text of at most {_LONGEST_MATERIAL} characters, got {_got(material)}"
+        )
+    bears = None if not numbers and (material is not None or com_mm is not None) else _strength(where, numbers)
+    return keys[0], str(known[keys[0]]), Article(bears, material, com_mm)
+
+
+def _strength(where: str, numbers: Mapping[str, float]) -> Strength:
     board = [field for field in _BOARD if field not in numbers]
     if _SIMPLE in numbers and any(field in numbers for field in _BOARD[:2]):
         raise InputError(f"{where}: give either {_SIMPLE}, or {listed(_BOARD)}")
     if _SIMPLE not in numbers and board:
         verb = "is" if len(board) == 1 else "are"
         raise InputError(f"{where}: needs {_SIMPLE}, or {listed(_BOARD)}; of these {listed(board)} {verb} missing")
-    return keys[0], str(known[keys[0]]), Strength(**numbers)
+    return Strength(**numbers)
 
 
 def _number(where: str, field: str, value: Any) -> float:
@@ -143,8 +187,8 @@ def _number(where: str, field: str, value: Any) -> float:
             number = float(value)
     if number is None:
         number = math.nan
-    if not (low < number <= high or number == low == 1.0):
-        least = "≥ 1" if low else "> 0"
+    if not (low < number <= high or (low and number == low)):
+        least = f"≥ {low:g}" if low else "> 0"
         raise InputError(f"{where}: {field} must be a number {least} and at most {high:g}, got {_got(value)}")
     return number
 
@@ -210,3 +254,34 @@ def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
             f"row {number}",
             {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in row.items()},
         )
+
+
+# What it makes of plans.
+
+
+def with_articles(plan: Plan, articles: Articles) -> Plan:
+    """The plan with materials and centres of mass of its boxes; the same object if nothing is said of them.
+
+    What the plan says of a box itself comes before what the table says.
+
+    Raises:
+        InputError: ", placement 3: …": a centre of mass is not inside its box.
+    """
+    groups = plan.product_groups or ("",) * plan.n_boxes
+    said = [articles.find(*names) for names in zip(plan.articles, groups, strict=True)]
+    changes: dict[str, Any] = {}
+    if any(each.material for each in said):
+        own_materials = plan.materials or ("",) * plan.n_boxes
+        changes["materials"] = tuple(own or each.material or "" for own, each in zip(own_materials, said, strict=True))
+    if any(each.com_mm for each in said):
+        offset = np.array([each.com_mm or (0.0, 0.0, 0.0) for each in said])
+        outside = 2 * np.abs(offset) >= plan.item_size_mm
+        if outside.any():
+            box, axis = np.argwhere(outside)[0].tolist()
+            where, size = f", placement {box}: {_COM[axis]}", plan.item_size_mm[box, axis]
+            name = shown(plan.articles[box])
+            raise InputError(f"{where} of article {name} is {offset[box, axis]:g}, not inside the box of {size:g} mm")
+        own = plan.item_com_mm
+        offset = np.where(own.any(axis=1, keepdims=True), own, offset)
+        changes["mass_center_mm"] = com_along_axes(offset, plan.turned)
+    return replace(plan, **changes) if changes else plan

@@ -1,0 +1,84 @@
+"""Friction by pairs of materials: coefficients with their sources, and users' own."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Final
+
+from pydantic import Field, StrictFloat
+
+from petmjx.checked import Checked
+from petmjx.errors import InputError
+from petmjx.text import counted, shown
+
+WOOD: Final = "wood"
+STEEL: Final = "steel"
+
+_CTU: Final = {
+    ("cardboard", "cardboard"): 0.5,
+    ("cardboard", "wood"): 0.5,
+    ("film", "wood"): 0.3,
+    ("steel", "wood"): 0.3,
+    ("plastic", "wood"): 0.2,
+    ("plastic", "steel"): 0.15,
+    ("steel", "steel"): 0.2,
+}
+"""IMO/ILO/UNECE Code of Practice for Packing of Cargo Transport Units (CTU Code), Annex 7, Appendix 2, dry surfaces:
+cardboard against cardboard; cardboard against wooden pallet; wooden pallet against shrink film; sawn timber against
+stainless steel sheet; plastic pallet against plywood; plastic pallet against stainless steel sheet; smooth metal
+against smooth metal."""
+
+_GUIDELINES: Final = {("wood", "wood"): 0.5, ("film", "film"): 0.3, ("film", "steel"): 0.3}
+"""European Best Practice Guidelines on Cargo Securing for Road Transport (European Commission), table of static
+friction: sawn timber against wood; shrink film against shrink film; shrink film against steel."""
+
+FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {**_CTU, **_GUIDELINES}
+"""Coefficient of static friction between two materials, which are in alphabetical order. The CTU Code takes 75 % of it
+for cargo that slides; petmjx has one coefficient, as MuJoCo does."""
+
+_MOST_NAMED: Final = 5
+
+Name = Annotated[str, Field(min_length=1, max_length=100)]
+
+
+class FrictionPair(Checked):
+    """The coefficient of sliding friction between two materials, or of one with itself."""
+
+    between: tuple[Name, Name] = Field(description="the two materials")
+    friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
+
+
+def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float | None:
+    """The coefficient of a pair of materials, whose names differ neither by case nor by white space around them; None:
+    it is not known. Of users' own the last one counts."""
+    pair = _pair(one, other)
+    said = [each.friction for each in own if _pair(*each.between) == pair]
+    return said[-1] if said else FRICTION_OF_PAIRS.get(pair)
+
+
+def _pair(one: str, other: str) -> tuple[str, str]:
+    first, second = sorted((one.strip().lower(), other.strip().lower()))
+    return first, second
+
+
+def check_pairs(boxes: Sequence[str], boards: Iterable[str], own: Sequence[FrictionPair]) -> None:
+    """Whether friction between materials of boxes, and between them and those of boards, is known.
+
+    Args:
+        boxes: of each box that has one. A box does not touch itself.
+
+    Raises:
+        InputError: of which pairs it is not.
+    """
+    count = Counter(boxes)
+    pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}
+    pairs |= {(min(pair), max(pair)) for pair in itertools.product(count, {*boards})}
+    missing = sorted(pair for pair in pairs if friction_between(*pair, own) is None)
+    if missing:
+        named = ", ".join(f"{shown(one)} on {shown(other)}" for one, other in missing[:_MOST_NAMED])
+        more = f" and {counted(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""
+        one, other = map(shown, missing[0])
+        example = f'friction_pairs = [{{between = ["{one}", "{other}"], friction = 0.4}}]'
+        raise InputError(f"no friction is known of {named}{more}: give it, as in {example}")

@@ -1,0 +1,107 @@
+"""Which surfaces the shapes of a plan's world have, and the friction between them: by materials, and by boards' own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.materials import WOOD, check_pairs, friction_between
+from petmjx.plans.plan import Plan
+from petmjx.text import shown
+from petmjx.units import FloatArray
+from petmjx.world.carriers import pallet
+from petmjx.world.pairs import LARGER, MOST_SURFACES, no_pairs
+
+_NOT_SAID: Final = ""
+"""The material of a box of which nothing is said."""
+
+_Board = tuple[float | None, str]
+"""A board's own friction, and its material."""
+
+
+class Surfaces(NamedTuple):
+    """The surfaces of a world.
+
+    Attributes:
+        of_boxes: (n,).
+        of_boards: (s,) of the carrier's.
+        friction: (k, k) between surfaces (petmjx/world/pairs.py).
+    """
+
+    of_boxes: NDArray[np.intp]
+    of_boards: NDArray[np.intp]
+    friction: FloatArray
+
+
+def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None:
+    """The surfaces of a plan's boxes and its carrier's boards; None where neither boxes have materials nor boards a
+    friction of their own, and with pyramidal cones, whose pairs have none.
+
+    Between a box and a board the board's own friction counts, if it has one, else that of their materials. Where a box
+    has no material the larger coefficient of two shapes counts.
+
+    Raises:
+        InputError: friction between two of the materials is not known, or there are too many of them.
+    """
+    boards = _boards(sim, n_boards)
+    materials = plan.materials or (_NOT_SAID,) * plan.n_boxes
+    said = any(materials)
+    if not sim.physics.has_own_friction or not (said or any(own is not None for own, _ in boards)):
+        return None
+    of_boxes, of_boards = sorted(set(materials)), sorted(set(boards), key=repr)
+    if said:
+        of_materials = [material for own, material in of_boards if own is None]
+        check_pairs([material for material in materials if material], of_materials, sim.friction_pairs)
+    if 1 + len(of_boxes) + len(of_boards) > MOST_SURFACES:
+        raise InputError(
+            f"plan {shown(plan.plan_id)}: at most {MOST_SURFACES - 1} surfaces of boxes and boards, got "
+            f"{len(of_boxes) + len(of_boards)}"
+        )
+    table = no_pairs(1 + len(of_boxes) + len(of_boards))
+    for row, one in enumerate(of_boxes, start=1):
+        for column, other in enumerate(of_boxes, start=1):
+            table[row, column] = _between(one, other, sim)
+        for column, (own, material) in enumerate(of_boards, start=1 + len(of_boxes)):
+            table[row, column] = table[column, row] = own if own is not None else _between(one, material, sim)
+    surface_of = {material: row for row, material in enumerate(of_boxes, start=1)}
+    surface_of_board = {board: row for row, board in enumerate(of_boards, start=1 + len(of_boxes))}
+    return Surfaces(
+        np.array([surface_of[material] for material in materials]),
+        np.array([surface_of_board[board] for board in boards]),
+        table,
+    )
+
+
+def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
+    """Whether friction between all materials of all plans is known; a line where materials do not count.
+
+    Raises:
+        InputError: as ``find_surfaces``.
+    """
+    with_materials = [plan for plan in plans if plan.materials]
+    if not with_materials:
+        return []
+    if not sim.physics.has_own_friction:
+        return ["materials do not count: with pyramidal cones friction is that of boxes and carrier alone"]
+    found = pallet(sim.carrier)
+    for plan in with_materials:
+        find_surfaces(plan, sim, 1 if found is None else len(found.boards))
+    return []
+
+
+def _boards(sim: Simulation, count: int) -> list[_Board]:
+    found = pallet(sim.carrier)
+    frictions = found.frictions if found is not None else ()
+    materials = found.materials if found is not None else ()
+    return list(zip(frictions or (None,) * count, materials or (WOOD,) * count, strict=True))
+
+
+def _between(one: str, other: str, sim: Simulation) -> float:
+    """As in a table; of a pair that is not known no two bodies touch (``check_pairs``)."""
+    found = friction_between(one, other, sim.friction_pairs) if one and other else None
+    return LARGER if found is None else found
