@@ -6,10 +6,11 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
-from pydantic import BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
 from pydantic._internal._model_construction import ModelMetaclass  # has no public name
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
@@ -47,6 +48,21 @@ LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
 """Tags of the members of a union, where the shape of a value decides which member it is. pydantic puts tags into the
 path of an error; the angle brackets let `describe` find them and take them out."""
+
+
+@dataclass(frozen=True)
+class CliFlag:
+    """The name of a field on the command line.
+
+    Attributes:
+        metavar: placeholder of its value in the help.
+        default: what the help shows as the default where the field's own default is None.
+    """
+
+    name: str
+    metavar: str = "NAME"
+    short: str = ""
+    default: str = ""
 
 
 class _OneLine(ModelMetaclass):
@@ -135,6 +151,17 @@ def complaint(text: str, *path: str | int) -> ValidationError:
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
     return ValidationError.from_exception_data("value", [InitErrorDetails(type=kind, loc=path, input=None)])
+
+
+def within(low: float, high: float) -> AfterValidator:
+    """A check of a physical range, whose error names the range."""
+
+    def check(value: Any) -> Any:
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"must be from {low:g} to {high:g}, {got(value)}")
+        return value
+
+    return AfterValidator(check)
 
 
 def shape(value: object) -> str:

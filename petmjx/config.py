@@ -7,13 +7,12 @@ and the ``[simulation]`` table of sweep files are made from these records. ``run
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
-from petmjx.checked import Checked, complaint, got
+from petmjx.checked import Checked, CliFlag, complaint, got, within
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -26,21 +25,6 @@ HIGHEST_FRICTION: Final = 100.0
 
 SOFT_START_STEPS: Final = 100
 """Before time counts: so many steps without gravity, then as many with gravity × k / ``SOFT_START_STEPS``."""
-
-
-@dataclass(frozen=True)
-class CliFlag:
-    """The name of a field on the command line.
-
-    Attributes:
-        metavar: placeholder of its value in the help.
-        default: what the help shows as the default where the field's own default is None.
-    """
-
-    name: str
-    metavar: str = "NAME"
-    short: str = ""
-    default: str = ""
 
 
 class Check(StrEnum):
@@ -99,17 +83,6 @@ TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """Carriers that are BED-BPP's targets."""
 
 Triple = tuple[float, float, float]
-
-
-def within(low: float, high: float) -> AfterValidator:
-    """A check of a physical range, whose error names the range."""
-
-    def check(value: Any) -> Any:
-        if value is not None and not low <= value <= high:
-            raise ValueError(f"must be from {low:g} to {high:g}, {got(value)}")
-        return value
-
-    return AfterValidator(check)
 
 
 def _no_negatives(values: Triple) -> Triple:

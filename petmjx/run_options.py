@@ -15,8 +15,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from petmjx.checked import Checked, complaint, got, hint
-from petmjx.config import CliFlag, Simulation, within
+from petmjx.checked import Checked, CliFlag, complaint, got, hint, within
+from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.units import PLAN_UNITS, plan_units
 

@@ -13,8 +13,8 @@ from typing import Annotated, Any, TypeVar, get_args
 import typer
 from pydantic.fields import FieldInfo
 
-from petmjx.checked import Checked
-from petmjx.config import CliFlag, Simulation
+from petmjx.checked import Checked, CliFlag
+from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.run_options import RunOptions
 from petmjx.text import printable

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field
 
-from petmjx.checked import Checked, got, hint
-from petmjx.config import CliFlag, within
+from petmjx.checked import Checked, CliFlag, got, hint, within
 from petmjx.errors import InputError
 from petmjx.pictures.camera import VIEWS, view_of
 from petmjx.text import shown

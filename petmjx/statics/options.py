@@ -6,8 +6,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from petmjx.checked import Checked
-from petmjx.config import PHYSICS, CliFlag, within
+from petmjx.checked import Checked, CliFlag, within
+from petmjx.config import PHYSICS
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.statics.named import Criterion, chosen_criteria
 

@@ -26,8 +26,8 @@ from support.command_line import (
     write,
 )
 
-from petmjx.checked import Checked
-from petmjx.config import CliFlag, Simulation, Thresholds
+from petmjx.checked import Checked, CliFlag
+from petmjx.config import Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans

@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, StrictFloat, model_validator
 
 from petmjx.bounded import read_regular
-from petmjx.checked import Checked, got, read_toml, reason
-from petmjx.config import within
+from petmjx.checked import Checked, got, read_toml, reason, within
 from petmjx.errors import InputError
 from petmjx.text import printable, shown
 from petmjx.world.profiles.base import MAX_PROFILE_S
