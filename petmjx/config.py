@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final, Self
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
 from petmjx.checked import Checked, CliFlag, complaint, got, within
+from petmjx.placing import EXACT, Placing, Way
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -334,6 +335,7 @@ class Simulation(Checked):
         description="simulate worlds with a margin below a half again at half the timestep, and name those that change "
         "(flag timestep)",
     )
+    placing: Placing = Field(EXACT, description="how a box is placed")
     thresholds: Thresholds = Field(Thresholds(), description="where a plan stops being stable")
     quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
     solver: Annotated[Solver, CliFlag("--solver")] = Field(
@@ -368,6 +370,19 @@ class Simulation(Checked):
                 raise complaint("needs check one-by-one and schedule fixed", "total_time_factor")
             if self.rest_s != type(self).model_fields["rest_s"].default:
                 raise complaint("contradicts total_time_factor: drop one of them", "rest_s")
+        return self
+
+    @model_validator(mode="after")
+    def _placed_one_by_one(self) -> Self:
+        way = self.placing.name
+        if way is not Way.EXACT and self.check is Check.STATIC:
+            raise complaint(
+                f"{way} needs check one-by-one: in a static check all boxes stand from the start", "placing"
+            )
+        if self.placing.carries and self.schedule is Schedule.FIXED:
+            raise complaint(
+                f"{way} needs schedule adaptive: a fixed one does not wait until a box is let go", "placing"
+            )
         return self
 
     @property

@@ -32,6 +32,8 @@ class Plan:
         orientation: (n,) 0 or 1: whether the item's own length lies along x or along y; None: nobody said, and the
             extents are taken as the item's own sizes.
         product_groups: n names, "" where an item has none; empty: no item has one.
+        approach_deg: (n,) level direction in which each box goes to its place, from +x to +y; NaN where nobody said;
+            None: nobody said of any. Used where boxes are carried (``petmjx.placing``).
     """
 
     plan_id: str
@@ -44,6 +46,7 @@ class Plan:
     sequence: NDArray[np.int64]
     orientation: NDArray[np.int64] | None = None
     product_groups: tuple[str, ...] = ()
+    approach_deg: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Take lists for arrays, and refuse what no engine could use; from_boxes says which box it is.

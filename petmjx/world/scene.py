@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import CARRIER_EXTENT_M, Simulation, Triple
 from petmjx.history import CARRIER
+from petmjx.placing import EXACT, Placing
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
 from petmjx.world.body import Body, Shapes
@@ -32,6 +33,7 @@ OF_BOXES: Final = (
     "friction",
     "mass_center",
     "inertia_box",
+    "approach",
 )
 """What of a scene has a row for each box, or is None."""
 
@@ -54,6 +56,9 @@ class Scene:
         floor_z: m.
         mass_center: (n, 3) centres of mass, seen from the middles along the boxes' axes, m; None: in the middles.
         inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
+        placing: how boxes come to their places.
+        approach: (n, 2) level directions in which they do so, of length 1; 0, or None for all: that which follows from
+            what stands there.
     """
 
     half_size: NDArray[np.float64]
@@ -67,6 +72,8 @@ class Scene:
     floor_z: float
     mass_center: NDArray[np.float64] | None = None
     inertia_box: NDArray[np.float64] | None = None
+    placing: Placing = EXACT
+    approach: NDArray[np.float64] | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -99,11 +106,11 @@ class Scene:
             return middle
         return middle - turned(quat, self.middle[: middle.shape[-2]])
 
-    def start_frame(self, box: int, middle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) origin of a box's frame when its middle is here and it is turned as at its release, m."""
+    def frame(self, box: int, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3,) origin of a box's frame when its middle is here and it is turned like this, m."""
         if self.mass_center is None:
             return middle
-        origin: NDArray[np.float64] = middle - turned(self.start_quat[box], self.middle[box])
+        origin: NDArray[np.float64] = middle - turned(quat, self.middle[box])
         return origin
 
     @cached_property
@@ -146,7 +153,17 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         carrier=_slab(plan, sim) if boards is None else body_of(boards, physics),
         floor_friction=physics.floor_friction,
         floor_z=floor_z_m(sim),
+        placing=sim.placing,
+        approach=_directions(plan),
     )
+
+
+def _directions(plan: Plan) -> NDArray[np.float64] | None:
+    """(n, 2) approaches that a plan gives."""
+    if plan.approach_deg is None:
+        return None
+    angle = np.radians(plan.approach_deg)
+    return np.asarray(np.nan_to_num(np.stack([np.cos(angle), np.sin(angle)], axis=1)))
 
 
 def _slab(plan: Plan, sim: Simulation) -> Body:

@@ -13,7 +13,21 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "version", "machine", "bounded", "checked", "arguments", "whole", "config"}),
+    frozenset(
+        {
+            "errors",
+            "text",
+            "units",
+            "version",
+            "machine",
+            "bounded",
+            "checked",
+            "arguments",
+            "whole",
+            "placing",
+            "config",
+        }
+    ),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),
