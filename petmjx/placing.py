@@ -44,7 +44,7 @@ class Placing(Checked):
         10.0, description="hand, tines: how far beside its place a box begins, against its approach, mm"
     )
     speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
-        0.15, description="hand, tines: largest speed on the way, m/s"
+        0.13, description="hand, tines: largest speed on the way, m/s"
     )
     force_n: Annotated[float, within(0.1, 100_000), CliFlag("--placing-force-n", "N")] = Field(
         100.0, description="hand, tines: what the robot presses with at most, beside holding the box's weight, N"

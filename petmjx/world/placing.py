@@ -32,7 +32,19 @@ MOST_WAY_S: Final = 2.0
 """Time of the longest way: a box that must begin high above its place goes faster than others."""
 
 MOST_STUCK_S: Final = 0.5
-"""How long a hand holds a box at most after the way's end, if it does not come to rest."""
+"""How long a hand holds a box at most after the way's end, if it does not come to rest; and as long while it sets it
+down."""
+
+AT_PLACE_M: Final = 0.0002
+"""A box that is no further from its way's end is there: the softness of a contact is a tenth of a millimetre."""
+
+LOWERING_RATE_1_S: Final = 400.0
+MOST_LOWERING_PER_STEP: Final = 0.8
+"""A box is set down by a damper of this rate, 1/s, but at most so much per step: semi-implicit Euler is stable below 2.
+It sinks with g / 400 per s, 25 mm/s, at which a contact of ``pallet`` gives way by a quarter of a millimetre."""
+
+LOWERING_STEPS: Final = 5
+"""Fewest steps of it: without a support a box is then faster than a quiet one."""
 
 FREE_M: Final = 0.0003
 """Boxes that overlap by no more are free of one another: twice what neighbours that stand flush may have moved by the
@@ -57,12 +69,14 @@ class Course(NamedTuple):
         quat: (n, 4) how it is turned on its way.
         offset: (n, 3) from where it is let go to where it begins, if that is free.
         steps: (n,) of its way; 0: it is not carried, but falls.
+        falls: (n,) whether it is let go where its way ends, to fall; others are set down first.
     """
 
     lift: FloatArray
     quat: FloatArray
     offset: FloatArray
     steps: NDArray[np.int64]
+    falls: NDArray[np.bool_]
 
 
 def course_of(scene: Scene, sim: Simulation) -> Course | None:
@@ -72,14 +86,15 @@ def course_of(scene: Scene, sim: Simulation) -> Course | None:
         return None
     lift, quat, offset = np.zeros((n, 3)), scene.start_quat, np.zeros((n, 3))
     offset[:, 2] = mm_to_m(np.array(placing.height_mm))
-    steps = np.zeros(n, np.int64)
+    steps, falls = np.zeros(n, np.int64), scene.start_pos[:, 2] > scene.target[:, 2]
     if placing.carries:
         approach, open_side = _approaches(scene)
         offset[:, :2] = -mm_to_m(np.array(placing.side_mm)) * approach
         if placing.name is Way.TINES:
             lift, quat = _on_an_edge(scene, open_side)
+            falls = np.ones(n, dtype=bool)
         steps = way_steps(np.linalg.norm(offset, axis=1), scene.mass, placing, sim.physics.timestep_s)
-    return Course(lift, quat, offset, steps)
+    return Course(lift, quat, offset, steps, falls)
 
 
 def way_steps(
@@ -103,8 +118,13 @@ def rate_1_s(timestep_s: float) -> float:
     return min(HAND_RATE_1_S, MOST_RATE_PER_STEP / timestep_s)
 
 
+def lowering_rate_1_s(timestep_s: float) -> float:
+    """Rate of the damper by which a box is set down, 1/s."""
+    return min(LOWERING_RATE_1_S, MOST_LOWERING_PER_STEP / timestep_s)
+
+
 def stuck_steps(timestep_s: float) -> int:
-    """Steps for which a hand holds a box at most after the way's end."""
+    """Steps for which a hand holds a box at most after the way's end, or sets it down."""
     return int(MOST_STUCK_S / timestep_s)
 
 
@@ -151,7 +171,7 @@ def _overlap(
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """(k, 3) lengths that a box and others share along each axis, m, and (k,) whether it is in the other one."""
     shared = reaches + own_reach - np.abs(pos - place)
-    return shared, (shared > FREE_M).all(axis=1)
+    return shared, np.asarray((shared > FREE_M).all(axis=1))
 
 
 def _approaches(scene: Scene) -> tuple[FloatArray, FloatArray]:

@@ -229,6 +229,7 @@ class LiveWorld:
         self._warmstarts[row] = 0.0
         self._forces(box)[2] = 0.0
         self.n_placed += 1
+        self._carry()
         if self._has_waiting:
             self._press_waiting()
 
@@ -250,20 +251,25 @@ class LiveWorld:
             steps = int(way_steps(length, scene.mass[box], scene.placing, physics.timestep_s))
         if steps:
             ends = scene.frame(box, begin, quat), scene.frame(box, end, quat)
-            self.hand = Hand(scene, box, *ends, quat, steps, physics.gravity_m_s2, physics.timestep_s)
+            falls = bool(course.falls[box])
+            self.hand = Hand(scene, box, *ends, quat, steps, falls, physics.gravity_m_s2, physics.timestep_s)
         return begin, quat
 
-    def carry(self) -> None:
+    def carry_on(self, slow: bool) -> bool:
+        """After a step in which a box was carried: whether it is let go now. ``slow``: as of ``Hand.has_let_go``."""
+        hand = self.hand
+        if hand is None or not hand.has_let_go(self._poses[self._row[hand.box]], slow):
+            self._carry()
+            return False
+        self._forces(hand.box)[:] = 0.0
+        self.hand = None
+        return True
+
+    def _carry(self) -> None:
         """Let the hand act during the next step."""
         if self.hand is not None:
             row = self._row[self.hand.box]
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
-
-    def let_go(self) -> None:
-        """Open the hand."""
-        if self.hand is not None:
-            self._forces(self.hand.box)[:] = 0.0
-            self.hand = None
 
     def _press_waiting(self) -> None:
         """Press on the stop so that its cost equals that of the waiting boxes if they stood on the floor.

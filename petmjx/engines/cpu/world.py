@@ -276,7 +276,6 @@ class WorldRun:
             live.place_next()
             if self._recorder is not None:
                 self._recorder.place(live)
-            live.carry()
             self._has_placed()
         elif settles:
             self._settle()
@@ -286,15 +285,11 @@ class WorldRun:
                 self._set_end(self._step + self._rest_steps)
 
     def _carry_on(self, hand: Hand) -> None:
-        """After a step in which a box was carried: carry it on, or let it go where it has arrived and is at rest."""
-        hand.taken += 1
+        """After a step in which a box was carried: carry it on, or let it go."""
         box = slice(hand.box, hand.box + 1)
-        rests = self._quiet.is_slow(self._live.velocity[box], box)
-        if (hand.has_arrived and rests) or hand.gives_up:
-            self._live.let_go()
+        slow = self._quiet.is_slow(self._live.velocity[box], box)
+        if self._live.carry_on(slow):
             self._has_placed()
-        else:
-            self._live.carry()
 
     def _has_placed(self) -> None:
         """The last box stands, or falls, or is in the hand: waiting begins, in the last case once more at its end."""
