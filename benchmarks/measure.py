@@ -356,9 +356,9 @@ def bricks(n_boxes: int) -> Plan:
 def _filling(engine: str, boxes: int) -> int:
     """Copies of a stack that fill an MJX engine."""
     if engine == MJX_WARP:
-        from petmjx.engines.warp.shape import size_for
+        from petmjx.engines.warp.launch import size_for
 
-        if size_for(boxes).together == 1:
+        if size_for(boxes).per_sm == 1:
             return LARGE_STACK_LANES
     return STACK_LANES
 

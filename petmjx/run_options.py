@@ -119,8 +119,8 @@ class RunOptions(Checked):
     lanes: Annotated[int | None, within(1, 1 << 20), CliFlag("--lanes", "N")] = Field(
         None,
         ge=1,
-        description="worlds at once: lanes of mjx-warp, by default as many as the device has room for; those of a "
-        "batch of mjx-jax, by default up to 256",
+        description="worlds at once: of mjx-warp one a thread block, by default as many as the device has room for; of "
+        "mjx-jax those of a batch, by default up to 256",
     )
     world_timeout_s: Annotated[float | None, within(0, 1e9), CliFlag("--world-timeout", "S")] = Field(
         None,

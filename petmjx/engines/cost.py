@@ -110,9 +110,9 @@ class Costs:
         cpu_shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
         jax_step_s: time of ``mjx-jax`` on a CPU for a step of one world, s per box²: 57 steps/s with 40 boxes on two
             cores.
-        gpu_step_s: time of a device for a step of ``full_lanes`` worlds, s per box to the power ``WARP_POWER``.
-        full_lanes: worlds that fill the device.
-        tail_lanes: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
+        gpu_step_s: time of a device for a step of ``full_worlds`` worlds, s per box to the power ``WARP_POWER``.
+        full_worlds: worlds that fill the device.
+        tail_worlds: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
         gpu_start_s: time to start the device engine, with compilation, s.
     """
 
@@ -122,8 +122,8 @@ class Costs:
     cpu_shaken_s: float = 4.5e-7
     jax_step_s: float = 1.1e-5
     gpu_step_s: float = 4.6e-7
-    full_lanes: int = 264
-    tail_lanes: int = 800
+    full_worlds: int = 264
+    tail_worlds: int = 800
     gpu_start_s: float = 17.0
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
@@ -171,7 +171,7 @@ class Costs:
 
     def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
-        return self.gpu_step_s * work * (worlds + self.tail_lanes) / self.full_lanes if worlds else 0.0
+        return self.gpu_step_s * work * (worlds + self.tail_worlds) / self.full_worlds if worlds else 0.0
 
 
 MEASURED = Costs()

@@ -16,7 +16,7 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Boxes for which an open world has room, unless it is told otherwise: those of the small lanes of mjx-warp."""
+"""Boxes for which an open world has room, unless it is told otherwise: those of the smaller worlds of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ def ranks_may_differ() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def crowd() -> dict[str, Outcome]:
-    """Tiny worlds, all in one slice of time, on mjx-warp: for tests that have Warp."""
+    """Tiny worlds, all in one time slice, on mjx-warp: for tests that have Warp."""
     from support.tiny_worlds import in_one_slice
 
     return in_one_slice()

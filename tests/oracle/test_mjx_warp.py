@@ -229,7 +229,7 @@ def test_a_search_finds_the_levels_that_c_finds() -> None:
 
 @pytest.mark.slow
 def test_one_program_a_shape() -> None:
-    """Other jobs of as many boxes, another run, drives: the same programs, and the same lanes."""
+    """Other jobs of as many boxes, another run, drives: the same programs, and the same blocks."""
     fresh = engine()
     some = list(tiny_scenes().values())
     for scenes in (some[:4], some[1:], some[:3]):

@@ -150,7 +150,7 @@ def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
 
     if room is not None:
         monkeypatch.setattr(frames, "FRAMES_PER_WORLD", 0)
-        monkeypatch.setattr(frames, "FRAMES_PER_LANE", room)
+        monkeypatch.setattr(frames, "FRAMES_PER_BLOCK", room)
     marched = run_all(engine, recorded(piles()), SIM)
     exact = run_all(MujocoEngine(1), recorded(piles()), SIM)
     for one, plain, twin in zip(marched, plain_piles(), exact, strict=True):

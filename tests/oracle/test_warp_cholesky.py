@@ -14,8 +14,8 @@ import warp as wp
 
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton
+from petmjx.engines.warp.launch import SIZES, with_cpp
 from petmjx.engines.warp.records import PANEL, most_panels
-from petmjx.engines.warp.shape import SIZES, with_cpp
 from petmjx.units import FloatArray
 
 set_up_warp()

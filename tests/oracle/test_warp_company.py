@@ -1,4 +1,4 @@
-"""On mjx-warp results depend neither on other worlds nor on lanes, groups, slices of time, or what ran before."""
+"""On mjx-warp results depend neither on other worlds nor on blocks, groups, time slices, or what ran before."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -92,9 +92,9 @@ def test_alone_and_in_any_order_as_in_company(crowd: dict[str, Outcome]) -> None
 
 
 @pytest.mark.slow
-def test_any_number_of_lanes_gives_the_same(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    here = Shape.here
-    monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), lanes=3))
+def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    here = Launch.here
+    monkeypatch.setattr(Launch, "here", lambda n_boxes: replace(here(n_boxes), blocks=3))
     assert_equal_worlds(simulate(engine(slice_ns=20_000_000), tiny_scenes(), SHORT), crowd)
 
 
@@ -104,7 +104,7 @@ def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
 
 
 @pytest.mark.slow
-def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """All at the same time, in tables as wide as the run's largest; memory is as wide as those of their own size."""
     scenes = {**tiny_scenes(), "five": make_scene(5), "nine": make_scene(9)}
     alike = simulate(engine(), scenes, SHORT)
@@ -127,7 +127,7 @@ def test_worlds_of_each_size_have_lanes_of_their_own(monkeypatch: pytest.MonkeyP
     assert_equal_worlds(simulate(few, scenes, SHORT), alike)
 
 
-def test_lanes_take_the_longest_worlds_of_their_size_first() -> None:
+def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
     jobs = [Job(make_scene(n)) for n in (3, 9, 2, 7, 4)]
     queues = Queues(["12", "4"], lambda job: "4" if job.scene.n_boxes <= 4 else "12", rows=8)
     queues.add(jobs, 0, SHORT)
@@ -138,8 +138,8 @@ def test_lanes_take_the_longest_worlds_of_their_size_first() -> None:
 
 
 @pytest.mark.gpu
-def test_lanes_of_two_sizes_at_the_same_time_give_what_each_gives_alone() -> None:
-    """More worlds of each size than lanes, so that the small ones wait until the first large ones have ended."""
+def test_blocks_of_two_sizes_at_the_same_time_give_what_each_gives_alone() -> None:
+    """More worlds of each size than blocks, so that the small ones wait until the first large ones have ended."""
     small = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(120)}
     large = {f"{n} boxes, {k}": make_scene(n) for n in (97, 110) for k in range(80)}
     together = simulate(MjxWarpEngine(), large | small, SHORT)
@@ -206,8 +206,8 @@ def test_drives_that_come_later_are_as_those_that_were_there() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", ["adaptive", "fixed"])
 def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the same size of lanes, also where tables would have room: what a run knows of time ends with its largest
-    plan. Of another size, whose lanes the run has not."""
+    """Of the same size, also where tables would have room: what a run knows of time ends with its largest
+    plan. Of another size, whose blocks the run has not."""
     sizes_apart(monkeypatch, 8)
     scenes = {n: make_scene(n) for n in (5, 7, 9)}
     sim = SHORT.changed(schedule=schedule)

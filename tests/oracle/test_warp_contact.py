@@ -13,8 +13,8 @@ import warp as wp
 
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton
-from petmjx.engines.warp.records import ROW_WORDS
-from petmjx.engines.warp.shape import with_cpp
+from petmjx.engines.warp.launch import with_cpp
+from petmjx.engines.warp.records import EFC_WORDS
 
 set_up_warp()
 
@@ -111,7 +111,7 @@ def doubles(values: Any) -> wp.array[wp.float64]:
 
 def numbers() -> wp.array[float]:
     """A contact's numbers, of which only the last two are read."""
-    contact = np.zeros(ROW_WORDS, np.float32)
+    contact = np.zeros(EFC_WORDS, np.float32)
     contact[30:32] = STIFFNESS, FRICTION
     return wp.array(contact, dtype=float, device="cpu")
 

@@ -44,10 +44,10 @@ from support.worlds import simulate
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.group import Group
+from petmjx.engines.warp.launch import SIZES, Launch
 from petmjx.engines.warp.march import March
-from petmjx.engines.warp.records import MAX_BOXES, lane_bytes
+from petmjx.engines.warp.records import MAX_BOXES, block_bytes
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import SIZES, Shape
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -81,14 +81,14 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
     made = watched_rollouts(monkeypatch, lambda *_: None)
     for name, outcome in simulate(engine(), some, SHORT).items():
         assert_same(outcome, expected[name])
-    large, small = np.array([[fleet.room for fleet in rollout.march.fleets] for rollout in made]).T
+    large, small = np.array([[fleet.nconmax for fleet in rollout.march.fleets] for rollout in made]).T
     assert len(set(large)) > 1
     assert len(set(small)) == 1
 
 
 @pytest.mark.slow
 def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    """A device that holds lanes of one size, however few of them, but not of two."""
+    """A device that holds blocks of one size, however few of them, but not of two."""
     tried: list[int] = []
 
     def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
@@ -154,7 +154,7 @@ def in_release_pose(group: Group, row: int) -> Group:
 
 
 def in_carrier_velocity(group: Group, row: int) -> Group:
-    group.table = group.table._replace(carrier_vel=group.table.carrier_vel.at[row, 2].set(NAN))
+    group.table = group.table._replace(carrier_qvel=group.table.carrier_qvel.at[row, 2].set(NAN))
     return group
 
 
@@ -182,35 +182,35 @@ def test_a_plan_with_more_bodies_than_the_solver_has_room_for_is_refused() -> No
 
 
 def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bool]) -> list[int]:
-    """A device of 256 lanes that says whether it holds so many, with so many contacts each. Returns a list of the lanes
-    that were tried."""
+    """A device of 256 blocks that says whether it holds so many, with so many contacts each. Returns a list of the
+    numbers of blocks that were tried."""
     tried = []
 
-    def look(n_boxes: int, room: int, lanes: int) -> None:
-        tried.append(lanes)
-        if not holds(lanes, room):
+    def look(n_boxes: int, nconmax: int, blocks: int) -> None:
+        tried.append(blocks)
+        if not holds(blocks, nconmax):
             raise out_of_memory()
 
-    here = Shape.here
-    monkeypatch.setattr(Shape, "here", lambda n_boxes: replace(here(n_boxes), lanes=256))
+    here = Launch.here
+    monkeypatch.setattr(Launch, "here", lambda n_boxes: replace(here(n_boxes), blocks=256))
     watched_rollouts(monkeypatch, look)
     return tried
 
 
 @pytest.mark.slow
-def test_too_many_lanes_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    tried = small_device(monkeypatch, lambda lanes, _: lanes <= 64)
+def test_too_many_blocks_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    tried = small_device(monkeypatch, lambda blocks, _: blocks <= 64)
     names = ("hand-one-box", "hand-bridge")
     assert_equal_worlds(simulate(MjxWarpEngine(allow_cpu=True), tiny_scenes(names), SHORT), crowd)
     assert tried == [256, 128, 64]
 
 
 @pytest.mark.slow
-def test_fewer_lanes_than_are_usually_worth_while_are_as_the_user_wants(
+def test_fewer_blocks_than_are_usually_worth_while_are_as_the_user_wants(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     tried = small_device(monkeypatch, lambda *_: True)
-    few = mjx_warp.MIN_LANES // 4
+    few = mjx_warp.MIN_BLOCKS // 4
     found = simulate(MjxWarpEngine(few, allow_cpu=True), tiny_scenes(("hand-one-box",)), SHORT)
     assert_equal_worlds(found, crowd)
     assert tried == [few]
@@ -231,7 +231,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     """One world has its outcome already, one waits for its drive, and one needs more room than there is. If no more
     jobs may come the slice in which the drive ends is under way when that is seen."""
     monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 2)
-    small_device(monkeypatch, lambda _, room: room <= 12)
+    small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
     jobs = (GrowingJobs if grows else list)([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
@@ -242,7 +242,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
 
 
 class FailingRollout(Rollout):
-    """Fails in its third slice of time if it has more than ``holds`` worlds."""
+    """Fails in its third time slice if it has more than ``holds`` worlds."""
 
     holds = 2
     error: Exception = out_of_memory()
@@ -266,7 +266,7 @@ def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPat
 def test_a_slice_in_which_memory_runs_out_loses_nothing(
     slice_number: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """The lanes' memory and the tables are lost with it; another slice may have begun behind it."""
+    """The blocks' memory and the tables are lost with it; another slice may have begun behind it."""
     launch, launched = March.launch, itertools.count(1)
 
     def fails_once(self: March, arrays: dict[str, Any]) -> None:
@@ -308,12 +308,12 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
 
 
 @pytest.mark.slow
-def test_lanes_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    """Memory for the lanes of one run at a time: with those of the run before gone as many fit as were wanted."""
+def test_blocks_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    """Memory for the blocks of one run at a time: with those of the run before gone as many fit as were wanted."""
     tried = []
 
-    def look(n_boxes: int, room: int, lanes: int) -> None:
-        tried.append((n_boxes, lanes))
+    def look(n_boxes: int, nconmax: int, blocks: int) -> None:
+        tried.append((n_boxes, blocks))
         if any(not other.workspace.is_deleted() for other in made):
             raise out_of_memory()
 
@@ -324,18 +324,18 @@ def test_lanes_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crow
     found = simulate(some, tiny_scenes(("hand-one-box",)), SHORT)
     assert_same(found["hand-one-box"], crowd["hand-one-box"])
     assert [n_boxes for n_boxes, _ in tried] == [8, 4, 4]
-    assert len({lanes for _, lanes in tried}) == 1
+    assert len({blocks for _, blocks in tried}) == 1
 
 
 @pytest.mark.gpu
-def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     some = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(20)}
     some["large"] = make_scene(120)
     alone = simulate(MjxWarpEngine(), some, SHORT)
     gc.collect()  # that engine's memory, which would else become free in the middle of the next run
     crowded = MjxWarpEngine()
-    lanes, room = Shape.here(120).lanes, 120 + mjx_warp.MORE_BOXES
-    whole = lanes * lane_bytes(120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
+    blocks, room = Launch.here(120).blocks, 120 + mjx_warp.MORE_BOXES
+    whole = blocks * block_bytes(120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
     # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
     # a piece that is up to 128 MB larger.
     left = TABLES_BYTES + whole // 2
@@ -350,7 +350,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
         ballast.append(block(PIECES[-1]))
     tried = []
 
-    def look(n_boxes: int, room: int, wanted: int) -> None:
+    def look(n_boxes: int, nconmax: int, wanted: int) -> None:
         if n_boxes == 120:
             tried.append(wanted)
 
@@ -358,8 +358,8 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_lanes(monkeypatch: py
     found = simulate(crowded, some, SHORT)
     for each in ballast:
         each.delete()
-    assert tried[0] == lanes
-    assert tried[-1] < lanes
+    assert tried[0] == blocks
+    assert tried[-1] < blocks
     assert_equal_worlds(found, alone)
 
 

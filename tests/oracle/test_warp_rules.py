@@ -24,9 +24,9 @@ from support.fake_stepper import fake_scene
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton, records
 from petmjx.engines.warp.kernel.rules import after_step
-from petmjx.engines.warp.records import Lane, Model, Tables, Workspace, array_types, filled
+from petmjx.engines.warp.launch import with_cpp
+from petmjx.engines.warp.records import Model, Thread, Workspace, array_types, filled
 from petmjx.engines.warp.rollout import constants
-from petmjx.engines.warp.shape import with_cpp
 
 set_up_warp()
 
@@ -36,20 +36,22 @@ SAME = 1e-5
 
 
 @wp.func
-def _one(model: Model, tables: Tables, state: records.State, work: Workspace, world: int, astray: bool) -> None:
-    at = Lane()
-    at.lane = world
+def _one(model: Model, worlds: records.Worlds, state: records.State, work: Workspace, world: int, astray: bool) -> None:
+    at = Thread()
+    at.block = world
     at.thread = 0
     at.threads = 1
     at.world = world
     at.placed = state.placed[world]
-    after_step(model, tables, state, work, at, astray)
+    after_step(model, worlds, at, astray, state, work)
 
 
-def _all(model: Model, tables: Tables, state: records.State, work: Workspace, astray: wp.array[wp.bool]) -> None:
+def _all(
+    model: Model, worlds: records.Worlds, state: records.State, work: Workspace, astray: wp.array[wp.bool]
+) -> None:
     world = wp.tid()
     if state.status[world] == 0:
-        _one(model, tables, state, work, world, astray[world])
+        _one(model, worlds, state, work, world, astray[world])
 
 
 @pytest.fixture(scope="module")
@@ -76,13 +78,13 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     step = pick(-150, 0, 1, every, 37, 50, 100, 150, 200, 250, 700, 713)
     poses = []
     for _ in range(2):
-        pose = np.array(worlds.start)
-        pose[..., :3] += rng.normal(0, 1, pose[..., :3].shape) * np.where(some(0.2, (WORLDS, 1, 1)), 0.05, 1e-4)
-        pose[..., 2] -= np.where(some(0.03, (WORLDS, BOXES)), 0.4, 0.0)
+        qpos = np.array(worlds.start)
+        qpos[..., :3] += rng.normal(0, 1, qpos[..., :3].shape) * np.where(some(0.2, (WORLDS, 1, 1)), 0.05, 1e-4)
+        qpos[..., 2] -= np.where(some(0.03, (WORLDS, BOXES)), 0.4, 0.0)
         turn = rng.normal(0, 1, (WORLDS, BOXES, 3)) * np.where(some(0.2, (WORLDS, 1, 1)), 0.2, 1e-4)
         quat = np.concatenate([np.ones((WORLDS, BOXES, 1)), turn], -1)
-        pose[..., 3:] = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
-        poses.append(jnp.asarray(pose, jnp.float32))
+        qpos[..., 3:] = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+        poses.append(jnp.asarray(qpos, jnp.float32))
     slow = np.where(some(0.7, (WORLDS, 1, 1)), 0.05, 3.0) * sim.quiet.quiet_m_s
     hard = np.where(some(0.3, (WORLDS, 1, 1)), 1000.0, 1.0)
     landed = np.maximum(step - pick(0, 5, 40, 90, 149, 150, 151), 0)
@@ -94,24 +96,24 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     end = np.where(some(0.3), step + pick(0, 1, 2, 30), NEVER)
     end = np.where((placed < n_boxes) & (end <= step), step + 30, end)  # no world ends before all boxes are placed
     after = table._replace(
-        pose=poses[0],
-        vel=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)) * slow, jnp.float32),
-        warm=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)) * hard, jnp.float32),
-        ahead=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)), jnp.float32),
+        qpos=poses[0],
+        qvel=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)) * slow, jnp.float32),
+        qacc=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)) * hard, jnp.float32),
+        qacc_warmstart=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)), jnp.float32),
         step=jnp.asarray(step),
         placed=jnp.asarray(placed, jnp.int32),
         last_placed_at=jnp.asarray(landed, jnp.int32),
         quiet_steps=jnp.asarray(pick(0, every, sim.quiet.steps - every, sim.quiet.steps)),
         waits_since=jnp.asarray(np.where(some(0.6), landed, np.maximum(landed, step - pick(0, 5, 20, 60))), jnp.int32),
         quiet_speed=jnp.asarray(0.01 * rng.random((WORLDS, BOXES)), jnp.float32),
-        still_pose=poses[0].at[..., :3].add(rng.normal(0, 1, (WORLDS, BOXES, 3)) * went),
+        still_qpos=poses[0].at[..., :3].add(rng.normal(0, 1, (WORLDS, BOXES, 3)) * went),
         violent_since=jnp.asarray(np.where(some(0.5), NEVER, step - pick(5, 49, 50, 100)), jnp.int32),
         driven_from=jnp.asarray(np.where(driven, step - 20, NEVER), jnp.int32),
         rest_from=jnp.asarray(np.where(end == NEVER, NEVER, step + pick(-9, -1, 0, 1)), jnp.int32),
         end=jnp.asarray(end, jnp.int32),
         metrics=table.metrics._replace(culprit=jnp.asarray(np.where(some(0.2), 0, -1), jnp.int32)),
     )
-    return worlds, after, after._replace(pose=poses[1])
+    return worlds, after, after._replace(qpos=poses[1])
 
 
 CASES = [
@@ -133,22 +135,22 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     top_force = jnp.asarray(rng.random((WORLDS, BOXES)), jnp.float32)
     # Of a world that turns into no number, a velocity is too high to be true.
     astray = rng.random(WORLDS) < 0.05
-    after = after._replace(carrier_vel=after.carrier_vel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
+    after = after._replace(carrier_qvel=after.carrier_qvel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
     expected = as_batched(sim, worlds, after, before, top_force)
 
-    sizes = records.axes(WORLDS, BOXES, boards=1, pairs=1, room=1)
+    sizes = records.axes(WORLDS, BOXES, boards=1, npairmax=1, nconmax=1)
     with wp.ScopedDevice("cpu"):
-        model = filled(Model, {**constants(sim, timetable), "queue": 0, "pairs": 1, "room": 1})
+        model = filled(Model, {**constants(sim, timetable), "queue": 0, "npairmax": 1, "nconmax": 1})
         flat = after._asdict()
         flat |= flat.pop("metrics")._asdict()
         flat["step"] = after.step - 1
-        tables = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
+        flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
         state = device_record(records.State, flat)
         buffer = wp.zeros((records.buffer_rows(sizes), records.BUFFER_WORDS), dtype=float)
         work = filled(Workspace, records.in_buffer(buffer, sizes))
-        work.seen.assign(np.asarray(before.pose))
+        work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
-        inputs = [model, device_record(Tables, tables), state, work, wp.array(astray, dtype=wp.bool)]
+        inputs = [model, device_record(records.Worlds, flat_worlds), state, work, wp.array(astray, dtype=wp.bool)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)
         found = {name: getattr(state, name).numpy() for name in flat}
 
@@ -156,12 +158,12 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     wanted |= wanted.pop("metrics")._asdict()
     # what is kept of worlds that have ended is never read
     ended = (found["status"] != Status.RUNNING)[:, None, None]
-    found["still_pose"], wanted["still_pose"] = (
-        np.where(ended, 0.0, poses) for poses in (found["still_pose"], wanted["still_pose"])
+    found["still_qpos"], wanted["still_qpos"] = (
+        np.where(ended, 0.0, poses) for poses in (found["still_qpos"], wanted["still_qpos"])
     )
     stood = np.arange(BOXES) < np.asarray(after.placed)[:, None]
     for name, values in wanted.items():
-        if name in ("quiet_speed", "still_pose"):  # that of boxes which do not stand yet means nothing
+        if name in ("quiet_speed", "still_qpos"):  # that of boxes which do not stand yet means nothing
             these = stood.reshape(*stood.shape, *[1] * (values.ndim - 2))
             found[name], values = np.where(these, found[name], 0.0), np.where(these, values, 0.0)
         if values.dtype == np.int32:
@@ -187,7 +189,7 @@ def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, top
     timetable = build_timetable(sim, BOXES)
     with jax.numpy_rank_promotion("allow"):
         placing, driving = (
-            Rules(sim, timetable, BOXES, driven=driven).after_step(after, worlds, before.pose, after.warm, top_force)
+            Rules(sim, timetable, BOXES, driven=driven).after_step(after, worlds, before.qpos, after.qacc, top_force)
             for driven in (False, True)
         )
     is_driven = after.driven_from != NEVER

@@ -25,10 +25,10 @@ from support.worlds import make_plan
 
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.upload import GRANULE
-from petmjx.engines.warp import newton, shape
+from petmjx.engines.warp import launch, newton
+from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.records import MAX_BOXES, PANEL
 from petmjx.engines.warp.rollout import friction_damping
-from petmjx.engines.warp.shape import Shape
 
 set_up_warp()
 
@@ -121,10 +121,10 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
         assert not found.flags, where
         acceleration = data.qacc.reshape(-1, 6)
         allowed = SAME_ACCELERATION_M_S2 + SAME_ACCELERATION * np.abs(acceleration)
-        assert (np.abs(found.acceleration - acceleration) <= allowed).all(), where
+        assert (np.abs(found.qacc - acceleration) <= allowed).all(), where
         gained = physics.timestep_s * allowed + SAME_VELOCITY_M_S
-        assert (np.abs(found.velocity - data.qvel.reshape(-1, 6)) <= gained).all(), where
-        np.testing.assert_allclose(found.pose, data.qpos.reshape(-1, 7), atol=SAME_POSITION, err_msg=where)
+        assert (np.abs(found.qvel - data.qvel.reshape(-1, 6)) <= gained).all(), where
+        np.testing.assert_allclose(found.qpos, data.qpos.reshape(-1, 7), atol=SAME_POSITION, err_msg=where)
         bodies = geom_bodies(model, range(scene.n_boxes))
         forces = top_forces(data, bodies, scene.n_boxes, physics.cone is Cone.PYRAMIDAL)
         np.testing.assert_allclose(found.force, forces, rtol=SAME_FORCE, atol=SAME_FORCE_N, err_msg=where)
@@ -169,7 +169,7 @@ def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[floa
         assert data.ncon >= 2 or (gap_m > 0 and tilt_deg == TILTS["edge, 3°"])
         acceleration = data.qacc.reshape(-1, 6)
         allowed = SAME_ACCELERATION_M_S2 + SAME_ACCELERATION * np.abs(acceleration)
-        assert (np.abs(found.acceleration - acceleration) <= allowed).all()
+        assert (np.abs(found.qacc - acceleration) <= allowed).all()
 
 
 @pytest.mark.parametrize(
@@ -186,14 +186,14 @@ def test_damping_of_friction_as_mujoco_has_it(changes: dict[str, Any], damping: 
     assert friction_damping(PHYSICS["pallet"].changed(**changes)) == pytest.approx(damping)
 
 
-def test_sizes_of_lanes_fit_tables_and_blocks() -> None:
-    """A table's width must say which lanes its worlds have; C++ has room for the sums of 8 warps."""
-    most = [size.most_boxes for size in shape.SIZES]
+def test_sizes_fit_tables_and_thread_blocks() -> None:
+    """A table's width must say which blocks its worlds have; C++ has room for the sums of 8 warps."""
+    most = [size.most_boxes for size in launch.SIZES]
     assert most == sorted(most)
     assert most[-1] == MAX_BOXES
     assert all(boxes % GRANULE == 0 for boxes in most)
-    assert all(size.threads % 32 == 0 and 64 <= size.threads <= 256 for size in shape.SIZES)
-    assert [shape.size_for(n).most_boxes for n in (1, most[0], most[0] + 1, MAX_BOXES)] == [
+    assert all(size.threads % 32 == 0 and 64 <= size.threads <= 256 for size in launch.SIZES)
+    assert [launch.size_for(n).most_boxes for n in (1, most[0], most[0] + 1, MAX_BOXES)] == [
         *most[:1] * 2,
         *most[1:] * 2,
     ]
@@ -221,7 +221,7 @@ def test_compiler_errors_name_the_line_of_the_file() -> None:
 
 def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     def digest() -> bytes:
-        return shape.kernel.__wrapped__(Shape.here(1)).module.get_module_hash(1)
+        return launch.kernel.__wrapped__(Launch.here(1)).module.get_module_hash(1)
 
     plain = digest()
     assert digest() == plain
@@ -236,11 +236,11 @@ def test_shared_memory_of_any_size_gives_the_same_to_the_last_bit(monkeypatch: p
     scene = build_scene(make_plan("heap", heap()), Simulation())
     model, data = exact(scene, PHYSICS["pallet"])
     mujoco.mj_step(model, data, HEAP_STEPS[-1])
-    here = Shape.here(scene.n_boxes)
-    sizes = [replace(here, near_words=tiles * PANEL**2) for tiles in (1, 24, 136)]
+    here = Launch.here(scene.n_boxes)
+    sizes = [replace(here, shared_words=tiles * PANEL**2) for tiles in (1, 24, 136)]
     found = []
     for one in (*sizes[:2], here if wp.get_device().is_cuda else sizes[2]):
-        monkeypatch.setattr(Shape, "here", lambda _, one=one: one)
+        monkeypatch.setattr(Launch, "here", lambda _, one=one: one)
         found.append(OneStep(scene, "pallet")(data))
     for name, values in vars(found[0]).items():
         for other in found[1:]:

@@ -14,9 +14,9 @@ from petmjx.engines.base import Progress
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
 from petmjx.engines.warp.group import Group, Run
+from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.units import FloatArray
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -26,9 +26,9 @@ from petmjx.world.scene import Scene
 class Stepped:
     """A world after a step. Rows: carrier, boxes; ``force``: on top of each box, N."""
 
-    pose: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
+    qpos: FloatArray
+    qvel: FloatArray
+    qacc: FloatArray
     force: FloatArray
     contacts: int
     iterations: int
@@ -48,8 +48,8 @@ class OneStep:
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), widths, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         boards = len(scene.carrier.half_size)
-        room, shape = scene.n_boxes + boards - 1 + MORE_BOXES, Shape.here(scene.n_boxes)
-        fleet = Fleet(shape, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
+        room, launch = scene.n_boxes + boards - 1 + MORE_BOXES, Launch.here(scene.n_boxes)
+        fleet = Fleet(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
         self.rollout = Rollout(run, [fleet], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.group.table)
 
@@ -60,18 +60,18 @@ class OneStep:
             table = jnp.asarray(values.reshape(1, -1, width), jnp.float32)
             return table[:, 0], table[:, 1:]
 
-        carrier_pose, pose = rows(data.qpos, 7)
-        carrier_vel, vel = rows(data.qvel, 6)
-        carrier_warm, warm = rows(data.qacc_warmstart, 6)
+        carrier_qpos, qpos = rows(data.qpos, 7)
+        carrier_qvel, qvel = rows(data.qvel, 6)
+        carrier_qacc, qacc = rows(data.qacc_warmstart, 6)
         self.group.table = jax.tree.map(jnp.asarray, self.fresh)._replace(
-            carrier_pose=carrier_pose,
-            carrier_vel=carrier_vel,
-            carrier_warm=carrier_warm,
-            carrier_ahead=carrier_warm + 0,
-            pose=pose,
-            vel=vel,
-            warm=warm,
-            ahead=warm + 0,
+            carrier_qpos=carrier_qpos,
+            carrier_qvel=carrier_qvel,
+            carrier_qacc=carrier_qacc,
+            carrier_qacc_warmstart=carrier_qacc + 0,
+            qpos=qpos,
+            qvel=qvel,
+            qacc=qacc,
+            qacc_warmstart=qacc + 0,
             step=jnp.zeros(1, jnp.int32),
             rest_from=jnp.zeros(1, jnp.int32),
         )
@@ -84,9 +84,9 @@ class OneStep:
             return np.vstack([carrier, boxes[0]]).astype(float)
 
         return Stepped(
-            pose=joined(after.carrier_pose, after.pose),
-            velocity=joined(after.carrier_vel, after.vel),
-            acceleration=joined(after.carrier_warm, after.warm),
+            qpos=joined(after.carrier_qpos, after.qpos),
+            qvel=joined(after.carrier_qvel, after.qvel),
+            qacc=joined(after.carrier_qacc, after.qacc),
             force=after.metrics.rest_force_sum[0],
             contacts=int(counts["contacts"][0]),
             iterations=int(counts["iterations"][0]),

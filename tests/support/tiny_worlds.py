@@ -11,13 +11,13 @@ import pytest
 
 from petmjx.config import Simulation
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import shape
+from petmjx.engines.warp import launch
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.group import Run
+from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.records import most_panels
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.verdict import Outcome
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
@@ -28,7 +28,7 @@ TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "co
 SHORT = Simulation(interval_s=0.1, rest_window_s=0.1, settle_s=0.3)
 
 LONG_NS = 10**15
-"""A slice of time in which all worlds of a test end."""
+"""A time slice in which all worlds of a test end."""
 
 devices = pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=pytest.mark.gpu)])
 
@@ -63,13 +63,13 @@ def assert_equal_worlds(found: dict[str, Outcome], expected: dict[str, Outcome])
 
 
 def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, int], None]) -> list[Rollout]:
-    """Before programs and buffers are made ``look`` sees each fleet: most boxes, most contacts, lanes. It may raise.
+    """Before programs and buffers are made ``look`` sees each fleet: most boxes, most contacts, blocks. It may raise.
     Returns a list of what is made."""
     made: list[Rollout] = []
 
     def rollout(run: Run, fleets: Sequence[Fleet], slice_ns: int) -> Rollout:
         for fleet in fleets:
-            look(fleet.n_boxes, fleet.room, fleet.lanes)
+            look(fleet.n_boxes, fleet.nconmax, fleet.blocks)
         made.append(Rollout(run, fleets, slice_ns))
         return made[-1]
 
@@ -78,16 +78,16 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
 
 
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
-    """Lanes of two sizes also for tiny worlds, with as many threads each."""
-    small, large = shape.SIZES
+    """Blocks of two sizes also for tiny worlds, with as many threads each."""
+    small, large = launch.SIZES
     alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
-    monkeypatch.setattr(shape, "SIZES", alike)
-    here = Shape.here
+    monkeypatch.setattr(launch, "SIZES", alike)
+    here = Launch.here
 
-    def sized(n_boxes: int) -> Shape:
+    def sized(n_boxes: int) -> Launch:
         return replace(here(n_boxes), panels=most_panels(size_for(n_boxes).most_boxes))
 
-    monkeypatch.setattr(Shape, "here", sized)
+    monkeypatch.setattr(Launch, "here", sized)
 
 
 def out_of_memory() -> RuntimeError:

@@ -13,8 +13,8 @@ import warp as wp
 
 from petmjx.engines.warp import march
 from petmjx.engines.warp.kernel.pause import pause
+from petmjx.engines.warp.launch import Launch, with_cpp
 from petmjx.engines.warp.march import Fleet, March
-from petmjx.engines.warp.shape import Shape, with_cpp
 
 LONG_S = 20
 """Longer than all threads take to begin."""
@@ -29,7 +29,7 @@ def _tiny(number: int, threads: int) -> Any:
 
 def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
     kernels = {threads: _tiny(threads, threads) for threads in (128, 256)}
-    shapes = [Shape(1, threads, 1, 256, 2) for threads in (256, 128, 128)]
+    launches = [Launch(1, threads, 1, 256, 2) for threads in (256, 128, 128)]
     begun, loaded, load = Barrier(3, timeout=LONG_S), [], wp.Module.load
 
     def watched(module: Any, *args: Any, **options: Any) -> Any:
@@ -38,10 +38,10 @@ def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkey
         return load(module, *args, **options)
 
     marching = March.__new__(March)
-    marching.fleets = tuple(Fleet(shape, 1, 8, 1, 80, 64) for shape in shapes)
+    marching.fleets = tuple(Fleet(launch, 1, 8, 1, 80, 64) for launch in launches)
     with monkeypatch.context() as patched:
         patched.setattr(wp.Module, "load", watched)
-        patched.setattr(march, "kernel", lambda shape: kernels[shape.threads])
+        patched.setattr(march, "kernel", lambda launch: kernels[launch.threads])
         marching.load()
     assert len(loaded) == 3
     assert set(loaded) == {kernels[128].module, kernels[256].module, pause.module}

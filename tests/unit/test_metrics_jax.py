@@ -219,7 +219,7 @@ def test_the_final_pose_and_the_force_at_rest_enter_the_maxima() -> None:
     fresh = fresh_state(worlds, all_placed=False, ends=jnp.array([10, 10]), rest_steps=5)
     lying = jnp.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0], jnp.float32)
     state = fresh._replace(
-        pose=fresh.pose.at[:, 1:, 3:].set(lying),
+        qpos=fresh.qpos.at[:, 1:, 3:].set(lying),
         placed=jnp.array([2, 2]),
         step=jnp.array([10, 7]),
         metrics=fresh.metrics._replace(

@@ -58,7 +58,7 @@ def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     found = []
     count = jax.jit(rules.count_quiet)
     for pace in paces:
-        state = state._replace(vel=jnp.asarray(velocities(pace), jnp.float32)[None])
+        state = state._replace(qvel=jnp.asarray(velocities(pace), jnp.float32)[None])
         state, quiet = count(state, worlds, jnp.array([True]))
         found.append(bool(quiet[0]))
     return found

@@ -127,7 +127,7 @@ def test_a_table_is_as_annotated(worlds: Worlds, table: State) -> None:
 def test_states_that_start_from_a_kept_one_are_as_annotated(table: State) -> None:
     (kept,) = run_all(FakeEngine(), [Job(fake_scene(1.0), keep_state=True)], SIM)
     assert kept.state is not None
-    assert len(kept.state.pose) == kept.n_boxes == 1, "of its own boxes, whatever its table had room for"
+    assert len(kept.state.qpos) == kept.n_boxes == 1, "of its own boxes, whatever its table had room for"
     forks = [Job(job.scene, start=kept.state) for job in JOBS]
     assert axis_sizes(started_states(forks, table)) == {"world": ROWS, "box": WIDTH}
 
@@ -183,6 +183,6 @@ def test_axes_have_the_names_that_are_listed(repository: Path) -> None:
     folders = ("petmjx/engines/batch", "petmjx/metrics", "petmjx/engines/warp")
     modules = [path for folder in folders for path in sorted((repository / folder).glob("*.py"))]
     used = {name: path.name for path in modules for name in annotated_axes(path)}
-    assert {"lane", "world", "box"} <= used.keys()
+    assert {"world", "box"} <= used.keys()
     assert {name: path for name, path in used.items() if name not in listed} == {}
     assert listed - used.keys() == set()

@@ -3,7 +3,6 @@
 Shapes are annotations that tests check at every call. Their axes, here and in ``petmjx.metrics``:
 
 * ``world``: worlds that are simulated together, padded to a power of two;
-* ``lane``: the same, in the padded model's template;
 * ``box``: boxes of a world, padded to the same number in all worlds of a table;
 * ``body``: the carrier, then the boxes, and with ``body_end`` one more; MuJoCo's have the world's body before them;
 * ``shape``: shapes of the bodies, in their order; with the floor before them they are MuJoCo's geoms;
@@ -12,6 +11,6 @@ Shapes are annotations that tests check at every call. Their axes, here and in `
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
 * ``row``: rows of a table that are picked;
-* ``queue``: of worlds that wait for lanes of one size;
+* ``queue``: of worlds of one size that wait for a thread block;
 * ``batch`` and ``k``: whatever the caller has; the function treats all of it alike.
 """

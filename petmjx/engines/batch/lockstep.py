@@ -62,9 +62,9 @@ class Lockstep:
                 number=after.step,
                 placed=after.placed,
                 status=after.status,
-                pose=after.pose,
+                pose=after.qpos,
                 top_force=top_force,
-                carrier_pose=after.carrier_pose,
+                carrier_pose=after.carrier_qpos,
             )
             return (after, forces), passed
 
@@ -86,16 +86,16 @@ class Lockstep:
         # Boxes in the air fall freely during the step. With that as its start, the solver has nothing to find for
         # them. From zero, each would add ½·m·g² to the cost, and float32 would lose the contacts in that sum.
         standing = rules.standing(state)[..., None]
-        warm = shown.warm.at[..., :3].set(jnp.where(standing, shown.warm[..., :3], gravity[:, None]))
+        start = shown.qacc.at[..., :3].set(jnp.where(standing, shown.qacc[..., :3], gravity[:, None]))
         inputs = {
-            "qpos": self._join(shown.carrier_pose, shown.pose),
-            "qvel": self._join(shown.carrier_vel, shown.vel),
-            "qacc_warmstart": self._join(shown.carrier_warm, warm),
+            "qpos": self._join(shown.carrier_qpos, shown.qpos),
+            "qvel": self._join(shown.carrier_qvel, shown.qvel),
+            "qacc_warmstart": self._join(shown.carrier_qacc, start),
             "xfrc_applied": jnp.zeros((len(push), self.model.bodies, 6)).at[:, self.model.carrier, :3].set(push),
         }
         if held:
-            inputs["mocap_pos"] = state.carrier_pose[:, None, :3]
-            inputs["mocap_quat"] = state.carrier_pose[:, None, 3:]
+            inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
+            inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
         done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces)
         running = state.running[:, None]
 
@@ -106,23 +106,23 @@ class Lockstep:
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
-        seen_pose = state.pose
-        carrier_pose, pose = moved(done.qpos, state.carrier_pose, state.pose)
-        carrier_vel, vel = moved(done.qvel, state.carrier_vel, state.vel)
-        carrier_warm, warm = moved(done.warm, state.carrier_warm, state.warm)
-        _, acceleration = self._split(done.qacc, state.carrier_vel)
+        seen_qpos = state.qpos
+        carrier_qpos, qpos = moved(done.qpos, state.carrier_qpos, state.qpos)
+        carrier_qvel, qvel = moved(done.qvel, state.carrier_qvel, state.qvel)
+        carrier_qacc, qacc = moved(done.qacc_warmstart, state.carrier_qacc, state.qacc)
+        _, seen_qacc = self._split(done.qacc, state.carrier_qvel)
         state = state._replace(
-            pose=pose,
-            vel=vel,
-            warm=warm,
-            ahead=warm,
-            carrier_pose=carrier_pose,
-            carrier_vel=carrier_vel,
-            carrier_warm=carrier_warm,
-            carrier_ahead=carrier_warm,
+            qpos=qpos,
+            qvel=qvel,
+            qacc=qacc,
+            qacc_warmstart=qacc,
+            carrier_qpos=carrier_qpos,
+            carrier_qvel=carrier_qvel,
+            carrier_qacc=carrier_qacc,
+            carrier_qacc_warmstart=carrier_qacc,
             step=state.step + state.running,
         )
-        return rules.after_step(state, worlds, seen_pose, acceleration, done.top_force), done.forces, done.top_force
+        return rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force), done.forces, done.top_force
 
     def _excitation(
         self, state: State, worlds: Worlds, profiles: Float[Array, "profile step 3"]

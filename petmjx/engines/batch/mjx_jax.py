@@ -26,7 +26,7 @@ from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import ACCELERATION, Job
 
 MOST_WORLDS = 256
-"""Worlds of a batch, if the user gives no number of lanes."""
+"""Worlds of a batch, if the user gives no number of ``lanes``."""
 
 FEWEST_WORLDS = 8
 """A batch has room for so many worlds at least: each size is a program of its own, and compiles for a minute."""

@@ -35,11 +35,11 @@ def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Reduced:
     """Metrics that need the whole run, for every world of a table, on the device."""
     m = state.metrics
     placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
-    middles = motion.middles(state.pose, worlds.middle)
+    middles = motion.middles(state.qpos, worlds.middle)
     shift = motion.shift(middles, worlds.target, sim.thresholds.shift_floor_m)
     rested = (m.rest_samples > 0) & (state.step >= state.end)
     mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
-    tilt = jnp.where(placed, motion.tilt_deg(state.pose[..., 3:]), 0.0)
+    tilt = jnp.where(placed, motion.tilt_deg(state.qpos[..., 3:]), 0.0)
     return Reduced(
         shift=jnp.where(placed[..., None], shift, 0.0),
         max_tilt=jnp.fmax(m.max_tilt, tilt),
@@ -103,7 +103,7 @@ def _outcomes(
         job = jobs[row]
         n = job.scene.n_boxes
         driven = job.drive is not None and host.driven_from[i] <= host.step[i]
-        drops, pose = m.drop_step[i, :n], doubles(host.pose[i, :n])
+        drops, pose = m.drop_step[i, :n], doubles(host.qpos[i, :n])
         boxes = BoxMetrics.measured(
             n,
             shift_m=doubles(found.shift[i, :n]),

@@ -24,13 +24,13 @@ in 0.2 %."""
 class Stepped(NamedTuple):
     """What a step gives: MuJoCo's coordinates, and what samples and the next step need.
 
-    ``warm``: accelerations from which the solver starts in the next step; ``forces``: of all constraints.
+    ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``forces``: of all constraints.
     """
 
     qpos: Float[Array, "world coordinate"]
     qvel: Float[Array, "world velocity"]
     qacc: Float[Array, "world velocity"]
-    warm: Float[Array, "world velocity"]
+    qacc_warmstart: Float[Array, "world velocity"]
     forces: Float[Array, "world constraint"]
     top_force: Float[Array, "world box"]
 
@@ -99,8 +99,8 @@ class PaddedModel:
             return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
 
         data = jax.vmap(one)(fields, inputs, forces)
-        warm, forces = data.qacc_warmstart, data._impl.efc_force
-        return Stepped(data.qpos, data.qvel, data.qacc, warm, forces, self._top_force(data))
+        start, forces = data.qacc_warmstart, data._impl.efc_force
+        return Stepped(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data))
 
     def _top_force(self, data: Any) -> Float[Array, "world box"]:
         """Force pressing on each box's top in the step, N."""

@@ -131,11 +131,11 @@ class Recorder:
 def _of_state(job: Job, state: State) -> Frames:
     """A frame of a state; what acted is not known."""
     n = job.scene.n_boxes
-    pose = np.array(state.pose, np.float32)[None, :n]
+    pose = np.array(state.qpos, np.float32)[None, :n]
     return Frames(
         np.array([state.step], np.int32),
         np.array([state.placed], np.int32),
         pose,
         np.full((1, n), np.nan, np.float32),
-        np.array(state.carrier_pose, np.float32)[None],
+        np.array(state.carrier_qpos, np.float32)[None],
     )

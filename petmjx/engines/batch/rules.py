@@ -29,8 +29,8 @@ UNBELIEVABLE = 1e10
 class _Seen(NamedTuple):
     """What samples see: values at the beginning of a step. Shapes and units as in ``Rules.after_step``."""
 
-    pose: Float[Array, "world box 7"]
-    acceleration: Float[Array, "world box 6"]
+    qpos: Float[Array, "world box 7"]
+    qacc: Float[Array, "world box 6"]
     top_force: Float[Array, "world box"]
 
 
@@ -60,12 +60,12 @@ class Rules:
         standing, ended = self.standing(state)[..., None], ~state.running[:, None]
         aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, *IDENTITY_QUAT]])
         return state._replace(
-            pose=jnp.where(standing, state.pose, self.parked_pose()[None]),
-            vel=jnp.where(standing, state.vel, 0.0),
-            warm=jnp.where(standing, state.warm, 0.0),
-            carrier_pose=jnp.where(ended, aloft, state.carrier_pose),
-            carrier_vel=jnp.where(ended, 0.0, state.carrier_vel),
-            carrier_warm=jnp.where(ended, 0.0, state.carrier_warm),
+            qpos=jnp.where(standing, state.qpos, self.parked_pose()[None]),
+            qvel=jnp.where(standing, state.qvel, 0.0),
+            qacc=jnp.where(standing, state.qacc, 0.0),
+            carrier_qpos=jnp.where(ended, aloft, state.carrier_qpos),
+            carrier_qvel=jnp.where(ended, 0.0, state.carrier_qvel),
+            carrier_qacc=jnp.where(ended, 0.0, state.carrier_qacc),
         )
 
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
@@ -73,11 +73,11 @@ class Rules:
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
         return state._replace(
-            pose=jnp.where(chosen, release, state.pose),
-            still_pose=jnp.where(chosen, release, state.still_pose),
-            vel=jnp.where(chosen, 0.0, state.vel),
-            warm=jnp.where(chosen, 0.0, state.warm),
-            ahead=jnp.where(chosen, 0.0, state.ahead),
+            qpos=jnp.where(chosen, release, state.qpos),
+            still_qpos=jnp.where(chosen, release, state.still_qpos),
+            qvel=jnp.where(chosen, 0.0, state.qvel),
+            qacc=jnp.where(chosen, 0.0, state.qacc),
+            qacc_warmstart=jnp.where(chosen, 0.0, state.qacc_warmstart),
             placed=state.placed + where,
             last_placed_at=jnp.where(where, state.step, state.last_placed_at),
             waits_since=jnp.where(where, state.step, state.waits_since),
@@ -86,8 +86,8 @@ class Rules:
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
         """How far the support of each box is from its planned height, m; 0 where it has none."""
-        boxes = motion.middles(state.pose, worlds.middle)[..., 2] - worlds.target[..., 2]
-        carrier = state.carrier_pose[:, 2] - worlds.carrier_pos[:, 2]
+        boxes = motion.middles(state.qpos, worlds.middle)[..., 2] - worlds.target[..., 2]
+        carrier = state.carrier_qpos[:, 2] - worlds.carrier_pos[:, 2]
         moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
         moved = jnp.where(worlds.support == CARRIER, carrier[:, None], moved)
         return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -MOST_FOLLOWED_M, MOST_FOLLOWED_M))
@@ -97,13 +97,13 @@ class Rules:
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = state.driven_from + worlds.drive_steps
         metrics = self._without_rest(self._forget_transients(state, worlds, begins), begins)
-        middles = motion.middles(state.pose, worlds.middle)
+        middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
         return state._replace(
             status=jnp.where(begins, Status.RUNNING, state.status),
             end=jnp.where(begins, end, state.end),
             rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
-            still_pose=jnp.where(begins[:, None, None], state.pose, state.still_pose),
+            still_qpos=jnp.where(begins[:, None, None], state.qpos, state.still_qpos),
             metrics=metrics._replace(sway_anchor=anchor),
         )
 
@@ -127,8 +127,8 @@ class Rules:
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
         """Whether a box is over a threshold now, or has dropped."""
         limits = self.sim.thresholds
-        shift = motion.shift(motion.middles(state.pose, worlds.middle), worlds.target, limits.shift_floor_m)
-        tilt = motion.tilt_deg(state.pose[..., 3:])
+        shift = motion.shift(motion.middles(state.qpos, worlds.middle), worlds.target, limits.shift_floor_m)
+        tilt = motion.tilt_deg(state.qpos[..., 3:])
         excess = motion.excess(shift, tilt, state.metrics.drop_step >= 0, limits)
         placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
         return (placed & (excess > 1)).any(-1)
@@ -137,23 +137,23 @@ class Rules:
         self,
         state: State,
         worlds: Worlds,
-        seen_pose: Float[Array, "world box 7"],
-        acceleration: Float[Array, "world box 6"],
+        seen_qpos: Float[Array, "world box 7"],
+        qacc: Float[Array, "world box 6"],
         top_force: Float[Array, "world box"],
     ) -> State:
         """Everything that happens between two steps.
 
         Args:
             state: poses, velocities and step counters as the step left them.
-            seen_pose: poses at the beginning of the step, to which contacts and accelerations belong.
-            acceleration: linear (m/s²) and angular (rad/s²) of each box in that step.
+            seen_qpos: poses at the beginning of the step, to which contacts and accelerations belong.
+            qacc: linear (m/s²) and angular (rad/s²) of each box in that step.
             top_force: N.
         """
         before = state.running
-        moving = (state.pose, state.vel, state.carrier_pose, state.carrier_vel)
+        moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
         values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
-        state = self._sample(state, worlds, _Seen(seen_pose, acceleration, top_force), nonfinite)
+        state = self._sample(state, worlds, _Seen(seen_qpos, qacc, top_force), nonfinite)
         state = state._replace(
             steps_done=state.steps_done + (before & (state.step > 0)),
             flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
@@ -163,7 +163,7 @@ class Rules:
         still_from = state.end - self.timetable.still_steps
         still_from = jnp.maximum(still_from, state.driven_from if self.driven else 0)
         here = state.running & (state.step == still_from)
-        return state._replace(still_pose=jnp.where(here[:, None, None], state.pose, state.still_pose))
+        return state._replace(still_qpos=jnp.where(here[:, None, None], state.qpos, state.still_qpos))
 
     def _sample(self, state: State, worlds: Worlds, seen: _Seen, nonfinite: Bool[Array, " world"]) -> State:
         limits, m = self.sim.thresholds, state.metrics
@@ -175,16 +175,16 @@ class Rules:
         sampled = standing & sample[:, None]
         looked = standing & (sample | last)[:, None]
 
-        pose = jnp.where(sample[:, None, None], seen.pose, state.pose)
-        pos, quat = motion.middles(pose, worlds.middle), pose[..., 3:]
+        qpos = jnp.where(sample[:, None, None], seen.qpos, state.qpos)
+        pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
         excess = motion.excess(motion.shift(pos, worlds.target, limits.shift_floor_m), tilt, dropped, limits)
         excess = jnp.where(looked, excess, 0.0)
         signs = (m.culprit < 0) & (excess.max(-1) > 1)
         culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
-        lin = jnp.sqrt((seen.acceleration[..., :3] ** 2).sum(-1))
-        ang = jnp.sqrt((seen.acceleration[..., 3:] ** 2).sum(-1))
+        lin = jnp.sqrt((seen.qacc[..., :3] ** 2).sum(-1))
+        ang = jnp.sqrt((seen.qacc[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
         # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
         # placement do not count, and a violent one is an explosion only if those that follow say the same.
@@ -232,7 +232,7 @@ class Rules:
         A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps.
         """
         quiet = self.sim.quiet
-        speed = jnp.where(self.standing(state), motion.speed(state.vel, worlds.half), 0.0)
+        speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
         count = jnp.where((speed < quiet.quiet_m_s).all(-1), state.quiet_steps + quiet.poll_steps, 0)
         enough = poll & (count >= quiet.steps)
         if not self.sim.waits_for_rest:
@@ -312,7 +312,7 @@ class Rules:
         """At the last step: a world that moves and has not failed is waited for. One that rests may begin its drive."""
         sim, table = self.sim, self.timetable
         ends = state.running & (state.step > 0) & (state.step >= state.end)
-        moved = motion.moved(state.still_pose, state.pose, worlds.half)
+        moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
         still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
         seconds = (state.step - still_from) * sim.physics.timestep_s
         moves = (self.standing(state) & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)

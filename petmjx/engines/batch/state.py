@@ -102,16 +102,16 @@ class Metrics(NamedTuple):
 class State(NamedTuple):
     """The state of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # Positions and velocities as MuJoCo's qpos and qvel of free bodies; the accelerations of the last step; and those
-    # from which mjx-warp's solver starts in the next one. Other solvers start from the last step's.
-    pose: Float[Array, "world box 7"]
-    vel: Float[Array, "world box 6"]
-    warm: Float[Array, "world box 6"]
-    ahead: Float[Array, "world box 6"]
-    carrier_pose: Float[Array, "world 7"]
-    carrier_vel: Float[Array, "world 6"]
-    carrier_warm: Float[Array, "world 6"]
-    carrier_ahead: Float[Array, "world 6"]
+    # As MuJoCo's arrays of free bodies, boxes and carrier apart: positions, velocities, the accelerations of the last
+    # step, and those from which mjx-warp's solver starts in the next one. Other solvers start from the last step's.
+    qpos: Float[Array, "world box 7"]
+    qvel: Float[Array, "world box 6"]
+    qacc: Float[Array, "world box 6"]
+    qacc_warmstart: Float[Array, "world box 6"]
+    carrier_qpos: Float[Array, "world 7"]
+    carrier_qvel: Float[Array, "world 6"]
+    carrier_qacc: Float[Array, "world 6"]
+    carrier_qacc_warmstart: Float[Array, "world 6"]
 
     # Where bodies stand in the system of equations, for a solver that orders them (mjx-warp): a permutation of those
     # that are placed, in which a box that is placed comes last.
@@ -135,7 +135,7 @@ class State(NamedTuple):
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
-    still_pose: Float[Array, "world box 7"]
+    still_qpos: Float[Array, "world box 7"]
     status: Int[Array, " world"]
 
     # For the outcome: bits of Flag, steps simulated in this run of jobs, and what was measured.
@@ -304,14 +304,14 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         sign_placed=ints,
     )
     return State(
-        pose=worlds.start,
-        vel=jnp.zeros((n, width, 6)),
-        warm=jnp.zeros((n, width, 6)),
-        ahead=jnp.zeros((n, width, 6)),
-        carrier_pose=jnp.concatenate([worlds.carrier_pos, upright], axis=-1),
-        carrier_vel=jnp.zeros((n, 6)),
-        carrier_warm=jnp.zeros((n, 6)),
-        carrier_ahead=jnp.zeros((n, 6)),
+        qpos=worlds.start,
+        qvel=jnp.zeros((n, width, 6)),
+        qacc=jnp.zeros((n, width, 6)),
+        qacc_warmstart=jnp.zeros((n, width, 6)),
+        carrier_qpos=jnp.concatenate([worlds.carrier_pos, upright], axis=-1),
+        carrier_qvel=jnp.zeros((n, 6)),
+        carrier_qacc=jnp.zeros((n, 6)),
+        carrier_qacc_warmstart=jnp.zeros((n, 6)),
         position=jnp.broadcast_to(jnp.arange(1, width + 1, dtype=jnp.int32), (n, width)),
         carrier_position=ints,
         step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),
@@ -324,7 +324,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         driven_from=never,
         rest_from=jnp.where(ends == NEVER, NEVER, ends - rest_steps),
         end=ends,
-        still_pose=worlds.start,
+        still_qpos=worlds.start,
         status=ints,
         flags=ints,
         steps_done=ints,

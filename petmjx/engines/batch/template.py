@@ -88,18 +88,20 @@ def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
 
 
 def parked_positions(capacity: int) -> Float[Array, "box 3"]:
-    """Where boxes of a lane wait for their turn, m."""
+    """Where boxes of a world wait for their turn, m."""
     x = PARKING_PITCH_M * jnp.arange(1, capacity + 1)
     return jnp.stack([x, jnp.zeros(capacity), jnp.full(capacity, PARKING_HEIGHT_M)], axis=-1)
 
 
-def _box_inertia(half: Float[Array, "lane body 3"], mass: Float[Array, "lane body"]) -> Float[Array, "lane body 3"]:
+def _box_inertia(half: Float[Array, "world body 3"], mass: Float[Array, "world body"]) -> Float[Array, "world body 3"]:
     """Principal moments of solid boxes in box order: m/3 · (b² + c²) for half extents a, b, c."""
     squares = half**2
     return mass[..., None] / 3 * (squares.sum(-1, keepdims=True) - squares)
 
 
-def override_fields(worlds: Worlds, model: Any, *, held: bool, physics: Physics) -> dict[str, Float[Array, "lane ..."]]:
+def override_fields(
+    worlds: Worlds, model: Any, *, held: bool, physics: Physics
+) -> dict[str, Float[Array, "world ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
     ``physics`` says by how much geoms are larger than boxes. ``model`` is the template's MJX model, whose values stand
@@ -107,7 +109,7 @@ def override_fields(worlds: Worlds, model: Any, *, held: bool, physics: Physics)
     and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I; ``geom_rbound`` is the half diagonal; all are
     checked against it in tests.
     """
-    lanes, shapes = worlds.shape_half.shape[:2]
+    n_worlds, shapes = worlds.shape_half.shape[:2]
     boards = shapes - worlds.half.shape[1]
     skin = jnp.array([physics.carrier_skin_m] * boards + [physics.skin_m] * (shapes - boards))
     geom_half = worlds.shape_half + skin[None, :, None]
@@ -118,14 +120,14 @@ def override_fields(worlds: Worlds, model: Any, *, held: bool, physics: Physics)
         inv_translation = inv_translation.at[:, 0].set(0.0)
         inv_rotation = inv_rotation.at[:, 0].set(0.0)
 
-    def with_world_body(values: Float[Array, "lane body *k"]) -> Float[Array, "lane body+1 *k"]:
-        return jnp.concatenate([jnp.zeros((lanes, 1, *values.shape[2:])), values], axis=1)
+    def with_world_body(values: Float[Array, "world body *k"]) -> Float[Array, "world body+1 *k"]:
+        return jnp.concatenate([jnp.zeros((n_worlds, 1, *values.shape[2:])), values], axis=1)
 
-    def with_floor(values: Float[Array, "lane shape *k"], name: str) -> Float[Array, "lane shape+1 *k"]:
-        floor = jnp.broadcast_to(getattr(model, name)[FLOOR_GEOM], (lanes, 1, *values.shape[2:]))
+    def with_floor(values: Float[Array, "world shape *k"], name: str) -> Float[Array, "world shape+1 *k"]:
+        floor = jnp.broadcast_to(getattr(model, name)[FLOOR_GEOM], (n_worlds, 1, *values.shape[2:]))
         return jnp.concatenate([floor, values], axis=1)
 
-    floor = jnp.zeros((lanes, 3)).at[:, 2].set(worlds.floor_z)
+    floor = jnp.zeros((n_worlds, 3)).at[:, 2].set(worlds.floor_z)
     free = slice(1, None) if held else slice(None)
     dof = jnp.stack([inv_translation, inv_rotation], axis=-1)[:, free]
     fields = {
@@ -133,7 +135,7 @@ def override_fields(worlds: Worlds, model: Any, *, held: bool, physics: Physics)
         "body_inertia": with_world_body(inertia),
         "body_subtreemass": jnp.concatenate([worlds.mass.sum(1, keepdims=True), worlds.mass], axis=1),
         "body_invweight0": with_world_body(jnp.stack([inv_translation, inv_rotation], axis=-1)),
-        "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(lanes, -1),
+        "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(n_worlds, -1),
         "geom_size": with_floor(geom_half, "geom_size"),
         "geom_pos": jnp.concatenate([floor[:, None], worlds.shape_pos], axis=1),
         "geom_rbound": with_floor(jnp.sqrt((geom_half**2).sum(-1)), "geom_rbound"),

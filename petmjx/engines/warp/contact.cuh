@@ -1,7 +1,7 @@
 // One contact's part in the solver: its rows of J, and the force and curvature of its cone's cost.
 //
-// `contact` points to the contact's numbers as the kernel make_rows writes them: frame (9), moment arms of both bodies
-// (9 + 9), reference accelerations (3), stiffness of the normal's row (1), friction (1).
+// `contact` points to the contact's numbers as make_constraint (kernel/contacts.py) writes them: frame (9), moment arms of
+// both bodies (9 + 9), reference accelerations (aref, 3), stiffness of the normal's row (D, 1), friction (1).
 
 #ifndef PETMJX_CONTACT_CUH
 #define PETMJX_CONTACT_CUH
@@ -33,9 +33,9 @@ inline CUDA_CALLABLE void load_arms(const float* contact, int side, float (&arms
     for (int i = 0; i < 9; ++i) arms[i] = side ? near[2 + i] : near[1 + i];
 }
 
-// J·x of one contact, (3,). `block`: the numbers of its two blocks, negative if the body does not move.
-inline CUDA_CALLABLE void relative(const float* contact, const int* block, const double* x, double* out) {
-    const int one = 6 * block[0], two = 6 * block[1];
+// J·x of one contact, (3,). `body`: the numbers of its two bodies, negative if one does not move.
+inline CUDA_CALLABLE void relative(const float* contact, const int* body, const double* x, double* out) {
+    const int one = 6 * body[0], two = 6 * body[1];
     float axes[28];
     #pragma unroll
     for (int i = 0; i < 28; i += 4) load_four(axes + i, contact + i);
@@ -58,15 +58,16 @@ inline CUDA_CALLABLE void relative(const float* contact, const int* block, const
     for (int r = 0; r < 3; ++r) out[r] = value[r];
 }
 
-// Force (3,) and curvature (6: the upper triangle, row by row) of a contact's cost at residual j = J·a − r, in its
-// frame. The formulas are those of mj_constraintUpdate (MuJoCo, engine_core_constraint.c); both tangents have the same
-// friction here. `slack`: 1 / √impratio, which makes the rows of an elliptic cone's tangents impratio times as stiff.
+// Force (3,) and curvature (6: the upper triangle, row by row) of a contact's cost at residual j = J·qacc − aref, in
+// its frame. The formulas are those of mj_constraintUpdate (MuJoCo, engine_core_constraint.c); both tangents have the same
+// friction here. `impratio_invsqrt`: 1 / √impratio, which makes the rows of an elliptic cone's tangents impratio times as
+// stiff.
 //
 // `drag` (2,) is the share of the friction that there can be, against its direction: an unknown of its own for a
 // contact that slides, |drag| ≤ 1, and a result for others. newton.py says why. With `anew` it is what the residual
 // says. Pyramidal cones have none.
 inline CUDA_CALLABLE void respond(
-    int pyramidal, double slack, const double* j, const float* contact, bool anew,
+    int pyramidal, double impratio_invsqrt, const double* j, const float* contact, bool anew,
     float* drag, double* push, double* bend
 ) {
     float last[4];
@@ -89,14 +90,14 @@ inline CUDA_CALLABLE void respond(
         return;
     }
     const double tangent = sqrt(j[1] * j[1] + j[2] * j[2]);
-    const double m = mu * slack;
+    const double m = mu * impratio_invsqrt;
     const double N = m * j[0], T = mu * tangent;
     if (N >= m * T) {
         drag[0] = drag[1] = 0.0f;
         return;
     }
     if (m * N + T <= 0.0) {
-        const double Dt = D / (slack * slack);
+        const double Dt = D / (impratio_invsqrt * impratio_invsqrt);
         push[0] = -D * j[0];
         push[1] = -Dt * j[1];
         push[2] = -Dt * j[2];
@@ -136,7 +137,8 @@ inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) 
 // Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v: what
 // `respond` gives there, times v once and twice, in fewer operations.
 inline CUDA_CALLABLE void respond_along(
-    int pyramidal, double slack, const double* j, const double* v, double length, const float* contact, double (&cost)[2]
+    int pyramidal, double impratio_invsqrt, const double* j, const double* v, double length, const float* contact,
+    double (&cost)[2]
 ) {
     float last[4];
     load_four(last, contact + 28);
@@ -152,12 +154,12 @@ inline CUDA_CALLABLE void respond_along(
         }
         return;
     }
-    const double square = one * one + two * two, m = mu * slack;
+    const double square = one * one + two * two, m = mu * impratio_invsqrt;
     const double mixed = one * v[1] + two * v[2], speed = v[1] * v[1] + v[2] * v[2];
     const double N = m * normal;
     if (N >= 0.0 && N * N >= m * m * mu * mu * square) return;
     if (N <= 0.0 && m * m * N * N >= mu * mu * square) {
-        const double Dt = D / (slack * slack);
+        const double Dt = D / (impratio_invsqrt * impratio_invsqrt);
         cost[0] += D * normal * v[0] + Dt * mixed;
         cost[1] += D * v[0] * v[0] + Dt * speed;
         return;

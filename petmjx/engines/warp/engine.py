@@ -20,12 +20,12 @@ from petmjx.engines.batch.upload import is_out_of_memory, load, round_up, tables
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
+from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.shape import Shape, size_for
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
 from petmjx.verdict import Flag, Outcome
@@ -39,8 +39,8 @@ simulated when the others have ended."""
 MORE_AT_ONCE = 64
 """Jobs that are put into a table at the same time. XLA compiles a program for each number."""
 
-MIN_LANES = 16
-"""With fewer lanes than this, no useful amount of memory is saved."""
+MIN_BLOCKS = 16
+"""With fewer thread blocks than this, no useful amount of memory is saved."""
 
 Waiting = Callable[[int], Sequence[Job]]
 """The next jobs of a run, at most so many, which may be appended to those of a group."""
@@ -61,7 +61,7 @@ class RolloutKey:
 
 
 def _size(job: Job) -> int:
-    """The size of the lanes for a job: the most boxes of their worlds."""
+    """The size of a job's world: the most boxes of one that its thread block may have."""
     return size_for(job.scene.n_boxes).most_boxes
 
 
@@ -72,7 +72,7 @@ def _most_room(size: int) -> int:
 
 
 def _sizes(run: Run) -> list[int]:
-    """The sizes of a run's lanes, those for the largest worlds first."""
+    """The sizes of a run's worlds, the largest first."""
     return sorted(run.widths, reverse=True)
 
 
@@ -92,8 +92,8 @@ def _widths(jobs: Sequence[Job]) -> dict[int, int]:
 
 
 def _halved(fleet: Fleet) -> Fleet:
-    """With half as many lanes, but for the fewest that are worth while."""
-    return replace(fleet, lanes=min(fleet.lanes, max(fleet.lanes // 2, MIN_LANES)))
+    """With half as many blocks, but for the fewest that are worth while."""
+    return replace(fleet, blocks=min(fleet.blocks, max(fleet.blocks // 2, MIN_BLOCKS)))
 
 
 class MjxWarpEngine(Engine):
@@ -129,9 +129,9 @@ class MjxWarpEngine(Engine):
         set_up_jax()
         self.lanes, self.group_size, self.slice_ns = lanes, group_size, slice_ns
         self._running = RunLock(self.name)
-        self._kept: dict[tuple[Shape, ...], tuple[RolloutKey, Rollout]] = {}
+        self._kept: dict[tuple[Launch, ...], tuple[RolloutKey, Rollout]] = {}
         self._room: dict[tuple[Cone, int], int] = {}
-        """How much larger than usual buffers have to be, by size of lanes."""
+        """How much larger than usual buffers have to be, by size of worlds."""
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
         """As in the protocol."""
@@ -259,10 +259,10 @@ class MjxWarpEngine(Engine):
 
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            has_lanes = job.scene.n_boxes <= group.run.widths.get(_size(job), 0)
-            has_lanes &= len(job.scene.carrier.half_size) <= group.boards
+            has_blocks = job.scene.n_boxes <= group.run.widths.get(_size(job), 0)
+            has_blocks &= len(job.scene.carrier.half_size) <= group.boards
             has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
-            return known and has_lanes and has_times and job.record is None and group.recorder.idle
+            return known and has_blocks and has_times and job.record is None and group.recorder.idle
 
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
         taken = list(takewhile(fits, waiting(free)))
@@ -271,7 +271,7 @@ class MjxWarpEngine(Engine):
         queues.add(taken, len(group.jobs), group.run.sim)
         for first in range(0, len(taken), MORE_AT_ONCE):
             some = taken[first : first + MORE_AT_ONCE]
-            width, run = group.table.pose.shape[1], group.run
+            width, run = group.table.qpos.shape[1], group.run
             made = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
             group.add(some, *made)
         return True
@@ -296,16 +296,16 @@ class MjxWarpEngine(Engine):
         return rollout
 
     def _rollout(self, group: Group) -> Rollout | None:
-        """The programs for a group, with fewer lanes if memory is short; None if not even ``MIN_LANES`` fit. What says
-        that memory is short is raised if these are lanes of two sizes."""
+        """The programs for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. What
+        says that memory is short is raised if these are blocks of two sizes."""
         run = group.run
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
-        shapes = tuple(fleet.shape for fleet in fleets)
+        launches = tuple(fleet.launch for fleet in fleets)
         key = RolloutKey(run.sim, fleets, len(run.timetable.clock), len(run.timetable.settled_nominally))
-        if shapes in self._kept and self._kept[shapes][0] == key:
-            return self._kept[shapes][1]
-        if shapes in self._kept:
-            self._kept.pop(shapes)[1].close()
+        if launches in self._kept and self._kept[launches][0] == key:
+            return self._kept[launches][1]
+        if launches in self._kept:
+            self._kept.pop(launches)[1].close()
         while True:
             try:
                 rollout = Rollout(run, fleets, self.slice_ns)
@@ -319,10 +319,10 @@ class MjxWarpEngine(Engine):
                             raise  # each size alone may have room
                         return None
                 self._drop()  # programs of other sizes may be what takes the memory: once more without them
-                lanes = sum(each.lanes for each in fleets)
+                lanes = sum(each.blocks for each in fleets)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
-                self._kept[shapes] = (key, rollout)
+                self._kept[launches] = (key, rollout)
                 return rollout
 
     def _boxes_of_room(self, run: Run, size: int) -> int:
@@ -331,9 +331,9 @@ class MjxWarpEngine(Engine):
         return min(growth * (run.widths[size] + MORE_BOXES), _most_room(size))
 
     def _fleet(self, run: Run, size: int, boards: int) -> Fleet:
-        """Lanes of a size, as many as there can be, for carriers of so many shapes."""
+        """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
         n_boxes = run.widths[size]
-        shape = Shape.here(n_boxes)
+        launch = Launch.here(n_boxes)
         shapes = self._boxes_of_room(run, size) + boards - 1
-        lanes = min(self.lanes or shape.lanes, shape.lanes)
-        return Fleet(shape, lanes, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+        blocks = min(self.lanes or launch.blocks, launch.blocks)
+        return Fleet(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)

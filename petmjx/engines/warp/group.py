@@ -31,7 +31,7 @@ class Run:
     """What the groups of a run have in common.
 
     Attributes:
-        widths: most boxes of a size of lanes (``shape.Size``) → boxes for which such lanes have room in this run.
+        widths: most boxes of a size (``launch.Size``) → boxes for which blocks of that size have room in this run.
         jobs: all of the run, to which more may be appended: ``GrowingJobs``.
     """
 

@@ -1,11 +1,11 @@
 """The JAX call that launches the kernels of mjx-warp, in which every world goes at its own pace.
 
-A thread block is a lane. Lanes of one size are a fleet, with a kernel of its own (petmjx/engines/warp/shape.py); all
-fleets work at the same time, on the same tables. A lane takes a world from its fleet's queue, steps it to its end (or
+Thread blocks for worlds of one size are a fleet, with a kernel of its own (petmjx/engines/warp/launch.py); all fleets
+work at the same time, on the same tables. A block takes a world from its fleet's queue, steps it to its end (or
 until its drive begins, or until the call's time is over), and takes the next one. Nothing is done in lockstep: a world
 costs what its own boxes cost, and a step takes as long as its own solver needs. States lie in the tables of
 petmjx/engines/batch/state.py, and a world that was cut off goes on in the next call. So results depend neither on
-lanes, nor on the order of worlds, nor on time.
+blocks, nor on the order of worlds, nor on time.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ import jax.numpy as jnp
 import warp as wp
 
 from petmjx.engines.warp import records
+from petmjx.engines.warp.launch import Launch, kernel
 from petmjx.engines.warp.records import (
     Counts,
-    Frames,
+    FrameBuffer,
     Model,
     State,
-    Tables,
     Workspace,
+    Worlds,
     array_types,
     filled,
 )
-from petmjx.engines.warp.shape import Shape, kernel
 from petmjx.engines.warp.streams import own_kernels, side_by_side
 
 SLICE_NS = 250_000_000
@@ -52,25 +52,26 @@ MORE_BOXES = 2
 
 @dataclass(frozen=True)
 class Fleet:
-    """Lanes of one size.
+    """Thread blocks for worlds of one size.
 
     Attributes:
-        shape: of the lanes.
-        lanes: worlds at the same time.
-        n_boxes, boards, pairs, room: most boxes, shapes of a carrier, pairs of near geoms, and contacts of a world.
+        launch: how the device runs them.
+        blocks: how many; each has one world at a time.
+        n_boxes, boards: most boxes of a world, and most shapes of a carrier.
+        npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
     """
 
-    shape: Shape
-    lanes: int
+    launch: Launch
+    blocks: int
     n_boxes: int
     boards: int
-    pairs: int
-    room: int
+    npairmax: int
+    nconmax: int
 
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of the axes of its workspace."""
-        return records.axes(self.lanes, self.n_boxes, self.boards, self.pairs, self.room)
+        return records.axes(self.blocks, self.n_boxes, self.boards, self.npairmax, self.nconmax)
 
 
 class March:
@@ -79,43 +80,43 @@ class March:
     Args:
         constants: fields of ``records.Model`` but for those of a fleet.
         fleets: by number of the queue from which they take worlds; those for the largest worlds first.
-        slice_ns: time of a call, ns; with 0 each lane takes one step.
+        slice_ns: time of a call, ns; with 0 each block takes one step.
     """
 
     def __init__(self, constants: Mapping[str, Any], fleets: Sequence[Fleet], slice_ns: int = SLICE_NS) -> None:
         self.fleets = tuple(fleets)
         self.models = [
-            filled(Model, {**constants, "queue": queue, "pairs": fleet.pairs, "room": fleet.room})
+            filled(Model, {**constants, "queue": queue, "npairmax": fleet.npairmax, "nconmax": fleet.nconmax})
             for queue, fleet in enumerate(fleets)
         ]
-        self.lanes = sum(fleet.lanes for fleet in fleets)
+        self.blocks = sum(fleet.blocks for fleet in fleets)
         self.slice_ns = slice_ns
         self.id = next(_IDS)
         _MARCHES[self.id] = self
 
     def workspace(self) -> jax.Array:
-        """The lanes' memory. It has to be given to each call."""
+        """The workspace of all blocks. It has to be given to each call."""
         rows = sum(records.buffer_rows(fleet.sizes) for fleet in self.fleets)
         return jnp.zeros((rows, records.BUFFER_WORDS), jnp.float32)
 
     def load(self) -> None:
         """Compile the kernels, at the same time, or take them from Warp's cache."""
-        kernels = [kernel(fleet.shape) for fleet in self.fleets] + own_kernels(len(self.fleets))
+        kernels = [kernel(fleet.launch) for fleet in self.fleets] + own_kernels(len(self.fleets))
         modules = list(dict.fromkeys(each.module for each in kernels))
         wp.force_load(wp.get_device(), modules, max_workers=len(modules))
 
     def __call__(
         self,
-        tables: Mapping[str, jax.Array],
+        worlds: Mapping[str, jax.Array],
         state: Mapping[str, jax.Array],
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """States after a slice of time, the workspace, frames, and what was counted. What the kernels do not know of a
+        """States after a time slice, the workspace, frames, and what was counted. What the kernels do not know of a
         state stays as it is."""
         kinds, shapes = array_types(Counts), records.array_shapes(Counts, {"queue": len(self.fleets)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
-        given = {**tables, **state, **counts, "workspace": workspace}
+        given = {**worlds, **state, **counts, "workspace": workspace}
         given |= {_of_frames(name): values for name, values in frames.items()}
         call = wp.jax_callable(
             _launch,
@@ -131,30 +132,30 @@ class March:
 
     def launch(self, arrays: dict[str, Any]) -> None:
         """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
-        tables, state, counts = (filled(kind, arrays) for kind in (Tables, State, Counts))
-        frames = filled(Frames, {name: arrays[_of_frames(name)] for name in array_types(Frames)})
+        worlds, state, counts = (filled(kind, arrays) for kind in (Worlds, State, Counts))
+        frames = filled(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
         row = 0
         with side_by_side(len(self.fleets)) as streams:
             for fleet, model, stream in zip(self.fleets, self.models, streams, strict=True):
-                threads, sizes = fleet.shape.threads, fleet.sizes
+                threads, sizes = fleet.launch.threads, fleet.sizes
                 work = filled(Workspace, records.in_buffer(arrays["workspace"], sizes, row))
                 row += records.buffer_rows(sizes)
-                inputs = [threads, self.lanes, self.slice_ns, model, tables, state, work, frames, counts]
-                dim = fleet.lanes, threads
-                wp.launch(kernel(fleet.shape), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
+                inputs = [model, worlds, threads, self.blocks, self.slice_ns, state, work, frames, counts]
+                dim = fleet.blocks, threads
+                wp.launch(kernel(fleet.launch), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
 
 
 def _of_frames(name: str) -> str:
-    """The name of an array of ``Frames`` among all arrays that JAX sees; some are called as those of ``State``."""
+    """The name of an array of ``FrameBuffer`` among all arrays that JAX sees; some are called as those of ``State``."""
     return f"frame_{name}"
 
 
-_INPUTS = array_types(Tables)
+_INPUTS = array_types(Worlds)
 _CHANGED = (
     array_types(State)
     | array_types(Counts)
     | {"workspace": wp.array2d[float]}
-    | {_of_frames(name): kind for name, kind in array_types(Frames).items()}
+    | {_of_frames(name): kind for name, kind in array_types(FrameBuffer).items()}
 )
 """Name → type of the arrays that JAX sees."""
 

@@ -1,4 +1,4 @@
-// The constraint solver of mjx-warp for the world of a lane: Newton's method, as newton.py explains it.
+// The constraint solver of mjx-warp for the world of a thread block: Newton's method, as newton.py explains it.
 //
 // Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it. Loops are not unrolled where they
 // could be: a GPU waits for instructions more than for results (docs/performance.md).
@@ -9,28 +9,28 @@
 
 namespace petmjx {
 
-// Views of one world's arrays, which records.py describes.
+// Views of one world's arrays, which records.py describes. Its bodies are the free ones.
 struct World {
-    int contacts, bodies, n;
-    const float* row;      // (contact, ROW)
-    const int* block;      // (contact, 2)
-    const int* begin_of;   // (body + 1,) where each body's links begin
-    const int* link;       // 2·contact + side, body after body
-    const int* position;   // (body,) of its rows in the system, in bodies
-    const float* mass;     // (n,) diagonal of M
-    const float* idle;     // (n,) accelerations without contacts
-    double* a;             // (n,)
-    double* step;          // (n,)
-    double* g;             // (n,)
-    double* jar;           // (contact, 3) J·a − r
-    double* jv;            // (contact, 3) J·step
-    double* f;             // (contact, 3)
-    float* curve;          // (contact, 6)
-    float* drag;           // (contact, 2)
-    int* pair;             // (pair,) first contact of each pair of moving bodies
+    int ncon, nfree, nv;
+    const float* efc;           // (contact, EFC)
+    const int* body;            // (contact, 2) negative: does not move
+    const int* body_conadr;     // (body + 1,) where each body's contacts begin
+    const int* body_contact;    // 2·contact + side, body after body
+    const int* position;        // (body,) of its rows in the system, in bodies
+    const float* qM;            // (nv,) diagonal of M
+    const float* qacc_smooth;   // (nv,) accelerations without contacts
+    double* qacc;               // (nv,)
+    double* search;             // (nv,)
+    double* grad;               // (nv,)
+    double* Jaref;              // (contact, 3) J·qacc − aref
+    double* jv;                 // (contact, 3) J·search
+    double* force;              // (contact, 3)
+    float* curvature;           // (contact, 6)
+    float* drag;                // (contact, 2)
+    int* bodies_conadr;         // (pair,) first contact of each pair of moving bodies
 };
 
-const int ROW = 32;  // numbers of a contact
+const int EFC = 32;  // numbers of a contact
 
 // The line search ends where the cost's derivative is at most this share of what it was, or at Newton's step if the cost
 // still decreases there. Smaller shares save no iteration.
@@ -40,23 +40,24 @@ const size_t DRIVER_BYTES = 1024;  // of a block's shared memory (CUDA C++ Progr
 
 const double INFINITE = 1e300;  // what a singular Hessian may make of a step: no NaN
 
-// Gradient M·(a − a₀) − Jᵀ·f into g and rhs, SHARE threads per body. Returns this thread's part of gᵀM⁻¹g.
+// Gradient g = M·(qacc − qacc_smooth) − Jᵀ·force into grad and rhs, SHARE threads per body. Returns this thread's part
+// of gᵀM⁻¹g.
 inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
     double bound = 0.0;
     #pragma unroll 1
-    for (int base = 0; base < world.bodies * SHARE; base += threads) {
+    for (int base = 0; base < world.nfree * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
         double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
-        if (b < world.bodies) {
+        if (b < world.nfree) {
             #pragma unroll 1
-            for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
-                const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
+            for (int entry = world.body_conadr[b] + share_of; entry < world.body_conadr[b + 1]; entry += SHARE) {
+                const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
                 float axes[9], arms[9];
-                load_axes(world.row + ROW * k, axes);
-                load_arms(world.row + ROW * k, side, arms);
+                load_axes(world.efc + EFC * k, axes);
+                load_arms(world.efc + EFC * k, side, arms);
                 #pragma unroll
                 for (int r = 0; r < 3; ++r) {
-                    const double push = side ? -world.f[3 * k + r] : world.f[3 * k + r];
+                    const double push = side ? -world.force[3 * k + r] : world.force[3 * k + r];
                     #pragma unroll
                     for (int i = 0; i < 3; ++i) {
                         value[i] += axes[3 * r + i] * push;
@@ -68,34 +69,34 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
         sum_over_share(value);
         #pragma unroll
         for (int i = 0; i < 6; ++i) {
-            if (b >= world.bodies || i % SHARE != share_of) continue;
+            if (b >= world.nfree || i % SHARE != share_of) continue;
             const int at = 6 * b + i;
-            const double whole = value[i] + world.mass[at] * (world.a[at] - world.idle[at]);
-            world.g[at] = whole;
+            const double whole = value[i] + world.qM[at] * (world.qacc[at] - world.qacc_smooth[at]);
+            world.grad[at] = whole;
             rhs[6 * world.position[b] + i] = (float)whole;
-            bound += whole * whole / world.mass[at];
+            bound += whole * whole / world.qM[at];
         }
     }
     return bound;
 }
 
-// A body's diagonal block of the Hessian: 21 entries, summed over its contacts by SHARE threads.
-inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, int thread, int threads) {
+// A body's own entries of the Hessian, 21 of its 6 × 6, summed over its contacts by SHARE threads.
+inline CUDA_CALLABLE void own_entries(const World& world, const System& system, int thread, int threads) {
     #pragma unroll 1
-    for (int base = 0; base < world.bodies * SHARE; base += threads) {
+    for (int base = 0; base < world.nfree * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
         float own[21];
         #pragma unroll
         for (int e = 0; e < 21; ++e) own[e] = 0.0f;
-        if (b < world.bodies) {
+        if (b < world.nfree) {
             #pragma unroll 1
-            for (int entry = world.begin_of[b] + share_of; entry < world.begin_of[b + 1]; entry += SHARE) {
-                const int k = world.link[entry] >> 1, side = world.link[entry] & 1;
-                const float* s = world.curve + 6 * k;
+            for (int entry = world.body_conadr[b] + share_of; entry < world.body_conadr[b + 1]; entry += SHARE) {
+                const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
+                const float* s = world.curvature + 6 * k;
                 const float s0 = s[0], s1 = s[1], s2 = s[2], s3 = s[3], s4 = s[4], s5 = s[5];
                 float axes[9], arms[9], x[6], y[6], z[6];
-                load_axes(world.row + ROW * k, axes);
-                load_arms(world.row + ROW * k, side, arms);
+                load_axes(world.efc + EFC * k, axes);
+                load_arms(world.efc + EFC * k, side, arms);
                 #pragma unroll
                 for (int i = 0; i < 3; ++i) {
                     x[i] = axes[i], y[i] = axes[3 + i], z[i] = axes[6 + i];
@@ -113,7 +114,7 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
             }
         }
         sum_over_share(own);
-        if (b >= world.bodies) continue;
+        if (b >= world.nfree) continue;
         const int place = world.position[b];
         const Columns columns = system.columns(place);
         int e = 0;
@@ -122,25 +123,25 @@ inline CUDA_CALLABLE void own_blocks(const World& world, const System& system, i
             #pragma unroll
             for (int p = 0; p <= q; ++p) {
                 if (e % SHARE == share_of)
-                    columns.entry(6 * place + p, q) = own[e] + (p == q ? world.mass[6 * b + p] : 0.0f);
+                    columns.entry(6 * place + p, q) = own[e] + (p == q ? world.qM[6 * b + p] : 0.0f);
                 ++e;
             }
         }
     }
 }
 
-// The block of two bodies that touch: one row per thread, summed over their contacts.
-inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, int pairs, int thread, int threads) {
-    const int* block = world.block;
+// The 6 × 6 entries of two bodies that touch: one row per thread, summed over their contacts.
+inline CUDA_CALLABLE void pair_entries(const World& world, const System& system, int pairs, int thread, int threads) {
+    const int* body = world.body;
     #pragma unroll 1
     for (int item = thread; item < 6 * pairs; item += threads) {
         const int p = item % 6;
-        int k = world.pair[item / 6];
-        const int one = block[2 * k], two = block[2 * k + 1];
+        int k = world.bodies_conadr[item / 6];
+        const int one = body[2 * k], two = body[2 * k + 1];
         float shared[6] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
         do {
-            const float* c = world.row + ROW * k;
-            const float* s = world.curve + 6 * k;
+            const float* c = world.efc + EFC * k;
+            const float* s = world.curvature + 6 * k;
             float axes[9], arms[9];
             load_axes(c, axes);
             load_arms(c, 1, arms);
@@ -155,7 +156,7 @@ inline CUDA_CALLABLE void pair_blocks(const World& world, const System& system, 
                 shared[3 + i] -= arms[i] * bx + arms[3 + i] * by + arms[6 + i] * bz;
             }
             ++k;
-        } while (k < world.contacts && block[2 * k] == one && block[2 * k + 1] == two);
+        } while (k < world.ncon && body[2 * k] == one && body[2 * k + 1] == two);
         const int upper = world.position[one], lower = world.position[two];
         const bool ahead = upper < lower;
         const Columns columns = system.columns(ahead ? lower : upper);
@@ -174,22 +175,22 @@ inline CUDA_CALLABLE void hessian(const World& world, const System& system, int 
     for (int i = 4 * thread; i < system.base[system.panels]; i += 4 * threads) store_four(system.A + i, nothing);
     wait_for_all();
     #pragma unroll 1
-    for (int c = world.n + thread; c < system.panels * B; c += threads) {
+    for (int c = world.nv + thread; c < system.panels * B; c += threads) {
         system.entry(c, c) = 1.0f;
         system.rhs[c] = 0.0f;
     }
-    own_blocks(world, system, thread, threads);
-    pair_blocks(world, system, pairs, thread, threads);
+    own_entries(world, system, thread, threads);
+    pair_entries(world, system, pairs, thread, threads);
     wait_for_all();
 }
 
-// What a lane's system looks like, from call to call: found again when a world's contacts or the order of its bodies have
-// changed. They always have in a lane's first step of a world.
+// What a block's system looks like, from call to call: found again when a world's contacts or the order of its bodies have
+// changed. They always have in a block's first step of a world.
 template <int PANELS>
 struct Layout {
     int top[PANELS], base[PANELS + 1];  // of the system
     int widest;  // most panels that reach up to those of a row
-    int pairs;  // of moving bodies that touch
+    int pairs;  // of free bodies that touch
     double trace;  // of M
 };
 
@@ -199,12 +200,12 @@ template <int PANELS>
 inline CUDA_CALLABLE void lay_out(
     const World& world, const int* low, int at_once, Layout<PANELS>& layout, double* partial, int thread, int threads
 ) {
-    const int panels = (world.n + B - 1) / B;
+    const int panels = (world.nv + B - 1) / B;
     int* top = layout.top;
     #pragma unroll 1
     for (int K = thread; K < panels; K += threads) {
         int first = low[K * B / 6];
-        const int end = (K * B + B - 1) / 6, last = end < world.bodies - 1 ? end : world.bodies - 1;
+        const int end = (K * B + B - 1) / 6, last = end < world.nfree - 1 ? end : world.nfree - 1;
         #pragma unroll 1
         for (int b = K * B / 6 + 1; b <= last; ++b) first = low[b] < first ? low[b] : first;
         top[K] = 6 * first / B;
@@ -220,31 +221,31 @@ inline CUDA_CALLABLE void lay_out(
         for (int J = K + at_once; J < panels; ++J) reaching += top[J] < K + at_once;
         take_larger(layout.widest, reaching);
     }
-    const int* block = world.block;
+    const int* body = world.body;
     #pragma unroll 1
-    for (int k = thread; k < world.contacts; k += threads) {
-        const bool begins = k == 0 || block[2 * k] != block[2 * k - 2] || block[2 * k + 1] != block[2 * k - 1];
-        if (begins && block[2 * k] >= 0) world.pair[take_number(layout.pairs)] = k;
+    for (int k = thread; k < world.ncon; k += threads) {
+        const bool begins = k == 0 || body[2 * k] != body[2 * k - 2] || body[2 * k + 1] != body[2 * k - 1];
+        if (begins && body[2 * k] >= 0) world.bodies_conadr[take_number(layout.pairs)] = k;
     }
     double trace[1] = {0.0};
     #pragma unroll 1
-    for (int i = thread; i < world.n; i += threads) trace[0] += world.mass[i];
+    for (int i = thread; i < world.nv; i += threads) trace[0] += world.qM[i];
     sum_over_block(thread, threads, partial, trace);
     if (thread == 0) layout.trace = trace[0];
     wait_for_all();
 }
 
-// Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
-// `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, ROW_WORDS:
+// Accelerations and contact forces of a block's world. The solver starts from the accelerations that are there. All
+// `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, EFC_WORDS:
 // sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
-// last call. `forces`: those of the accelerations that it ends with are wanted, too. `near`: shared memory for
-// `near_words` numbers, where the strip and the Hessian go if they fit.
-template <int PANELS, int PANEL, int ROW_WORDS, class Model, class Workspace>
+// last call. `forces`: those of the accelerations that it ends with are wanted, too. `shared`: shared memory for
+// `shared_words` numbers, where the strip and the Hessian go if they fit.
+template <int PANELS, int PANEL, int EFC_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    int lane, int thread, int threads, int limit, bool changed, bool forces, const Model& model, const Workspace& work,
-    float* near, int near_words
+    const Model& model, int block, int thread, int threads, int limit, bool changed, bool forces, float* shared,
+    int shared_words, const Workspace& work
 ) {
-    static_assert(PANEL == B && ROW_WORDS == ROW, "Python and C++ differ about the sizes of arrays");
+    static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
     PETMJX_SHARED Factoring<PANELS> factoring;
     PETMJX_SHARED alignas(16) float rhs[PANELS * B];
     PETMJX_SHARED double partial[3 * MOST_WARPS];
@@ -254,58 +255,59 @@ inline CUDA_CALLABLE void newton(
 
     const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
-    const size_t at = lane, room = model.room;
+    const double impratio_invsqrt = model.impratio_invsqrt;
+    const size_t at = block, nconmax = model.nconmax;
     World world;
-    world.contacts = work.contacts.data[at];
-    world.bodies = work.n_blocks.data[at];
-    world.n = 6 * world.bodies;
-    world.row = work.rows.data + at * room * ROW;
-    world.block = work.blocks.data + at * room * 2;
-    world.begin_of = work.link_begin.data + at * work.link_begin.shape[1];
-    world.link = work.links.data + at * work.links.shape[1];
+    world.ncon = work.ncon.data[at];
+    world.nfree = work.nfree.data[at];
+    world.nv = 6 * world.nfree;
+    world.efc = work.efc.data + at * nconmax * EFC;
+    world.body = work.contact_bodies.data + at * nconmax * 2;
+    world.body_conadr = work.body_conadr.data + at * work.body_conadr.shape[1];
+    world.body_contact = work.body_contact.data + at * work.body_contact.shape[1];
     world.position = work.position.data + at * work.position.shape[1];
-    world.mass = work.inertia.data + at * work.inertia.shape[1];
-    world.idle = work.smooth.data + at * work.smooth.shape[1];
-    world.a = work.acceleration.data + at * work.acceleration.shape[1];
-    world.step = work.direction.data + at * work.direction.shape[1];
-    world.g = work.gradient.data + at * work.gradient.shape[1];
-    world.jar = work.residual.data + at * room * 3;
-    world.jv = work.slope.data + at * room * 3;
-    world.f = work.force.data + at * room * 3;
-    world.curve = work.curvature.data + at * room * 6;
-    world.drag = work.drag.data + at * room * 2;
-    world.pair = work.pair_begin.data + at * room;
+    world.qM = work.qM.data + at * work.qM.shape[1];
+    world.qacc_smooth = work.qacc_smooth.data + at * work.qacc_smooth.shape[1];
+    world.qacc = work.qacc.data + at * work.qacc.shape[1];
+    world.search = work.search.data + at * work.search.shape[1];
+    world.grad = work.grad.data + at * work.grad.shape[1];
+    world.Jaref = work.Jaref.data + at * nconmax * 3;
+    world.jv = work.jv.data + at * nconmax * 3;
+    world.force = work.contact_force.data + at * nconmax * 3;
+    world.curvature = work.curvature.data + at * nconmax * 6;
+    world.drag = work.drag.data + at * nconmax * 2;
+    world.bodies_conadr = work.bodies_conadr.data + at * nconmax;
     const int* low = work.lowest.data + at * work.lowest.shape[1];
-    const int contacts = world.contacts, bodies = world.bodies, n = world.n;
-    const float* row = world.row;
-    const int* block = world.block;
-    double* a = world.a;
-    double* step = world.step;
-    double* jar = world.jar;
+    const int ncon = world.ncon, nfree = world.nfree, nv = world.nv;
+    const float* efc = world.efc;
+    const int* body = world.body;
+    double* qacc = world.qacc;
+    double* search = world.search;
+    double* Jaref = world.Jaref;
     double* jv = world.jv;
     System system;
-    system.panels = (n + B - 1) / B;
+    system.panels = (nv + B - 1) / B;
     system.top = layout.top;
     system.base = layout.base;
     system.rhs = rhs;
 
-    if (thread == 0) work.iterations.data[at] = 0;
-    if (bodies == 0) return;
+    if (thread == 0) work.solver_niter.data[at] = 0;
+    if (nfree == 0) return;
     #pragma unroll 1
-    for (int i = thread; i < n; i += threads)
-        if (world.begin_of[i / 6] == world.begin_of[i / 6 + 1]) a[i] = world.idle[i];
+    for (int i = thread; i < nv; i += threads)
+        if (world.body_conadr[i / 6] == world.body_conadr[i / 6 + 1]) qacc[i] = world.qacc_smooth[i];
     // On a CPU nothing is shared, and so nothing is kept.
     if (changed || WARP == 1) lay_out(world, low, at_once, layout, partial, thread, threads);
     else wait_for_all();
     const double enough = model.tolerance * layout.trace;  // MuJoCo measures costs in units of the inertia's trace
     const int strip_words = at_once * layout.widest * TILE, pairs = layout.pairs;
-    const bool strip_fits = strip_words <= near_words, fits = layout.base[system.panels] + strip_words <= near_words;
-    system.strip = strip_fits ? near : work.strip.data + at * work.strip.shape[1];
-    system.A = fits ? near + strip_words : work.hessian.data + at * work.hessian.shape[1];
+    const bool strip_fits = strip_words <= shared_words, fits = layout.base[system.panels] + strip_words <= shared_words;
+    system.strip = strip_fits ? shared : work.strip.data + at * work.strip.shape[1];
+    system.A = fits ? shared + strip_words : work.hessian.data + at * work.hessian.shape[1];
     #pragma unroll 1
-    for (int k = thread; k < contacts; k += threads) {
-        relative(row + ROW * k, block + 2 * k, a, jar + 3 * k);
-        for (int r = 0; r < 3; ++r) jar[3 * k + r] -= row[ROW * k + 27 + r];
+    for (int k = thread; k < ncon; k += threads) {
+        relative(efc + EFC * k, body + 2 * k, qacc, Jaref + 3 * k);
+        for (int r = 0; r < 3; ++r) Jaref[3 * k + r] -= efc[EFC * k + 27 + r];
     }
     bool last = false;
     #pragma unroll 1
@@ -314,13 +316,13 @@ inline CUDA_CALLABLE void newton(
         const bool ends = last || iteration >= limit;
         if (ends && !forces) break;
         #pragma unroll 1
-        for (int k = thread; k < contacts; k += threads) {
+        for (int k = thread; k < ncon; k += threads) {
             double push[3], bend[6];
             respond(
-                pyramidal, model.slack, jar + 3 * k, row + ROW * k, iteration == 0, world.drag + 2 * k, push, bend
+                pyramidal, impratio_invsqrt, Jaref + 3 * k, efc + EFC * k, iteration == 0, world.drag + 2 * k, push, bend
             );
-            for (int i = 0; i < 3; ++i) world.f[3 * k + i] = push[i];
-            for (int i = 0; i < 6; ++i) world.curve[6 * k + i] = (float)bend[i];
+            for (int i = 0; i < 3; ++i) world.force[3 * k + i] = push[i];
+            for (int i = 0; i < 6; ++i) world.curvature[6 * k + i] = (float)bend[i];
         }
         wait_for_all();
         if (ends) break;
@@ -328,49 +330,49 @@ inline CUDA_CALLABLE void newton(
         sum_over_block(thread, threads, partial, bound);
         // Since H ≥ M, the cost can decrease by at most this.
         if (!(0.5 * bound[0] > enough)) break;
-        if (thread == 0) work.iterations.data[at] = iteration + 1;
+        if (thread == 0) work.solver_niter.data[at] = iteration + 1;
         hessian(world, system, pairs, thread, threads);
         factor_and_solve(system, factoring, thread, threads);
 
         // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
         double along[3] = {0.0, 0.0, 0.0};
         #pragma unroll 1
-        for (int i = thread; i < n; i += threads) {
+        for (int i = thread; i < nv; i += threads) {
             const double s = -(double)rhs[6 * world.position[i / 6] + i % 6];
-            step[i] = s;
-            along[0] += world.g[i] * s;
-            along[1] += s * world.mass[i] * (a[i] - world.idle[i]);
-            along[2] += s * world.mass[i] * s;
+            search[i] = s;
+            along[0] += world.grad[i] * s;
+            along[1] += s * world.qM[i] * (qacc[i] - world.qacc_smooth[i]);
+            along[2] += s * world.qM[i] * s;
         }
         sum_over_block(thread, threads, partial, along);
         const double start = along[0];
         if (!(start < 0.0 && start > -INFINITE)) break;
         #pragma unroll 1
-        for (int k = thread; k < contacts; k += threads) relative(row + ROW * k, block + 2 * k, step, jv + 3 * k);
+        for (int k = thread; k < ncon; k += threads) relative(efc + EFC * k, body + 2 * k, search, jv + 3 * k);
         double length = 1.0, shortest = 0.0, longest = 1.0, first = start;
         #pragma unroll 1
-        for (int trial = 0; trial < model.trials; ++trial) {
+        for (int trial = 0; trial < model.ls_iterations; ++trial) {
             double cost[2] = {0.0, 0.0};
             #pragma unroll 1
-            for (int k = thread; k < contacts; k += threads)
-                respond_along(pyramidal, model.slack, jar + 3 * k, jv + 3 * k, length, row + ROW * k, cost);
+            for (int k = thread; k < ncon; k += threads)
+                respond_along(pyramidal, impratio_invsqrt, Jaref + 3 * k, jv + 3 * k, length, efc + EFC * k, cost);
             sum_over_block(thread, threads, partial, cost);
             first = cost[0] + along[1] + length * along[2];
             const double second = cost[1] + along[2];
             // No step is longer than Newton's, though the cost may decrease further on where contacts open.
             if (first <= ENOUGH_SLOPE * -start && (length == 1.0 || first >= ENOUGH_SLOPE * start)) break;
-            if (trial + 1 == model.trials) break;
+            if (trial + 1 == model.ls_iterations) break;
             if (first < 0.0) shortest = length; else longest = length;
             length -= first / second;
             if (!(length > shortest && length < longest)) length = 0.5 * (shortest + longest);
         }
         #pragma unroll 1
-        for (int i = thread; i < n; i += threads) a[i] += length * step[i];
+        for (int i = thread; i < nv; i += threads) qacc[i] += length * search[i];
         // Drags take the whole step, also where accelerations take a part of it: 20 iterations then, and else 25.
         #pragma unroll 1
-        for (int k = thread; k < contacts; k += threads) {
-            if (!pyramidal) follow(jar + 3 * k, jv + 3 * k, world.drag + 2 * k);
-            for (int i = 3 * k; i < 3 * k + 3; ++i) jar[i] += length * jv[i];
+        for (int k = thread; k < ncon; k += threads) {
+            if (!pyramidal) follow(Jaref + 3 * k, jv + 3 * k, world.drag + 2 * k);
+            for (int i = 3 * k; i < 3 * k + 3; ++i) Jaref[i] += length * jv[i];
         }
         wait_for_all();
         // The decrease of the cost is about the length × the mean of the two derivatives.

@@ -1,16 +1,16 @@
 """The constraint solver of mjx-warp: MuJoCo's Newton method on a pallet's contacts, by one thread block.
 
-MuJoCo finds the accelerations a that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ are the accelerations
-without contacts, r the reference accelerations of the contacts, and s the cost of their cones (MuJoCo's documentation,
-"Computation", section "Constraint model"). Newton's direction solves H·x = gradient with H = M + Jᵀ·s″·J; a line
-search follows.
+MuJoCo finds the accelerations a (qacc) that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ (qacc_smooth) are
+those without contacts, r (aref) the reference accelerations of the contacts, and s the cost of their cones (MuJoCo's
+documentation, "Computation", section "Constraint model"). Newton's direction (search) solves H·x = gradient with
+H = M + Jᵀ·s″·J; a line search follows.
 
 Five things make it fast:
 
 - It starts where accelerations are heading: on the line through those of the last two steps. While boxes come to rest
   they change smoothly, and the start is off by what bends the line.
 - A contact touches two bodies. So J is kept as 27 numbers per contact, and a product with J costs that much.
-- H is block-sparse, and bodies are in order of their contacts (kernel/ordering.py), so H has a narrow envelope: a
+- H is sparse, and bodies are in order of their contacts (kernel/ordering.py), so H has a narrow envelope: a
   column is zero above the rows of the first body that its body touches, and its factor fills in only below them.
   Cholesky runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This says before each
@@ -26,7 +26,7 @@ Five things make it fast:
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
-world's result depends neither on other lanes nor on their number nor on the run.
+world's result depends neither on other blocks nor on their number nor on the run.
 
 The method itself is CUDA C++: petmjx/engines/warp/newton.cu and the files that it includes.
 """
@@ -48,7 +48,7 @@ _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
 def own_bytes(panels: int) -> int:
-    """Shared memory that the threads of a lane take for systems of up to so many panels, beside the tile of
+    """Shared memory that the threads of a block take for systems of up to so many panels, beside the tile of
     ``kernel.solve.newton``; with what the driver keeps for itself. newton.cu checks that it is enough."""
     return 4 * (PANEL + 4) * panels + ((9 if panels <= FEW_PANELS else 18) << 10)
 

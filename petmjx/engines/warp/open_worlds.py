@@ -36,9 +36,9 @@ from petmjx.engines.clock import Clock
 from petmjx.engines.open import OpenWorlds, Reading
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
+from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
 from petmjx.engines.warp.rollout import constants
-from petmjx.engines.warp.shape import Shape
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
@@ -61,10 +61,10 @@ class Simulator:
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, most_boxes: int, boards: int, room: int = 1) -> None:
-        shape = Shape.here(most_boxes)
+        launch = Launch.here(most_boxes)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        fleet = Fleet(shape, shape.lanes, most_boxes, boards, pairs, contacts)
+        fleet = Fleet(launch, launch.blocks, most_boxes, boards, pairs, contacts)
         self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False)
@@ -115,7 +115,7 @@ class Simulator:
             return self.going(open_)
 
         def on(open_: Open) -> Open:
-            return self.slice_of_time(open_, profiles)
+            return self.time_slice(open_, profiles)
 
         return jax.lax.while_loop(going, on, open_)
 
@@ -125,13 +125,13 @@ class Simulator:
         state, driven = open_.state, open_.worlds.driven
         return (state.running | ((state.status == Status.SETTLED) & driven)).any()
 
-    def slice_of_time(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
-        """Let worlds go on for a slice of time."""
+    def time_slice(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
+        """Let worlds go on for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
-        tables = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds)._asdict()
         flat |= flat.pop("metrics")._asdict()
-        after, *_ = self._march(tables, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
+        after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
         metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
         return Open(worlds, State(**after, metrics=metrics))
 
@@ -143,8 +143,8 @@ class Simulator:
 
 def _no_frames(n_worlds: int, n_boxes: int) -> dict[str, jax.Array]:
     """Room for frames where no world is recorded."""
-    shapes = records.array_shapes(records.Frames, {"frame": 1, "box": n_boxes, "world": n_worlds})
-    kinds = records.array_types(records.Frames)
+    shapes = records.array_shapes(records.FrameBuffer, {"frame": 1, "box": n_boxes, "world": n_worlds})
+    kinds = records.array_types(records.FrameBuffer)
     return {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}
 
 
@@ -210,7 +210,7 @@ class WarpWorlds(OpenWorlds):
         found = []
         for world in worlds:
             k = int(state.placed[world])
-            pose = np.asarray(state.pose[world, :k], np.float64)
+            pose = np.asarray(state.qpos[world, :k], np.float64)
             found.append(
                 Reading(
                     time_s=clock.time_s(max(int(state.step[world]), 0)),
@@ -257,7 +257,7 @@ class WarpWorlds(OpenWorlds):
         self.simulator = Simulator(self._sim, self._timetable, self._width, self._boards, self._room)
         self.simulator.load()
         self._jitted_slice, self._jitted_put, self._jitted_finish = (
-            jax.jit(function) for function in (self.simulator.slice_of_time, self.simulator.put, self.simulator.finish)
+            jax.jit(function) for function in (self.simulator.time_slice, self.simulator.put, self.simulator.finish)
         )
 
     def _constants(self, scenes: Sequence[Scene]) -> Worlds:

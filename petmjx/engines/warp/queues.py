@@ -1,4 +1,4 @@
-"""The worlds of each size of lanes, in the order in which lanes take them."""
+"""The worlds of each size, in the order in which thread blocks take them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from petmjx.world.job import Job
 
 
 class Queues:
-    """A queue for each size of lanes. Of the worlds that are added together the longest come first, so that the last
+    """A queue for each size of worlds. Of the worlds that are added together the longest come first, so that the last
     ones to end are short.
 
     Args:
-        sizes: most boxes of each size of lanes, in the order of their queues.
-        size_of: the size of the lanes for a job.
+        sizes: most boxes of a world of each size, in the order of their queues.
+        size_of: the size of a job's world.
         rows: of the tables.
     """
 

@@ -1,13 +1,13 @@
 """The data that the GPU engine's kernel works on, as records: constants, worlds, their state, workspace, and results.
 
 Each array is declared only here, with its element type and its axes. The kernel and its C++ take whole records. JAX
-passes the arrays of ``Tables`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
+passes the arrays of ``Worlds`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
 the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
 
-Axes. ``world``: a row of the tables. ``lane``: a thread block, which has one world at a time. ``queue``: of worlds for
-lanes of one size. ``body``: the carrier, then the boxes in packing order; ``block``: a body that moves; ``dof``: one of
-its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
-``slot``: a contact. Units are SI.
+Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
+of one size. ``body``: the carrier, then the boxes in packing order; ``free_body``: one that moves; ``dof``: one
+of its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
+``contact``: a point in which a pair touches. Units are SI.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ PANEL = 16
 MAX_BOXES = 512
 """Boxes of the largest world. Shared memory limits it: it holds the solver's right-hand side."""
 
-ROW_WORDS = 32
-"""Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (3), stiffness of a row
-(1), friction (1)."""
+EFC_WORDS = 32
+"""Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref, 3), stiffness of
+a row (D, 1), friction (1)."""
 
 BUFFER_WORDS = 1024
 """Numbers in a row of the buffer that holds workspaces."""
@@ -52,22 +52,20 @@ class Model:
     timestep: float
     gravity: float
     solref: wp.vec2
-    low_impedance: float
-    high_impedance: float
-    impedance_width: float
+    solimp: wp.vec3  # d₀, d_width, width
     skin: float  # by how much boxes are larger for the collider, m
     carrier_skin: float  # the same of the carrier
     pyramidal: int  # 1 with pyramidal friction cones
     friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
-    slack: wp.float64  # 1 / √impratio
+    impratio_invsqrt: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # of the solver, as MuJoCo's
-    limit: int  # most iterations of the solver
-    driven_limit: int  # the same in a drive
-    trials: int  # most iterations of its line search
+    iterations: int  # most iterations of the solver
+    driven_iterations: int  # the same in a drive
+    ls_iterations: int  # the same of its line search
 
-    queue: int  # from which these lanes take worlds
-    pairs: int  # most pairs of near geoms of a world
-    room: int  # most contacts of a world
+    queue: int  # from which these blocks take worlds
+    npairmax: int  # most pairs of near geoms of a world
+    nconmax: int  # most contacts of a world
 
     fixed: int  # 1 with the fixed schedule
     waits_for_rest: int
@@ -102,7 +100,7 @@ class Model:
 
 
 @record
-class Tables:
+class Worlds:
     """Constants of worlds: fields of ``batch.state.Worlds``. And ``profiles``, whose rows are excitations."""
 
     n_boxes: Annotated[wp.array[int], "world"]
@@ -129,21 +127,21 @@ class Tables:
     settles: Annotated[wp.array[wp.bool], "world"]
     pauses: Annotated[wp.array[wp.bool], "world"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take lanes; behind them negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
 
 
 @record
 class State:
     """The state of worlds: fields of ``batch.state.State`` and its metrics."""
 
-    pose: Annotated[wp.array3d[float], "world box 7"]
-    vel: Annotated[wp.array3d[float], "world box 6"]
-    warm: Annotated[wp.array3d[float], "world box 6"]
-    ahead: Annotated[wp.array3d[float], "world box 6"]
-    carrier_pose: Annotated[wp.array2d[float], "world 7"]
-    carrier_vel: Annotated[wp.array2d[float], "world 6"]
-    carrier_warm: Annotated[wp.array2d[float], "world 6"]
-    carrier_ahead: Annotated[wp.array2d[float], "world 6"]
+    qpos: Annotated[wp.array3d[float], "world box 7"]
+    qvel: Annotated[wp.array3d[float], "world box 6"]
+    qacc: Annotated[wp.array3d[float], "world box 6"]
+    qacc_warmstart: Annotated[wp.array3d[float], "world box 6"]
+    carrier_qpos: Annotated[wp.array2d[float], "world 7"]
+    carrier_qvel: Annotated[wp.array2d[float], "world 6"]
+    carrier_qacc: Annotated[wp.array2d[float], "world 6"]
+    carrier_qacc_warmstart: Annotated[wp.array2d[float], "world 6"]
     position: Annotated[wp.array2d[int], "world box"]
     carrier_position: Annotated[wp.array[int], "world"]
     step: Annotated[wp.array[int], "world"]
@@ -156,7 +154,7 @@ class State:
     driven_from: Annotated[wp.array[int], "world"]
     rest_from: Annotated[wp.array[int], "world"]
     end: Annotated[wp.array[int], "world"]
-    still_pose: Annotated[wp.array3d[float], "world box 7"]
+    still_qpos: Annotated[wp.array3d[float], "world box 7"]
     status: Annotated[wp.array[int], "world"]
     flags: Annotated[wp.array[int], "world"]
     steps_done: Annotated[wp.array[int], "world"]
@@ -177,56 +175,56 @@ class State:
 
 @record
 class Workspace:
-    """Arrays of a lane, used within a step. Each array begins at a multiple of 16 bytes."""
+    """Arrays of a thread block, used within a step. Each array begins at a multiple of 16 bytes."""
 
-    acceleration: Annotated[wp.array2d[wp.float64], "lane dof"]
-    direction: Annotated[wp.array2d[wp.float64], "lane dof"]
-    gradient: Annotated[wp.array2d[wp.float64], "lane dof"]
-    residual: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # J·a − r
-    slope: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # J·direction
-    force: Annotated[wp.array3d[wp.float64], "lane slot 3"]  # of a contact, in its frame
-    worst: Annotated[wp.array[wp.int64], "lane"]  # the largest excess and its box
-    hessian: Annotated[wp.array2d[float], "lane entry"]  # its envelope, if shared memory has no room for it
-    strip: Annotated[wp.array2d[float], "lane part"]  # rows of its factor, if shared memory has no room for them
-    rows: Annotated[wp.array3d[float], "lane slot row_word"]
-    curvature: Annotated[wp.array3d[float], "lane slot 6"]
-    inertia: Annotated[wp.array2d[float], "lane dof"]  # diagonal of the inertia matrix
-    smooth: Annotated[wp.array2d[float], "lane dof"]  # accelerations without contacts
-    drag: Annotated[wp.array3d[float], "lane slot 2"]  # of a contact: contact.cuh
-    place: Annotated[wp.array2d[wp.vec3], "lane geom"]  # centres
-    turn: Annotated[wp.array2d[wp.mat33], "lane geom"]
-    reach: Annotated[wp.array2d[wp.vec3], "lane geom"]  # half extents of the box around a geom, along x, y, z
-    home: Annotated[wp.array2d[wp.vec3], "lane geom"]  # place and reach when pairs were listed
-    home_reach: Annotated[wp.array2d[wp.vec3], "lane geom"]
-    seen: Annotated[wp.array3d[float], "lane box 7"]  # poses at the beginning of a step
-    top_force: Annotated[wp.array2d[float], "lane box"]
-    first: Annotated[wp.array2d[int], "lane pair"]  # the lower geom of a pair
-    second: Annotated[wp.array2d[int], "lane pair"]
-    normal: Annotated[wp.array2d[wp.vec3], "lane pair"]
-    points: Annotated[wp.array3d[wp.vec4], "lane pair 8"]  # where a pair touches, and its distance there
-    pair_of: Annotated[wp.array2d[int], "lane geom_end"]  # the first pair of each lower geom
-    lower: Annotated[wp.array2d[int], "lane pair"]  # the pairs of each higher geom
-    lower_of: Annotated[wp.array2d[int], "lane geom_end"]  # where they begin
-    touching: Annotated[wp.array2d[int], "lane pair"]  # contacts of each pair
-    contact_of: Annotated[wp.array2d[int], "lane pair_end"]  # the first contact of each pair
-    pair_at: Annotated[wp.array2d[int], "lane slot"]  # of a contact
-    blocks: Annotated[wp.array3d[int], "lane slot 2"]  # of a contact, lower first; negative: does not move
-    links: Annotated[wp.array2d[int], "lane link"]  # 2 × slot + side, block after block
-    link_begin: Annotated[wp.array2d[int], "lane block_end"]
-    level: Annotated[wp.array2d[int], "lane block"]  # of the carrier and the boxes, when blocks are put in order
-    position: Annotated[wp.array2d[int], "lane block"]  # of a block in the solver's system
-    lowest: Annotated[wp.array2d[int], "lane block"]  # by position: the lowest that its block touches, or its own
-    pair_begin: Annotated[wp.array2d[int], "lane slot"]  # first contact of each pair of blocks, in no order
-    contacts: Annotated[wp.array[int], "lane"]
-    n_blocks: Annotated[wp.array[int], "lane"]
-    iterations: Annotated[wp.array[int], "lane"]  # of the solver
-    world: Annotated[wp.array[int], "lane"]  # which a lane has; negative: none
-    frame: Annotated[wp.array[int], "lane"]  # which a lane writes
+    qacc: Annotated[wp.array2d[wp.float64], "block dof"]
+    search: Annotated[wp.array2d[wp.float64], "block dof"]
+    grad: Annotated[wp.array2d[wp.float64], "block dof"]
+    Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·qacc − aref
+    jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
+    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # in its frame
+    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
+    hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if shared memory has no room for it
+    strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if shared memory has no room for them
+    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # make_constraint
+    curvature: Annotated[wp.array3d[float], "block contact 6"]
+    qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
+    qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
+    drag: Annotated[wp.array3d[float], "block contact 2"]  # contact.cuh
+    geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
+    geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
+    geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
+    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # xpos and reach when pairs were listed
+    listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
+    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
+    top_force: Annotated[wp.array2d[float], "block box"]
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the lower geom of a pair
+    pair_geom2: Annotated[wp.array2d[int], "block pair"]
+    pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
+    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
+    geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
+    geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
+    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # where they begin
+    pair_ncon: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
+    pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
+    contact_pair: Annotated[wp.array2d[int], "block contact"]
+    contact_bodies: Annotated[wp.array3d[int], "block contact 2"]  # free bodies, lower first; negative: does not move
+    body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, body after body
+    body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
+    body_level: Annotated[wp.array2d[int], "block body"]  # when bodies are put in order
+    position: Annotated[wp.array2d[int], "block free_body"]  # of a body in the solver's system
+    lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: the lowest that its body touches, or its own
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, in no order
+    ncon: Annotated[wp.array[int], "block"]
+    nfree: Annotated[wp.array[int], "block"]  # free bodies
+    solver_niter: Annotated[wp.array[int], "block"]
+    world: Annotated[wp.array[int], "block"]  # which a block has; negative: none
+    frame: Annotated[wp.array[int], "block"]  # which a block writes
 
 
 @record
-class Frames:
-    """Frames of recorded worlds, in the order in which lanes write them; all worlds of a call share the room."""
+class FrameBuffer:
+    """Frames of recorded worlds, in the order in which blocks write them; all worlds of a call share the room."""
 
     every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: it is not recorded
     used: Annotated[wp.array[int], "1"]
@@ -242,7 +240,7 @@ class Frames:
 class Counts:
     """What a call counts."""
 
-    taken: Annotated[wp.array[int], "queue"]  # worlds that lanes have taken, so far
+    taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken, so far
     clock: Annotated[wp.array[int], "1"]  # when it began: block.cuh
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
@@ -250,16 +248,16 @@ class Counts:
 
 
 @record
-class Lane:
-    """A thread of a lane, and its lane's world."""
+class Thread:
+    """A thread of a block, and the world that its block has."""
 
-    lane: int
+    block: int
     thread: int
     threads: int
     world: int
     placed: int  # boxes that stand
     geoms: int  # the floor and the shapes of the carrier and of these boxes
-    held: int  # 1 if the carrier is held fast: its body is then no block
+    held: int  # 1 if the carrier is held fast: it is then no free body
 
 
 def most_panels(n_boxes: int) -> int:
@@ -267,32 +265,32 @@ def most_panels(n_boxes: int) -> int:
     return -(-6 * (n_boxes + 1) // PANEL)
 
 
-def axes(lanes: int, n_boxes: int, boards: int, pairs: int, room: int) -> dict[str, int]:
-    """Sizes of the axes of a lane.
+def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) -> dict[str, int]:
+    """Sizes of the axes of some blocks' workspace.
 
     Args:
         n_boxes: most boxes of a world.
         boards: most shapes of a carrier.
-        pairs: most pairs of near geoms of a world.
-        room: most contacts of a world.
+        npairmax: most pairs of near geoms of a world.
+        nconmax: most contacts of a world.
     """
-    n_blocks = n_boxes + 1
     panels = most_panels(n_boxes)
     return {
-        "lane": lanes,
+        "block": blocks,
         "box": n_boxes,
         "geom": n_boxes + boards + 1,
         "geom_end": n_boxes + boards + 2,
-        "block": n_blocks,
-        "block_end": n_blocks + 1,
-        "dof": 6 * n_blocks,
+        "body": n_boxes + 1,
+        "free_body": n_boxes + 1,
+        "free_body_end": n_boxes + 2,
+        "dof": 6 * (n_boxes + 1),
         "entry": panels * (panels + 1) // 2 * PANEL**2,
         "part": panels * 2 * PANEL**2,
-        "pair": pairs,
-        "pair_end": pairs + 1,
-        "slot": room,
-        "link": 2 * room,
-        "row_word": ROW_WORDS,
+        "pair": npairmax,
+        "pair_end": npairmax + 1,
+        "contact": nconmax,
+        "link": 2 * nconmax,
+        "efc_word": EFC_WORDS,
     }
 
 
@@ -326,7 +324,7 @@ def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...]
 
 
 def buffer_rows(sizes: Mapping[str, int]) -> int:
-    """Rows of ``BUFFER_WORDS`` that hold the workspace of some lanes; in them lane lies after lane within each array.
+    """Rows of ``BUFFER_WORDS`` that hold the workspace of some blocks; within each array block lies after block.
 
     Args:
         sizes: axis → size.
@@ -344,6 +342,6 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict
     return views
 
 
-def lane_bytes(n_boxes: int, boards: int, pairs: int, room: int) -> int:
-    """Device memory of a lane, bytes."""
-    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, boards, pairs, room)))
+def block_bytes(n_boxes: int, boards: int, npairmax: int, nconmax: int) -> int:
+    """Device memory of a block, bytes."""
+    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, boards, npairmax, nconmax)))

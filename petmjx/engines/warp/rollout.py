@@ -1,4 +1,4 @@
-"""Runs of mjx-warp: slices of time in which every world of a group goes on, and the outcomes of those that end."""
+"""Runs of mjx-warp: time slices in which every world of a group goes on, and the outcomes of those that end."""
 
 from __future__ import annotations
 
@@ -47,23 +47,20 @@ def friction_damping(physics: Physics) -> float:
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     """What the kernels need to know of a run: the fields of ``records.Model`` but for those of a fleet."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
-    low, high, width = physics.solimp
     return {
         "timestep": physics.timestep_s,
         "gravity": physics.gravity_m_s2,
         "solref": wp.vec2(*physics.solref),
-        "low_impedance": low,
-        "high_impedance": high,
-        "impedance_width": width,
+        "solimp": wp.vec3(*physics.solimp),
         "skin": physics.skin_m,
         "carrier_skin": physics.carrier_skin_m,
         "pyramidal": int(physics.cone is Cone.PYRAMIDAL),
         "friction_damping": friction_damping(physics),
-        "slack": physics.impratio**-0.5,
+        "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "limit": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
-        "driven_limit": sim.solver_iterations or DRIVEN_ITERATIONS,
-        "trials": LINE_SEARCH_ITERATIONS,
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
+        "driven_iterations": sim.solver_iterations or DRIVEN_ITERATIONS,
+        "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
         "waits_for_rest": int(sim.waits_for_rest),
         "extends": int(sim.waits_for_rest and sim.total_time_factor is None),
@@ -97,7 +94,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 
 class Slice(NamedTuple):
-    """What a slice of time gives beside states, when it has ended. ``began``: when the host began it, s."""
+    """What a time slice gives beside states, when it has ended. ``began``: when the host began it, s."""
 
     began: float
     status: Int[Array, " world"]
@@ -106,7 +103,7 @@ class Slice(NamedTuple):
 
 
 class Rollout:
-    """Programs and buffers of a run, and its slices of time that are under way, in their order.
+    """Programs and buffers of a run, and its time slices that are under way, in their order.
 
     Args:
         fleets: those for the largest worlds first.
@@ -128,10 +125,10 @@ class Rollout:
         return len(self._slices)
 
     def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
-        """Begin a slice of time for all worlds of a group that run: behind those that are under way."""
-        lanes = self.march.lanes
-        if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
-            group.frames = room_for(group, lanes)
+        """Begin a time slice for all worlds of a group that run: behind those that are under way."""
+        blocks = self.march.blocks
+        if group.frames is None or (len(group.frames["of"]) < blocks and not group.recorder.idle):
+            group.frames = room_for(group, blocks)
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
         shapes = (*order.shape, *group.profiles.shape, len(group.frames["of"]))
         if shapes not in self._programs:
@@ -155,7 +152,7 @@ class Rollout:
             self.wait(group)
 
     def close(self) -> None:
-        """Wait for slices that are under way, and free the lanes' memory."""
+        """Wait for slices that are under way, and free the workspace."""
         while self._slices:
             with suppress(jax.errors.JaxRuntimeError):  # it may be because of this error that it is closed
                 self._slices.popleft().status.block_until_ready()
@@ -178,7 +175,7 @@ class Rollout:
         sums = {"seconds": self._last_end - began, "steps": steps, "iterations": iterations}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
-        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
+        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.blocks)
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
         return status, ended
 
@@ -191,12 +188,12 @@ class Rollout:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
-        """A slice of time. Returns states, workspace, a copy of the statuses, frames, and counts."""
+        """A time slice. Returns states, workspace, a copy of the statuses, frames, and counts."""
         table = self.rules.begin_drives(table, worlds)
         flat = table._asdict()
         flat |= flat.pop("metrics")._asdict()
-        tables = worlds._asdict() | {"profiles": profiles, "order": order}
-        after, workspace, frames, counts = self.march(tables, flat, workspace, frames)
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
+        after, workspace, frames, counts = self.march(flat_worlds, flat, workspace, frames)
         metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
         table = State(**after, metrics=metrics)
         return table, workspace, table.status + 0, frames, counts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.records import Lane
+from petmjx.engines.warp.records import Thread
 
 
 @wp.func_native("petmjx::wait_for_all();")
@@ -24,7 +24,7 @@ def elapsed(clock: wp.array[int]) -> wp.int64: ...
 
 
 @wp.func
-def warp_by_warp(at: Lane) -> int:
+def warp_by_warp(at: Thread) -> int:
     """A thread's number when those of different warps alternate: threads 0, 32, 64, … come first, then 1, 33, …
 
     So warps share evenly what is too little for all threads. On a CPU, with one thread, it is 0.

@@ -1,4 +1,4 @@
-"""Contacts of a world: pairs of geoms that are near, where they touch, their rows, and the contacts of each block.
+"""Contacts of a world: pairs of geoms that are near, where they touch, their rows, and the contacts of each body.
 
 Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
 over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX. Contacts have
@@ -25,8 +25,8 @@ from petmjx.engines.warp.kernel.motion import (
     linear_velocity,
     skin_of,
 )
-from petmjx.engines.warp.kernel.ordering import block_position
-from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.kernel.ordering import free_position
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP, mjMINMU), and its power and midpoint of impedances (solimp).
 MIN_VALUE = wp.constant(1e-15)
@@ -43,110 +43,129 @@ its room, so that it need not be made in each step."""
 
 
 @wp.func
-def _first_partner(tables: Tables, at: Lane, geom: int) -> int:
+def _first_partner(worlds: Worlds, at: Thread, geom: int) -> int:
     """The first of the geoms behind this one that may touch it: of another body, and not held fast to the floor."""
-    body = wp.max(body_of(tables, at.world, geom), wp.where(at.held != 0, 0, -1))
-    return first_geom(tables, at.world, body + 1)
+    body = wp.max(body_of(worlds, at.world, geom), wp.where(at.held != 0, 0, -1))
+    return first_geom(worlds, at.world, body + 1)
 
 
 @wp.func
-def _near(work: Workspace, at: Lane, one: int, two: int, apart: float) -> bool:
+def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool:
     """Whether the boxes around two geoms are no further apart than this along each axis, m."""
-    reach = work.reach[at.lane, two]
-    place = work.place[at.lane, two]
+    reach = work.geom_reach[at.block, two]
+    place = work.geom_xpos[at.block, two]
     if one == 0:
-        return place[2] - reach[2] <= work.place[at.lane, 0][2] + apart
-    gap = wp.abs(place - work.place[at.lane, one]) - reach - work.reach[at.lane, one]
+        return place[2] - reach[2] <= work.geom_xpos[at.block, 0][2] + apart
+    gap = wp.abs(place - work.geom_xpos[at.block, one]) - reach - work.geom_reach[at.block, one]
     return wp.max(gap[0], wp.max(gap[1], gap[2])) <= apart
 
 
 @wp.func
-def list_pairs(model: Model, tables: Tables, work: Workspace, at: Lane, apart: float) -> int:
+def list_pairs(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    apart: float,
+    # Data out:
+    work: Workspace,
+) -> int:
     """List pairs of geoms that are no further apart than this, m; returns their number, which may be more than fit.
 
-    ``pair_of`` says where the pairs of each lower geom begin. ``lower`` has the pairs of each higher geom, from
-    ``lower_of``, in order.
+    ``geom1_pairadr`` says where the pairs of each lower geom begin. ``geom2_pair`` has the pairs of each higher geom,
+    from ``geom2_pairadr`` on, in order.
     """
-    lane = at.lane
+    block = at.block
     n = at.geoms
     for one in range(at.thread, n, at.threads):
-        work.home[lane, one] = work.place[lane, one]
-        work.home_reach[lane, one] = work.reach[lane, one]
+        work.listed_xpos[block, one] = work.geom_xpos[block, one]
+        work.listed_reach[block, one] = work.geom_reach[block, one]
         count = int(0)
-        for two in range(_first_partner(tables, at, one), n):
+        for two in range(_first_partner(worlds, at, one), n):
             count += wp.where(_near(work, at, one, two, apart), 1, 0)
-        work.pair_of[lane, one] = count
+        work.geom1_pairadr[block, one] = count
     wait_for_all()
-    prefix_sums(work.pair_of, lane, n, at.thread)
+    prefix_sums(work.geom1_pairadr, block, n, at.thread)
     wait_for_all()
-    n_pairs = work.pair_of[lane, n]
-    if n_pairs > model.pairs:
-        return n_pairs
+    npair = work.geom1_pairadr[block, n]
+    if npair > model.npairmax:
+        return npair
     for one in range(at.thread, n, at.threads):
-        pair = work.pair_of[lane, one]
-        for two in range(_first_partner(tables, at, one), n):
+        pair = work.geom1_pairadr[block, one]
+        for two in range(_first_partner(worlds, at, one), n):
             if _near(work, at, one, two, apart):
-                work.first[lane, pair] = one
-                work.second[lane, pair] = two
+                work.pair_geom1[block, pair] = one
+                work.pair_geom2[block, pair] = two
                 pair += 1
     wait_for_all()
     for two in range(at.thread, n, at.threads):
         count = int(0)
-        for pair in range(work.pair_of[lane, two]):
-            count += wp.where(work.second[lane, pair] == two, 1, 0)
-        work.lower_of[lane, two] = count
+        for pair in range(work.geom1_pairadr[block, two]):
+            count += wp.where(work.pair_geom2[block, pair] == two, 1, 0)
+        work.geom2_pairadr[block, two] = count
     wait_for_all()
-    prefix_sums(work.lower_of, lane, n, at.thread)
+    prefix_sums(work.geom2_pairadr, block, n, at.thread)
     wait_for_all()
     for two in range(at.thread, n, at.threads):
-        entry = work.lower_of[lane, two]
-        for pair in range(work.pair_of[lane, two]):
-            if work.second[lane, pair] == two:
-                work.lower[lane, entry] = pair
+        entry = work.geom2_pairadr[block, two]
+        for pair in range(work.geom1_pairadr[block, two]):
+            if work.pair_geom2[block, pair] == two:
+                work.geom2_pair[block, entry] = pair
                 entry += 1
     wait_for_all()
-    return n_pairs
+    return npair
 
 
 @wp.func
-def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: int, anew: bool) -> bool:
-    """Find where pairs touch; returns whether contacts have other slots than a step ago.
+def collide(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    npair: int,
+    anew: bool,
+    # Data out:
+    work: Workspace,
+) -> bool:
+    """Find where pairs touch; returns whether contacts have other numbers than a step ago.
 
     Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
-    petmjx/world/model.py). ``contact_of[lane, n_pairs]`` is the number of contacts, which may be more than fit.
-    ``pair_at`` is the pair of each contact that fits.
+    petmjx/world/model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may be more than fit.
+    ``contact_pair`` is the pair of each contact that fits.
 
     Args:
         anew: pairs were listed for this step.
     """
-    lane = at.lane
+    block = at.block
     changed = bool(anew)
-    for pair in range(warp_by_warp(at), n_pairs, at.threads):
-        one = work.first[lane, pair]
-        two = work.second[lane, pair]
+    for pair in range(warp_by_warp(at), npair, at.threads):
+        one = work.pair_geom1[block, pair]
+        two = work.pair_geom2[block, pair]
         if not _near(work, at, one, two, NEAR):
-            changed = changed or work.touching[lane, pair] != 0
-            work.touching[lane, pair] = 0
+            changed = changed or work.pair_ncon[block, pair] != 0
+            work.pair_ncon[block, pair] = 0
             continue
         found = int(8)
         distances = vec8f()
         places = mat83f()
         normal = wp.vec3(0.0, 0.0, 1.0)
-        lower_skin = skin_of(model, tables, at.world, one)
-        skin = skin_of(model, tables, at.world, two)
-        half = geom_half(tables, at.world, two) + wp.vec3(skin, skin, skin)
+        lower_skin = skin_of(model, worlds, at.world, one)
+        skin = skin_of(model, worlds, at.world, two)
+        half = geom_half(worlds, at.world, two) + wp.vec3(skin, skin, skin)
         margin = -lower_skin - skin
         if one == 0:
             distances, places, normal = plane_box(
-                normal, work.place[lane, 0], work.place[lane, two], work.turn[lane, two], half
+                normal, work.geom_xpos[block, 0], work.geom_xpos[block, two], work.geom_xmat[block, two], half
             )
         else:
             found, distances, places, normal = box_box(
-                work.place[lane, one],
-                work.turn[lane, one],
-                geom_half(tables, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
-                work.place[lane, two],
-                work.turn[lane, two],
+                work.geom_xpos[block, one],
+                work.geom_xmat[block, one],
+                geom_half(worlds, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
+                work.geom_xpos[block, two],
+                work.geom_xmat[block, two],
                 half,
                 margin,
             )
@@ -154,23 +173,23 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
         for i in range(found):
             distance = distances[i] - margin
             if distance < 0.0:
-                work.points[lane, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
+                work.pair_points[block, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
                 count += 1
-        work.normal[lane, pair] = normal
-        changed = changed or work.touching[lane, pair] != count
-        work.touching[lane, pair] = count
+        work.pair_normal[block, pair] = normal
+        changed = changed or work.pair_ncon[block, pair] != count
+        work.pair_ncon[block, pair] = count
     if not any_of_all(changed):
         return False
-    for pair in range(at.thread, n_pairs, at.threads):
-        work.contact_of[lane, pair] = work.touching[lane, pair]
+    for pair in range(at.thread, npair, at.threads):
+        work.pair_conadr[block, pair] = work.pair_ncon[block, pair]
     wait_for_all()
-    prefix_sums(work.contact_of, lane, n_pairs, at.thread)
+    prefix_sums(work.pair_conadr, block, npair, at.thread)
     wait_for_all()
-    for pair in range(at.thread, n_pairs, at.threads):
-        begin = work.contact_of[lane, pair]
-        end = wp.min(work.contact_of[lane, pair + 1], model.room)
-        for slot in range(begin, end):
-            work.pair_at[lane, slot] = pair
+    for pair in range(at.thread, npair, at.threads):
+        begin = work.pair_conadr[block, pair]
+        end = wp.min(work.pair_conadr[block, pair + 1], model.nconmax)
+        for contact in range(begin, end):
+            work.contact_pair[block, contact] = pair
     wait_for_all()
     return True
 
@@ -178,9 +197,9 @@ def collide(model: Model, tables: Tables, work: Workspace, at: Lane, n_pairs: in
 @wp.func
 def _reference(model: Model, depth: float) -> wp.vec3:
     """Stiffness, damping and impedance of a contact (MuJoCo's documentation, "Modeling", "Solver parameters")."""
-    low = wp.clamp(model.low_impedance, MIN_IMPEDANCE, MAX_IMPEDANCE)
-    high = wp.clamp(model.high_impedance, MIN_IMPEDANCE, MAX_IMPEDANCE)
-    x = wp.min(wp.abs(depth) / wp.max(model.impedance_width, MIN_VALUE), 1.0)
+    low = wp.clamp(model.solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    high = wp.clamp(model.solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    x = wp.min(wp.abs(depth) / wp.max(model.solimp[2], MIN_VALUE), 1.0)
     # MuJoCo's default midpoint 0.5 and power 2
     y = wp.where(x <= 0.5, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) * (1.0 - x))
     impedance = low + y * (high - low)
@@ -202,43 +221,54 @@ def _moment_arms(axes: wp.mat33, lever: wp.vec3, turn: wp.mat33) -> wp.mat33:
 
 
 @wp.func
-def _give(tables: Tables, at: Lane, body: int) -> float:
+def _give(worlds: Worlds, at: Thread, body: int) -> float:
     """MuJoCo's inverse weight of a body, 1/kg; 0 if it does not move."""
     if body - at.held < 0:
         return 0.0
-    return 1.0 / tables.mass[at.world, body]
+    return 1.0 / worlds.mass[at.world, body]
 
 
 @wp.func
-def _friction(tables: Tables, world: int, geom: int) -> float:
+def _friction(worlds: Worlds, world: int, geom: int) -> float:
     """Sliding friction of a geom."""
     if geom == 0:
-        return tables.floor_friction[world, 0]
-    return tables.friction[world, geom - 1, 0]
+        return worlds.floor_friction[world, 0]
+    return worlds.friction[world, geom - 1, 0]
 
 
 @wp.func
-def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: Lane, n_contacts: int) -> None:
-    """Rows of all contacts.
+def make_constraint(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    ncon: int,
+    # Data out:
+    work: Workspace,
+) -> None:
+    """Constraints of all contacts, as ``efc`` has them (``records.EFC_WORDS``).
 
-    Rows give the acceleration of the second block relative to the first, along normal and tangents. Moment arms are in
+    Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
     the frames of the bodies. With pyramidal cones the rows of the four edges are normal ± friction × tangent; they are
     not stored.
     """
-    lane = at.lane
+    block = at.block
     world = at.world
-    for slot in range(at.thread, n_contacts, at.threads):
-        pair = work.pair_at[lane, slot]
-        first = work.first[lane, pair]
-        second = work.second[lane, pair]
-        point = work.points[lane, pair, slot - work.contact_of[lane, pair]]
-        axes = make_frame(work.normal[lane, pair])
-        body_one = body_of(tables, world, first)
-        body_two = body_of(tables, world, second)
+    for contact in range(at.thread, ncon, at.threads):
+        pair = work.contact_pair[block, contact]
+        first = work.pair_geom1[block, pair]
+        second = work.pair_geom2[block, pair]
+        point = work.pair_points[block, pair, contact - work.pair_conadr[block, pair]]
+        axes = make_frame(work.pair_normal[block, pair])
+        body_one = body_of(worlds, world, first)
+        body_two = body_of(worlds, world, second)
         one = body_one - at.held
         two = body_two - at.held
-        mu = wp.max(wp.max(_friction(tables, world, first), _friction(tables, world, second)), MIN_FRICTION)
-        weight = _give(tables, at, body_one) + _give(tables, at, body_two)
+        mu = wp.max(wp.max(_friction(worlds, world, first), _friction(worlds, world, second)), MIN_FRICTION)
+        weight = _give(worlds, at, body_one) + _give(worlds, at, body_two)
         if model.pyramidal != 0:
             weight = 2.0 * mu * mu * weight * (1.0 + mu * mu)
         touch = wp.vec3(point[0], point[1], point[2])
@@ -246,77 +276,88 @@ def make_rows(model: Model, tables: Tables, state: State, work: Workspace, at: L
         arms_two = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         velocity = wp.vec3(0.0, 0.0, 0.0)
         if one >= 0:
-            arms_one = _moment_arms(axes, touch - center(state, world, body_one), work.turn[lane, first])
+            arms_one = _moment_arms(axes, touch - center(state, world, body_one), work.geom_xmat[block, first])
             along = axes * linear_velocity(state, world, body_one)
             velocity -= along + arms_one * angular_velocity(state, world, body_one)
         if two >= 0:
-            arms_two = _moment_arms(axes, touch - center(state, world, body_two), work.turn[lane, second])
+            arms_two = _moment_arms(axes, touch - center(state, world, body_two), work.geom_xmat[block, second])
             along = axes * linear_velocity(state, world, body_two)
             velocity += along + arms_two * angular_velocity(state, world, body_two)
         kbi = _reference(model, point[3])
         damping = wp.where(model.friction_damping > 0.0, model.friction_damping, kbi[1])
         for r in range(3):
             for i in range(3):
-                work.rows[lane, slot, 3 * r + i] = axes[r, i]
-                work.rows[lane, slot, 9 + 3 * r + i] = arms_one[r, i]
-                work.rows[lane, slot, 18 + 3 * r + i] = arms_two[r, i]
-        work.rows[lane, slot, 27] = -kbi[1] * velocity[0] - kbi[0] * kbi[2] * point[3]
-        work.rows[lane, slot, 28] = -damping * velocity[1]
-        work.rows[lane, slot, 29] = -damping * velocity[2]
-        work.rows[lane, slot, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)
-        work.rows[lane, slot, 31] = mu
-        work.blocks[lane, slot, 0] = one
-        work.blocks[lane, slot, 1] = two
+                work.efc[block, contact, 3 * r + i] = axes[r, i]
+                work.efc[block, contact, 9 + 3 * r + i] = arms_one[r, i]
+                work.efc[block, contact, 18 + 3 * r + i] = arms_two[r, i]
+        work.efc[block, contact, 27] = -kbi[1] * velocity[0] - kbi[0] * kbi[2] * point[3]
+        work.efc[block, contact, 28] = -damping * velocity[1]
+        work.efc[block, contact, 29] = -damping * velocity[2]
+        work.efc[block, contact, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)
+        work.efc[block, contact, 31] = mu
+        work.contact_bodies[block, contact, 0] = one
+        work.contact_bodies[block, contact, 1] = two
     wait_for_all()
 
 
 @wp.func
-def link_blocks(tables: Tables, state: State, work: Workspace, at: Lane) -> None:
-    """The contacts of each block, as links: 2 × contact + side.
+def link_contacts(
+    # Model:
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    # Data out:
+    work: Workspace,
+) -> None:
+    """The contacts of each free body, as links: 2 × contact + side.
 
-    ``links[lane, link_begin[lane, b]:link_begin[lane, b + 1]]`` belong to block b, in the order of the contacts:
-    first those in which b is the second body. ``lowest`` says, by a block's position in the system, what is the lowest
-    position of the blocks that it touches and of itself.
+    ``body_contact[block, body_conadr[block, b]:body_conadr[block, b + 1]]`` belong to free body b, in the order of the
+    contacts: first those in which b is the second body. ``lowest`` says, by a body's position in the system, what is
+    the lowest position of the free bodies that it touches and of itself.
     """
-    lane = at.lane
-    n_blocks = work.n_blocks[lane]
-    for block in range(at.thread, n_blocks, at.threads):
-        geom = first_geom(tables, at.world, block + at.held)
-        end_geom = first_geom(tables, at.world, block + at.held + 1)
-        count = work.contact_of[lane, work.pair_of[lane, end_geom]] - work.contact_of[lane, work.pair_of[lane, geom]]
-        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, end_geom]):
-            pair = work.lower[lane, entry]
-            count += work.contact_of[lane, pair + 1] - work.contact_of[lane, pair]
-        work.link_begin[lane, block] = count
+    block = at.block
+    nfree = work.nfree[block]
+    for free_body in range(at.thread, nfree, at.threads):
+        geom = first_geom(worlds, at.world, free_body + at.held)
+        end_geom = first_geom(worlds, at.world, free_body + at.held + 1)
+        first = work.geom1_pairadr[block, geom]
+        end = work.geom1_pairadr[block, end_geom]
+        count = work.pair_conadr[block, end] - work.pair_conadr[block, first]
+        for entry in range(work.geom2_pairadr[block, geom], work.geom2_pairadr[block, end_geom]):
+            pair = work.geom2_pair[block, entry]
+            count += work.pair_conadr[block, pair + 1] - work.pair_conadr[block, pair]
+        work.body_conadr[block, free_body] = count
     wait_for_all()
-    prefix_sums(work.link_begin, lane, n_blocks, at.thread)
+    prefix_sums(work.body_conadr, block, nfree, at.thread)
     wait_for_all()
-    for block in range(at.thread, n_blocks, at.threads):
-        geom = first_geom(tables, at.world, block + at.held)
-        end_geom = first_geom(tables, at.world, block + at.held + 1)
-        position = block_position(state, at, block)
+    for free_body in range(at.thread, nfree, at.threads):
+        geom = first_geom(worlds, at.world, free_body + at.held)
+        end_geom = first_geom(worlds, at.world, free_body + at.held + 1)
+        position = free_position(state, at, free_body)
         low = int(position)
-        link = work.link_begin[lane, block]
-        for entry in range(work.lower_of[lane, geom], work.lower_of[lane, end_geom]):
-            pair = work.lower[lane, entry]
-            begin = work.contact_of[lane, pair]
-            end = work.contact_of[lane, pair + 1]
-            for slot in range(begin, end):
-                work.links[lane, link] = 2 * slot + 1
+        link = work.body_conadr[block, free_body]
+        for entry in range(work.geom2_pairadr[block, geom], work.geom2_pairadr[block, end_geom]):
+            pair = work.geom2_pair[block, entry]
+            begin = work.pair_conadr[block, pair]
+            end = work.pair_conadr[block, pair + 1]
+            for contact in range(begin, end):
+                work.body_contact[block, link] = 2 * contact + 1
                 link += 1
-            other = body_of(tables, at.world, work.first[lane, pair]) - at.held
+            other = body_of(worlds, at.world, work.pair_geom1[block, pair]) - at.held
             if end > begin and other >= 0:
-                low = wp.min(low, block_position(state, at, other))
-        for pair in range(work.pair_of[lane, geom], work.pair_of[lane, end_geom]):
-            begin = work.contact_of[lane, pair]
-            end = work.contact_of[lane, pair + 1]
-            for slot in range(begin, end):
-                work.links[lane, link] = 2 * slot
+                low = wp.min(low, free_position(state, at, other))
+        for pair in range(work.geom1_pairadr[block, geom], work.geom1_pairadr[block, end_geom]):
+            begin = work.pair_conadr[block, pair]
+            end = work.pair_conadr[block, pair + 1]
+            for contact in range(begin, end):
+                work.body_contact[block, link] = 2 * contact
                 link += 1
             if end > begin:
                 low = wp.min(
-                    low, block_position(state, at, body_of(tables, at.world, work.second[lane, pair]) - at.held)
+                    low, free_position(state, at, body_of(worlds, at.world, work.pair_geom2[block, pair]) - at.held)
                 )
-        work.position[lane, block] = position
-        work.lowest[lane, position] = low
+        work.position[block, free_body] = position
+        work.lowest[block, position] = low
     wait_for_all()

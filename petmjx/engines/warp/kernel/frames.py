@@ -6,20 +6,29 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.block import wait_for_all
 from petmjx.engines.warp.kernel.rules import RUNNING
-from petmjx.engines.warp.records import Frames, Lane, State, Workspace
+from petmjx.engines.warp.records import FrameBuffer, State, Thread, Workspace
 
 
 @wp.func
-def no_room(frames: Frames, lanes: int) -> bool:
-    """Whether a lane must not step a recorded world, since each lane may be about to write a frame. By one thread.
+def no_room(frames: FrameBuffer, blocks: int) -> bool:
+    """Whether a block must not step a recorded world, since each block may be about to write a frame. By one thread.
 
-    An atomic addition reads what all lanes have written; a plain load may read a multiprocessor's own cache.
+    An atomic addition reads what all blocks have written; a plain load may read a multiprocessor's own cache.
     """
-    return wp.atomic_add(frames.used, 0, 0) + lanes > frames.of.shape[0]
+    return wp.atomic_add(frames.used, 0, 0) + blocks > frames.of.shape[0]
 
 
 @wp.func
-def keep_frame(state: State, work: Workspace, frames: Frames, at: Lane, every: int) -> None:
+def keep_frame(
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    every: int,
+    # Data out:
+    work: Workspace,
+    frames: FrameBuffer,
+) -> None:
     """Keep a frame after a step of a recorded world and all that followed from it, if one is due.
 
     Args:
@@ -31,17 +40,17 @@ def keep_frame(state: State, work: Workspace, frames: Frames, at: Lane, every: i
     regular = at.placed > 0 and step >= 0 and step % every == 0
     if regular or placed > at.placed or state.status[world] != RUNNING:
         if at.thread == 0:
-            work.frame[at.lane] = wp.atomic_add(frames.used, 0, 1)
+            work.frame[at.block] = wp.atomic_add(frames.used, 0, 1)
         wait_for_all()
-        frame = work.frame[at.lane]
+        frame = work.frame[at.block]
         for box in range(at.thread, placed, at.threads):
             for i in range(7):
-                frames.pose[frame, box, i] = state.pose[world, box, i]
+                frames.pose[frame, box, i] = state.qpos[world, box, i]
             # nothing has acted yet on a box that was just placed
-            frames.top_force[frame, box] = wp.where(box < at.placed, work.top_force[at.lane, box], 0.0)
+            frames.top_force[frame, box] = wp.where(box < at.placed, work.top_force[at.block, box], 0.0)
         if at.thread == 0:
             frames.of[frame] = world
             frames.step[frame] = step
             frames.placed[frame] = placed
             for i in range(7):
-                frames.carrier_pose[frame, i] = state.carrier_pose[world, i]
+                frames.carrier_pose[frame, i] = state.carrier_qpos[world, i]

@@ -1,9 +1,9 @@
 """Motion of a world's bodies: from poses to accelerations without contacts, and from accelerations to the next poses.
 
 Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body.py). Body 0 is the carrier, which is free or
-held fast, and box k is body k + 1. A block is a body that moves; it has six rows in the equations. Blocks are all
-bodies, or only the boxes if the carrier is held: the block of a body is its number, less one if the carrier is held.
-Negative blocks do not move. Geom 0 is the floor, and shape k is geom k + 1.
+held fast, and box k is body k + 1. A free body moves and has six rows in the equations. All bodies are free, or only
+the boxes if the carrier is held: a free body's number is that of the body, less one if the carrier is held. A negative
+one does not move. Geom 0 is the floor, and shape k is geom k + 1.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.batch.rules import UNBELIEVABLE
-from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.metrics import force_jax as force_metrics
 
 VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
@@ -24,43 +24,43 @@ vec6 = wp.types.vector(length=6, dtype=float)
 
 
 @wp.func
-def body_of(tables: Tables, world: int, geom: int) -> int:
+def body_of(worlds: Worlds, world: int, geom: int) -> int:
     """The body of a geom; -1 of the floor."""
     if geom == 0:
         return -1
-    return tables.shape_body[world, geom - 1]
+    return worlds.shape_body[world, geom - 1]
 
 
 @wp.func
-def first_geom(tables: Tables, world: int, body: int) -> int:
+def first_geom(worlds: Worlds, world: int, body: int) -> int:
     """The first geom of a body, and the end of those of the body before it."""
-    return tables.first_shape[world, body] + 1
+    return worlds.first_shape[world, body] + 1
 
 
 @wp.func
-def box_half(tables: Tables, world: int, box: int) -> wp.vec3:
+def box_half(worlds: Worlds, world: int, box: int) -> wp.vec3:
     """Half extents of a box, m."""
-    return wp.vec3(tables.half[world, box, 0], tables.half[world, box, 1], tables.half[world, box, 2])
+    return wp.vec3(worlds.half[world, box, 0], worlds.half[world, box, 1], worlds.half[world, box, 2])
 
 
 @wp.func
-def geom_half(tables: Tables, world: int, geom: int) -> wp.vec3:
+def geom_half(worlds: Worlds, world: int, geom: int) -> wp.vec3:
     """Half extents of a geom that is not the floor, m."""
-    half = tables.shape_half[world, geom - 1]
+    half = worlds.shape_half[world, geom - 1]
     return wp.vec3(half[0], half[1], half[2])
 
 
 @wp.func
-def middle_of(tables: Tables, world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
+def middle_of(worlds: Worlds, world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
     """The middle of a box whose frame is at this pose, m."""
-    middle = wp.vec3(tables.middle[world, box, 0], tables.middle[world, box, 1], tables.middle[world, box, 2])
+    middle = wp.vec3(worlds.middle[world, box, 0], worlds.middle[world, box, 1], worlds.middle[world, box, 2])
     return place + rotation(q) * middle
 
 
 @wp.func
-def skin_of(model: Model, tables: Tables, world: int, geom: int) -> float:
+def skin_of(model: Model, worlds: Worlds, world: int, geom: int) -> float:
     """By how much a geom is larger for the collider, m (as in petmjx/world/model.py): the floor not at all."""
-    body = body_of(tables, world, geom)
+    body = body_of(worlds, world, geom)
     return wp.where(body < 0, 0.0, wp.where(body == 0, model.carrier_skin, model.skin))
 
 
@@ -76,18 +76,18 @@ def moments(half: wp.vec3, mass: float) -> wp.vec3:
 def center(state: State, world: int, body: int) -> wp.vec3:
     """Centre of mass of a body, m."""
     if body == 0:
-        return wp.vec3(state.carrier_pose[world, 0], state.carrier_pose[world, 1], state.carrier_pose[world, 2])
+        return wp.vec3(state.carrier_qpos[world, 0], state.carrier_qpos[world, 1], state.carrier_qpos[world, 2])
     box = body - 1
-    return wp.vec3(state.pose[world, box, 0], state.pose[world, box, 1], state.pose[world, box, 2])
+    return wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
 
 
 @wp.func
 def orientation(state: State, world: int, body: int) -> wp.vec4:
     """Quaternion of a body, w first."""
     if body == 0:
-        p = state.carrier_pose[world]
+        p = state.carrier_qpos[world]
         return wp.vec4(p[3], p[4], p[5], p[6])
-    q = state.pose[world, body - 1]
+    q = state.qpos[world, body - 1]
     return wp.vec4(q[3], q[4], q[5], q[6])
 
 
@@ -95,8 +95,8 @@ def orientation(state: State, world: int, body: int) -> wp.vec4:
 def linear_velocity(state: State, world: int, body: int) -> wp.vec3:
     """Velocity of a body's centre of mass, m/s."""
     if body == 0:
-        return wp.vec3(state.carrier_vel[world, 0], state.carrier_vel[world, 1], state.carrier_vel[world, 2])
-    v = state.vel[world, body - 1]
+        return wp.vec3(state.carrier_qvel[world, 0], state.carrier_qvel[world, 1], state.carrier_qvel[world, 2])
+    v = state.qvel[world, body - 1]
     return wp.vec3(v[0], v[1], v[2])
 
 
@@ -104,8 +104,8 @@ def linear_velocity(state: State, world: int, body: int) -> wp.vec3:
 def angular_velocity(state: State, world: int, body: int) -> wp.vec3:
     """Angular velocity of a body in its own frame, rad/s."""
     if body == 0:
-        return wp.vec3(state.carrier_vel[world, 3], state.carrier_vel[world, 4], state.carrier_vel[world, 5])
-    v = state.vel[world, body - 1]
+        return wp.vec3(state.carrier_qvel[world, 3], state.carrier_qvel[world, 4], state.carrier_qvel[world, 5])
+    v = state.qvel[world, body - 1]
     return wp.vec3(v[3], v[4], v[5])
 
 
@@ -132,7 +132,18 @@ def rotation(q: wp.vec4) -> wp.mat33:
 
 @wp.func
 def begin_step(
-    model: Model, tables: Tables, state: State, work: Workspace, at: Lane, gravity: wp.vec3, push: wp.vec3, sample: bool
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    gravity: wp.vec3,
+    push: wp.vec3,
+    sample: bool,
+    # Data out:
+    work: Workspace,
 ) -> bool:
     """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts, the solver's start.
 
@@ -146,33 +157,33 @@ def begin_step(
     Returns:
         Whether a thread's bodies have left the room for which pairs were listed.
     """
-    lane = at.lane
+    block = at.block
     world = at.world
     left = bool(False)
     if at.thread == 0:
-        work.place[lane, 0] = wp.vec3(0.0, 0.0, tables.floor_z[world])
-        work.turn[lane, 0] = wp.identity(n=3, dtype=float)
-        work.reach[lane, 0] = wp.vec3(0.0, 0.0, 0.0)
-        work.n_blocks[lane] = at.placed + 1 - at.held
-        work.worst[lane] = wp.int64(0)
+        work.geom_xpos[block, 0] = wp.vec3(0.0, 0.0, worlds.floor_z[world])
+        work.geom_xmat[block, 0] = wp.identity(n=3, dtype=float)
+        work.geom_reach[block, 0] = wp.vec3(0.0, 0.0, 0.0)
+        work.nfree[block] = at.placed + 1 - at.held
+        work.worst[block] = wp.int64(0)
     for geom in range(1 + at.thread, at.geoms, at.threads):
-        body = body_of(tables, world, geom)
+        body = body_of(worlds, world, geom)
         frame = center(state, world, body)
         q = orientation(state, world, body)
         spin = angular_velocity(state, world, body)
-        half = geom_half(tables, world, geom)
-        offset = tables.shape_pos[world, geom - 1]
-        mass = tables.mass[world, body]
-        equal = tables.inertia_box[world, body]
-        home = work.home[lane, geom]
-        home_reach = work.home_reach[lane, geom]
-        leads = first_geom(tables, world, body) == geom
+        half = geom_half(worlds, world, geom)
+        offset = worlds.shape_pos[world, geom - 1]
+        mass = worlds.mass[world, body]
+        equal = worlds.inertia_box[world, body]
+        home = work.listed_xpos[block, geom]
+        home_reach = work.listed_reach[block, geom]
+        leads = first_geom(worlds, world, body) == geom
         start = vec6()
         for i in range(6):
             if body == 0:
-                start[i] = state.carrier_ahead[world, i]
+                start[i] = state.carrier_qacc_warmstart[world, i]
             else:
-                start[i] = state.ahead[world, body - 1, i]
+                start[i] = state.qacc_warmstart[world, body - 1, i]
         turn = rotation(q)
         place = frame + turn * wp.vec3(offset[0], offset[1], offset[2])
         # as far as the box with its skin reaches, less the depth at which its contacts begin
@@ -186,30 +197,30 @@ def begin_step(
         out = wp.abs(place - home) + reach - home_reach
         if wp.max(out[0], wp.max(out[1], out[2])) > ROOM:
             left = True
-        work.place[lane, geom] = place
-        work.turn[lane, geom] = turn
-        work.reach[lane, geom] = reach
-        block = body - at.held
+        work.geom_xpos[block, geom] = place
+        work.geom_xmat[block, geom] = turn
+        work.geom_reach[block, geom] = reach
+        free_body = body - at.held
         if not leads:
             continue
         if sample and body >= 1:
             for i in range(3):
-                work.seen[lane, body - 1, i] = frame[i]
+                work.qpos_before[block, body - 1, i] = frame[i]
             for i in range(4):
-                work.seen[lane, body - 1, 3 + i] = q[i]
-        if block < 0:
+                work.qpos_before[block, body - 1, 3 + i] = q[i]
+        if free_body < 0:
             continue
         inertia = moments(wp.vec3(equal[0], equal[1], equal[2]), mass)
         torque = -wp.cross(spin, wp.cw_mul(inertia, spin))
-        dof = 6 * block
+        dof = 6 * free_body
         for i in range(3):
             force = wp.where(body == 0, push[i], 0.0)
-            work.inertia[lane, dof + i] = mass
-            work.inertia[lane, dof + 3 + i] = inertia[i]
-            work.smooth[lane, dof + i] = gravity[i] + force / mass
-            work.smooth[lane, dof + 3 + i] = torque[i] / inertia[i]
+            work.qM[block, dof + i] = mass
+            work.qM[block, dof + 3 + i] = inertia[i]
+            work.qacc_smooth[block, dof + i] = gravity[i] + force / mass
+            work.qacc_smooth[block, dof + 3 + i] = torque[i] / inertia[i]
         for i in range(6):
-            work.acceleration[lane, dof + i] = wp.float64(start[i])
+            work.qacc[block, dof + i] = wp.float64(start[i])
     return left
 
 
@@ -220,7 +231,16 @@ def _is_number(x: float) -> bool:
 
 
 @wp.func
-def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bool) -> bool:
+def end_step(
+    # Model:
+    model: Model,
+    # In:
+    at: Thread,
+    measured: bool,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> bool:
     """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
 
     The solver's next start continues the line through the accelerations of the last step and this one. From there it
@@ -229,20 +249,20 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
     Args:
         measured: find the force on each box's top, too.
     """
-    lane = at.lane
+    block = at.block
     world = at.world
     astray = bool(False)
     for body in range(at.held + at.thread, at.placed + 1, at.threads):
-        block = body - at.held
-        dof = 6 * block
-        a = vec6()
+        free_body = body - at.held
+        dof = 6 * free_body
+        qacc = vec6()
         for i in range(6):
-            a[i] = float(work.acceleration[lane, dof + i])
+            qacc[i] = float(work.qacc[block, dof + i])
         linear = linear_velocity(state, world, body)
         spin = angular_velocity(state, world, body)
         for i in range(3):
-            linear[i] = linear[i] + model.timestep * a[i]
-            spin[i] = spin[i] + model.timestep * a[3 + i]
+            linear[i] = linear[i] + model.timestep * qacc[i]
+            spin[i] = spin[i] + model.timestep * qacc[3 + i]
         where = center(state, world, body)
         for i in range(3):
             where[i] = where[i] + model.timestep * linear[i]
@@ -266,45 +286,45 @@ def end_step(model: Model, state: State, work: Workspace, at: Lane, measured: bo
                 astray = True
         if body == 0:
             for i in range(3):
-                state.carrier_pose[world, i] = where[i]
-                state.carrier_vel[world, i] = linear[i]
-                state.carrier_vel[world, 3 + i] = spin[i]
+                state.carrier_qpos[world, i] = where[i]
+                state.carrier_qvel[world, i] = linear[i]
+                state.carrier_qvel[world, 3 + i] = spin[i]
             for i in range(4):
-                state.carrier_pose[world, 3 + i] = after[i]
+                state.carrier_qpos[world, 3 + i] = after[i]
             for i in range(6):
-                state.carrier_ahead[world, i] = 2.0 * a[i] - state.carrier_warm[world, i]
-                state.carrier_warm[world, i] = a[i]
+                state.carrier_qacc_warmstart[world, i] = 2.0 * qacc[i] - state.carrier_qacc[world, i]
+                state.carrier_qacc[world, i] = qacc[i]
         else:
             box = body - 1
             for i in range(3):
-                state.pose[world, box, i] = where[i]
-                state.vel[world, box, i] = linear[i]
-                state.vel[world, box, 3 + i] = spin[i]
+                state.qpos[world, box, i] = where[i]
+                state.qvel[world, box, i] = linear[i]
+                state.qvel[world, box, 3 + i] = spin[i]
             for i in range(4):
-                state.pose[world, box, 3 + i] = after[i]
+                state.qpos[world, box, 3 + i] = after[i]
             for i in range(6):
-                state.ahead[world, box, i] = 2.0 * a[i] - state.warm[world, box, i]
-                state.warm[world, box, i] = a[i]
+                state.qacc_warmstart[world, box, i] = 2.0 * qacc[i] - state.qacc[world, box, i]
+                state.qacc[world, box, i] = qacc[i]
             if measured:
-                work.top_force[lane, box] = _top_force(work, lane, block)
+                work.top_force[block, box] = _top_force(work, block, free_body)
     return astray
 
 
 @wp.func
-def _top_force(work: Workspace, lane: int, block: int) -> float:
+def _top_force(work: Workspace, block: int, free_body: int) -> float:
     """Force that presses on a box from above, N: of contacts within 45° of level with geoms whose centre is higher."""
     total = wp.float64(0.0)
-    for entry in range(work.link_begin[lane, block], work.link_begin[lane, block + 1]):
-        link = work.links[lane, entry]
+    for entry in range(work.body_conadr[block, free_body], work.body_conadr[block, free_body + 1]):
+        link = work.body_contact[block, entry]
         k = link // 2
         side = link % 2
-        pair = work.pair_at[lane, k]
-        first_z = work.place[lane, work.first[lane, pair]][2]
-        second_z = work.place[lane, work.second[lane, pair]][2]
+        pair = work.contact_pair[block, k]
+        first_z = work.geom_xpos[block, work.pair_geom1[block, pair]][2]
+        second_z = work.geom_xpos[block, work.pair_geom2[block, pair]][2]
         lower = wp.where(side == 1, second_z <= first_z, first_z < second_z)
-        if lower and wp.abs(work.rows[lane, k, 2]) >= VERTICAL_COSINE:
+        if lower and wp.abs(work.efc[block, k, 2]) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):
-                up += wp.float64(work.rows[lane, k, 3 * r + 2]) * work.force[lane, k, r]
+                up += wp.float64(work.efc[block, k, 3 * r + 2]) * work.contact_force[block, k, r]
             total += wp.where(side == 1, -up, up)
     return float(total)

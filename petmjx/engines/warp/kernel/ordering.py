@@ -4,7 +4,7 @@ is farthest from the carrier.
 Bodies that touch should stand near one another there, so that the Hessian's envelope is narrow (Cuthill and McKee,
 "Reducing the bandwidth of sparse symmetric matrices", 1969). In packing order the factor takes twice the operations
 (docs/performance.md). An order is part of a world's state, and is renewed at certain steps. So it does not depend on
-which lane had the world when.
+which thread block had the world when.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.motion import body_of
-from petmjx.engines.warp.records import Lane, State, Tables, Workspace
+from petmjx.engines.warp.records import State, Thread, Workspace, Worlds
 
 RENEWED_EVERY = wp.constant(25)
 """Steps: contacts change when a box is placed, about every 60 steps, and while boxes fall."""
@@ -30,57 +30,75 @@ def body_position(state: State, world: int, body: int) -> int:
 
 
 @wp.func
-def block_position(state: State, at: Lane, block: int) -> int:
-    """Where a block stands among all blocks: a carrier that is held is none."""
-    position = body_position(state, at.world, block + at.held)
+def free_position(state: State, at: Thread, free_body: int) -> int:
+    """Where a free body stands among all of them: a carrier that is held is none."""
+    position = body_position(state, at.world, free_body + at.held)
     if at.held != 0 and position > state.carrier_position[at.world]:
         position -= 1
     return position
 
 
 @wp.func
-def _find_levels(tables: Tables, work: Workspace, at: Lane, n_pairs: int, root: int) -> None:
+def _find_levels(
+    # Model:
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    npair: int,
+    root: int,
+    # Data out:
+    work: Workspace,
+) -> None:
     """How many contacts lie between each body and the root."""
-    lane = at.lane
+    block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):
-        work.level[lane, body] = wp.where(body == root, 0, UNREACHED)
+        work.body_level[block, body] = wp.where(body == root, 0, UNREACHED)
     wait_for_all()
     for level in range(at.placed + 1):
         found = bool(False)
-        for pair in range(at.thread, n_pairs, at.threads):
-            one = body_of(tables, at.world, work.first[lane, pair])
-            if one >= 0 and work.contact_of[lane, pair + 1] > work.contact_of[lane, pair]:
-                two = body_of(tables, at.world, work.second[lane, pair])
-                of_one = work.level[lane, one]
-                of_two = work.level[lane, two]
+        for pair in range(at.thread, npair, at.threads):
+            one = body_of(worlds, at.world, work.pair_geom1[block, pair])
+            if one >= 0 and work.pair_conadr[block, pair + 1] > work.pair_conadr[block, pair]:
+                two = body_of(worlds, at.world, work.pair_geom2[block, pair])
+                of_one = work.body_level[block, one]
+                of_two = work.body_level[block, two]
                 if of_one == level and of_two == UNREACHED:
-                    work.level[lane, two] = level + 1
+                    work.body_level[block, two] = level + 1
                     found = True
                 if of_two == level and of_one == UNREACHED:
-                    work.level[lane, one] = level + 1
+                    work.body_level[block, one] = level + 1
                     found = True
         if not any_of_all(found):
             break
 
 
 @wp.func
-def renew_order(tables: Tables, state: State, work: Workspace, at: Lane, n_pairs: int) -> None:
+def renew_order(
+    # Model:
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    npair: int,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> None:
     """Put the bodies in order by the contacts of this step; bodies of one level stay in packing order."""
-    lane = at.lane
+    block = at.block
     n = at.placed + 1
-    _find_levels(tables, work, at, n_pairs, 0)
+    _find_levels(worlds, at, npair, 0, work)
     root = int(0)
     for body in range(n):
-        level = work.level[lane, body]
-        if level != UNREACHED and level > work.level[lane, root]:
+        level = work.body_level[block, body]
+        if level != UNREACHED and level > work.body_level[block, root]:
             root = body
     wait_for_all()
-    _find_levels(tables, work, at, n_pairs, root)
+    _find_levels(worlds, at, npair, root, work)
     for body in range(at.thread, n, at.threads):
-        level = work.level[lane, body]
+        level = work.body_level[block, body]
         position = int(0)
         for other in range(n):
-            its = work.level[lane, other]
+            its = work.body_level[block, other]
             if its < level or (its == level and other < body):
                 position += 1
         if body == 0:

@@ -1,6 +1,6 @@
 """The rules of a run for one world, after each of its steps: sampling, placing, resting, ending (docs/rules.md).
 
-Twin of petmjx/engines/batch/rules.py, which does the same for all lanes of a batch at a time. Threads share the boxes.
+Twin of petmjx/engines/batch/rules.py, which does the same for all worlds of a batch at a time. Threads share the boxes.
 All read the world's counters before the first barrier, and the first thread changes them after the last one.
 """
 
@@ -11,8 +11,9 @@ import warp as wp
 from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
-from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation, rotation
-from petmjx.engines.warp.records import Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation
+from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, speed_of, tilt_of
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 from petmjx.world import release
 
@@ -28,99 +29,25 @@ MOVING = wp.constant(int(Flag.MOVING))
 CARRIER = wp.constant(history.CARRIER)
 NOTHING = wp.constant(release.NOTHING)
 
-JUST_OVER = wp.constant(1.0000001192092896)
-"""The next float32 after 1: the least excess of a box that has dropped."""
-
-LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
-HALF = wp.constant(wp.int64(32))
-
-
-@wp.func
-def _tilt(q: wp.vec4) -> float:
-    """Angle between a box's z axis and the world's, degrees; from the half angle, which float32 resolves."""
-    return wp.degrees(2.0 * wp.atan2(wp.sqrt(q[1] * q[1] + q[2] * q[2]), wp.sqrt(q[0] * q[0] + q[3] * q[3])))
-
-
-@wp.func
-def _length(a: wp.array3d[float], world: int, box: int, first: int) -> float:
-    """Length of three numbers of a box."""
-    x = a[world, box, first]
-    y = a[world, box, first + 1]
-    z = a[world, box, first + 2]
-    return wp.sqrt(x * x + y * y + z * z)
-
-
-@wp.func
-def _excess(model: Model, tables: Tables, world: int, box: int, place: wp.vec3, tilt: float, dropped: bool) -> float:
-    """Excess of a box: the larger of shift / its threshold and tilt / its threshold, and over 1 if it has dropped."""
-    shift = float(0.0)
-    for i in range(3):
-        moved = wp.abs(place[i] - tables.target[world, box, i])
-        if moved >= model.shift_floor:
-            shift = wp.max(shift, moved)
-    excess = wp.max(shift / model.shift, tilt / model.tilt)
-    return wp.where(dropped, wp.max(excess, JUST_OVER), excess)
-
-
-@wp.func
-def _look(
-    model: Model,
-    tables: Tables,
-    state: State,
-    work: Workspace,
-    at: Lane,
-    box: int,
-    step: int,
-    sample: bool,
-    driven: bool,
-) -> bool:
-    """Place of a box in a sample, or at the end; returns whether it has dropped."""
-    world = at.world
-    place = wp.vec3(0.0, 0.0, 0.0)
-    q = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for i in range(3):
-        place[i] = wp.where(sample, work.seen[at.lane, box, i], state.pose[world, box, i])
-    for i in range(4):
-        q[i] = wp.where(sample, work.seen[at.lane, box, 3 + i], state.pose[world, box, 3 + i])
-    place = middle_of(tables, world, box, place, q)
-    tilt = _tilt(q)
-    lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(tables, world, box))
-    dropped = place[2] < 0.0 or lowest < model.drop_z
-    if dropped and state.drop_step[world, box] < 0:
-        state.drop_step[world, box] = step
-    excess = _excess(model, tables, world, box, place, tilt, dropped)
-    # positive numbers are in the order of their bits; of equal ones the first box counts
-    key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
-    wp.atomic_max(work.worst, at.lane, key)
-    if sample:
-        state.max_tilt[world, box] = wp.max(state.max_tilt[world, box], tilt)
-        state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], _length(state.warm, world, box, 0))
-        state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], _length(state.warm, world, box, 3))
-        state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[at.lane, box])
-    if driven:
-        x = place[0] - state.sway_anchor[world, box, 0]
-        y = place[1] - state.sway_anchor[world, box, 1]
-        state.max_sway[world, box] = wp.max(state.max_sway[world, box], wp.sqrt(x * x + y * y))
-    return dropped
-
-
-@wp.func
-def _speed(tables: Tables, state: State, world: int, box: int) -> float:
-    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
-    radius = wp.length(box_half(tables, world, box))
-    return _length(state.vel, world, box, 0) + radius * _length(state.vel, world, box, 3)
-
 
 @wp.func
 def _count_quiet(
-    model: Model, tables: Tables, state: State, at: Lane, quiet_steps: int, signs: bool
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    quiet_steps: int,
+    signs: bool,
+    # Data out:
+    state: State,
 ) -> tuple[int, bool]:
     """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
     and the count starts again."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        if not _speed(tables, state, world, box) < model.quiet_speed:
+        if not speed_of(worlds, state, world, box) < model.quiet_speed:
             fast = True
     count = int(0)
     if not any_of_all(fast):
@@ -130,7 +57,7 @@ def _count_quiet(
         return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        speed = _speed(tables, state, world, box)
+        speed = speed_of(worlds, state, world, box)
         if count <= model.poll_steps:
             state.quiet_speed[world, box] = speed
         first = state.quiet_speed[world, box]
@@ -140,23 +67,26 @@ def _count_quiet(
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = _speed(tables, state, world, box)
+            state.quiet_speed[world, box] = speed_of(worlds, state, world, box)
     return count, quiet
 
 
 @wp.func
-def _longest_wait(model: Model, tables: Tables, state: State, world: int, driven: bool) -> int:
+def _longest_wait(model: Model, worlds: Worlds, state: State, world: int, driven: bool) -> int:
     """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
     if driven:
-        return state.driven_from[world] + tables.drive_steps[world] + model.longest_steps
+        return state.driven_from[world] + worlds.drive_steps[world] + model.longest_steps
     return model.longest[state.last_placed_at[world]]
 
 
 @wp.func
 def _deadline(
+    # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
+    # Data in:
     state: State,
+    # In:
     world: int,
     driven: bool,
     more: bool,
@@ -165,11 +95,11 @@ def _deadline(
     sign_step: int,
 ) -> int:
     """The latest step for the event that is waited for. A sign of failure ends patience, counted from it."""
-    settles = tables.settles[world]
+    settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
     if patient and not failed:
-        return _longest_wait(model, tables, state, world, driven)
+        return _longest_wait(model, worlds, state, world, driven)
     since = state.waits_since[world]
     if patient:
         since = wp.max(since, sign_step)
@@ -177,7 +107,7 @@ def _deadline(
         return since + model.due_steps
     if not more and settles:
         if model.fixed != 0:
-            return model.settled_nominally[tables.n_boxes[world]]
+            return model.settled_nominally[worlds.n_boxes[world]]
         return model.settled[since]
     if plain_static:
         return model.static_end
@@ -185,54 +115,63 @@ def _deadline(
 
 
 @wp.func
-def _moves_or_failed(model: Model, tables: Tables, state: State, at: Lane, seconds: float) -> tuple[bool, bool]:
-    """At the end: whether a point of a box has moved too fast since ``still_pose``, which was so many seconds ago, and
+def _moves_or_failed(model: Model, worlds: Worlds, state: State, at: Thread, seconds: float) -> tuple[bool, bool]:
+    """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago, and
     whether a box is over a threshold now, or has dropped."""
     world = at.world
     moves = bool(False)
     failed = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        place = wp.vec3(state.pose[world, box, 0], state.pose[world, box, 1], state.pose[world, box, 2])
+        place = wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
         q = wp.vec4(0.0, 0.0, 0.0, 0.0)
         shifted = float(0.0)
         turned = float(0.0)
         for i in range(3):
-            change = place[i] - state.still_pose[world, box, i]
+            change = place[i] - state.still_qpos[world, box, i]
             shifted += change * change
         for i in range(4):
-            q[i] = state.pose[world, box, 3 + i]
-            change = q[i] - state.still_pose[world, box, 3 + i]
+            q[i] = state.qpos[world, box, 3 + i]
+            change = q[i] - state.still_qpos[world, box, 3 + i]
             turned += change * change
-        radius = wp.length(box_half(tables, world, box))
+        radius = wp.length(box_half(worlds, world, box))
         if wp.sqrt(shifted) + 2.0 * radius * wp.sqrt(turned) > model.still_speed * seconds:
             moves = True
-        place = middle_of(tables, world, box, place, q)
-        if _excess(model, tables, world, box, place, _tilt(q), state.drop_step[world, box] >= 0) > 1.0:
+        place = middle_of(worlds, world, box, place, q)
+        if excess_of(model, worlds, world, box, place, tilt_of(q), state.drop_step[world, box] >= 0) > 1.0:
             failed = True
     return any_of_all(moves), any_of_all(failed)
 
 
 @wp.func
-def place_next(model: Model, tables: Tables, state: State, world: int, step: int) -> None:
+def place_next(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    world: int,
+    step: int,
+    # Data out:
+    state: State,
+) -> None:
     """Release the next box, at rest. By one thread."""
     box = state.placed[world]
-    support = tables.support[world, box]
+    support = worlds.support[world, box]
     come_down = float(0.0)
     if support == CARRIER:
-        come_down = state.carrier_pose[world, 2] - tables.carrier_pos[world, 2]
+        come_down = state.carrier_qpos[world, 2] - worlds.carrier_pos[world, 2]
     elif support != NOTHING:
         place = center(state, world, support + 1)
-        middle = middle_of(tables, world, support, place, orientation(state, world, support + 1))
-        come_down = middle[2] - tables.target[world, support, 2]
+        middle = middle_of(worlds, world, support, place, orientation(state, world, support + 1))
+        come_down = middle[2] - worlds.target[world, support, 2]
     come_down = wp.clamp(come_down, -model.most_followed, model.most_followed)
     for i in range(7):
-        start = tables.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
-        state.pose[world, box, i] = start
-        state.still_pose[world, box, i] = start
+        start = worlds.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
+        state.qpos[world, box, i] = start
+        state.still_qpos[world, box, i] = start
     for i in range(6):
-        state.vel[world, box, i] = 0.0
-        state.warm[world, box, i] = 0.0
-        state.ahead[world, box, i] = 0.0
+        state.qvel[world, box, i] = 0.0
+        state.qacc[world, box, i] = 0.0
+        state.qacc_warmstart[world, box, i] = 0.0
     state.position[world, box] = box + 1
     state.placed[world] = box + 1
     state.last_placed_at[world] = step
@@ -241,7 +180,17 @@ def place_next(model: Model, tables: Tables, state: State, world: int, step: int
 
 
 @wp.func
-def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: Lane, nonfinite: bool) -> None:
+def after_step(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    nonfinite: bool,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> None:
     """Everything that happens between two steps.
 
     Args:
@@ -251,7 +200,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
     step = state.step[world] + 1
     end = state.end[world]
     landed = state.last_placed_at[world]
-    n_boxes = tables.n_boxes[world]
+    n_boxes = worlds.n_boxes[world]
     culprit = state.culprit[world]
     violent_since = state.violent_since[world]
     quiet_steps = state.quiet_steps[world]
@@ -267,23 +216,23 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
     if sample or last or resting:
         for box in range(at.thread, at.placed, at.threads):
             if sample or last:
-                if _look(model, tables, state, work, at, box, step, sample, driven):
+                if measure(model, worlds, at, box, step, sample, driven, state, work):
                     drops = True
             if sample:
-                linear = _length(state.warm, world, box, 0)
+                linear = length_of(state.qacc, world, box, 0)
                 if (
                     linear > model.linear_acceleration
-                    or _length(state.warm, world, box, 3) > model.angular_acceleration
+                    or length_of(state.qacc, world, box, 3) > model.angular_acceleration
                 ):
                     violent = True
             if resting:
-                state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.lane, box]
+                state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
     signs = bool(False)
     exploded = bool(False)
     if sample or last:
         violent = any_of_all(violent)
         drops = any_of_all(drops)
-        worst = work.worst[at.lane]
+        worst = work.worst[at.block]
         signs = culprit < 0 and wp.cast(wp.int32(worst >> HALF), float) > 1.0
         if signs:
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
@@ -307,13 +256,13 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         waited = step - state.waits_since[world]
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
-            quiet_steps, quiet = _count_quiet(model, tables, state, at, quiet_steps, culprit >= 0)
-        goes = step >= _deadline(model, tables, state, world, driven, more, adapts, culprit >= 0, sign_step)
+            quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, state)
+        goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
         if quiet and adapts and waited >= model.min_steps:
             goes = True
-    pauses = goes and not more and not driven and tables.pauses[world]
+    pauses = goes and not more and not driven and worlds.pauses[world]
     # with a drive to come, and no look whether the pallet rests
-    settles = goes and not more and not pauses and not driven and tables.settles[world] and not rests_first
+    settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:
         rest_from = step
@@ -326,24 +275,24 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
     moving = (settles or (goes and more)) and culprit < 0 and quiet_steps < model.quiet_steps
     if last and not finished:
         seconds = float(step - still_from) * model.timestep
-        moves, failed = _moves_or_failed(model, tables, state, at, seconds)
-        limit = _longest_wait(model, tables, state, world, driven)
-        if model.static_end != NEVER and not driven and not tables.settles[world]:
+        moves, failed = _moves_or_failed(model, worlds, state, at, seconds)
+        limit = _longest_wait(model, worlds, state, world, driven)
+        if model.static_end != NEVER and not driven and not worlds.settles[world]:
             limit = model.static_end
         again = moves and not failed and model.extends != 0 and step < limit
         moving = moves and not failed and not again
-        settles = tables.settles[world] and not driven and not again
+        settles = worlds.settles[world] and not driven and not again
         finished = not again and not settles
     if pauses:
         for box in range(at.thread, at.placed, at.threads):
-            state.top_force[world, box] = work.top_force[at.lane, box]
+            state.top_force[world, box] = work.top_force[at.block, box]
     if step == still_from or again:
         for box in range(at.thread, at.placed, at.threads):
             if again:
                 state.rest_force_sum[world, box] = 0.0
             else:
                 for i in range(7):
-                    state.still_pose[world, box, i] = state.pose[world, box, i]
+                    state.still_qpos[world, box, i] = state.qpos[world, box, i]
 
     wait_for_all()
     if at.thread == 0:
@@ -371,7 +320,7 @@ def after_step(model: Model, tables: Tables, state: State, work: Workspace, at: 
         elif pauses:
             state.status[world] = PAUSED
         elif goes and more:
-            place_next(model, tables, state, world, step)
+            place_next(model, worlds, world, step, state)
         elif settles:
             state.driven_from[world] = step
             state.status[world] = SETTLED

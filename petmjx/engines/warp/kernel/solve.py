@@ -7,31 +7,34 @@ from typing import Any
 import warp as wp
 
 from petmjx.engines.warp.newton import PANELS_MACRO
-from petmjx.engines.warp.records import PANEL, ROW_WORDS, Model, Workspace
+from petmjx.engines.warp.records import EFC_WORDS, PANEL, Model, Workspace
 
 
 @wp.func_native(
-    f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {ROW_WORDS}>"
-    "(lane, thread, threads, limit, changed, forces, model, work, near.data.ptr, near_words);"
+    f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
+    "(model, block, thread, threads, limit, changed, forces, shared.data.ptr, shared_words, work);"
 )
 def newton(
-    lane: int,
+    # Model:
+    model: Model,
+    # In:
+    block: int,
     thread: int,
     threads: int,
     limit: int,
     changed: bool,
     forces: bool,
-    model: Model,
+    shared: Any,
+    shared_words: int,
+    # Data out:
     work: Workspace,
-    near: Any,
-    near_words: int,
 ) -> None:
-    """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
+    """Accelerations and contact forces of a block's world, by at most ``limit`` iterations.
 
-    ``changed``: contacts, or the order of blocks, are others than at the last call. ``forces``: those of contacts are
-    wanted, too; else ``force`` may be of the accelerations before the last iteration.
+    ``changed``: contacts, or the order of bodies, are others than at the last call. ``forces``: those of contacts are
+    wanted, too; else ``contact_force`` may be of the accelerations before the last iteration.
 
-    Reads the accelerations to start from, and rows and links of contacts. Writes ``acceleration`` and ``force`` (of
-    each contact, in its frame), and the number of iterations. Uses other arrays of the workspace as scratch, and
-    ``near``, a tile in shared memory, for rows of the factor and the Hessian if they fit.
+    Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
+    ``contact_force`` and ``solver_niter``. Uses other arrays of the workspace as scratch, and
+    ``shared``, a tile in shared memory, for rows of the factor and the Hessian if they fit.
     """

@@ -1,4 +1,4 @@
-"""A lane: takes worlds from the queue, one after the other, and steps each one to its end."""
+"""What a thread block does: it takes worlds from the queue, one after the other, and steps each one to its end."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import warp as wp
 
 from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
-from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_blocks, list_pairs, make_rows
+from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_constraint
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import newton
-from petmjx.engines.warp.records import Counts, Frames, Lane, Model, State, Tables, Workspace
+from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
@@ -22,7 +22,7 @@ CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 
 
 @wp.func
-def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
+def excitation(model: Model, worlds: Worlds, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
     """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
     step = state.step[world]
     ramp = wp.clamp(float(step + model.soft_start) / float(model.soft_start), 0.0, 1.0)
@@ -30,15 +30,15 @@ def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[
     push = wp.vec3(0.0, 0.0, 0.0)
     if state.driven_from[world] != NEVER:
         at = step - state.driven_from[world]
-        if at >= 0 and at < tables.profiles.shape[1]:
-            sample = tables.profiles[tables.profile[world], at]
-            scale = tables.drive_scale[world]
-            cos = tables.drive_yaw[world, 0]
-            sin = tables.drive_yaw[world, 1]
+        if at >= 0 and at < worlds.profiles.shape[1]:
+            sample = worlds.profiles[worlds.profile[world], at]
+            scale = worlds.drive_scale[world]
+            cos = worlds.drive_yaw[world, 0]
+            sin = worlds.drive_yaw[world, 1]
             x = scale * sample[0]
             y = scale * sample[1]
             turned = wp.vec3(cos * x - sin * y, sin * x + cos * y, scale * sample[2])
-            if tables.held[world]:
+            if worlds.held[world]:
                 gravity -= turned
             else:
                 push = turned
@@ -46,7 +46,12 @@ def excitation(model: Model, tables: Tables, state: State, world: int) -> tuple[
 
 
 @wp.func
-def overflow(state: State, at: Lane) -> None:
+def overflow(
+    # In:
+    at: Thread,
+    # Data out:
+    state: State,
+) -> None:
     """Stop a world, as it was before the step, since a buffer is too small for it."""
     if at.thread == 0:
         state.status[at.world] = OVERFLOWED
@@ -56,105 +61,111 @@ def overflow(state: State, at: Lane) -> None:
 
 @wp.func
 def advance(
+    # Model:
     model: Model,
-    tables: Tables,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    shared: Any,
+    shared_words: int,
+    listed: int,
+    # Data out:
     state: State,
     work: Workspace,
-    frames: Frames,
+    frames: FrameBuffer,
     counts: Counts,
-    at: Lane,
-    near: Any,
-    near_words: int,
-    listed: int,
 ) -> int:
-    """One step of a lane's world and all that follows from it.
+    """One step of a block's world and all that follows from it.
 
     Args:
-        near: a tile in shared memory for ``near_words`` numbers.
+        shared: a tile in shared memory for ``shared_words`` numbers.
         listed: near pairs that are listed; negative: none are.
 
     Returns:
         Near pairs that are listed for the next step; negative: none are.
     """
-    gravity, push = excitation(model, tables, state, at.world)
+    gravity, push = excitation(model, worlds, state, at.world)
     step = state.step[at.world] + 1
     sample = step > 0 and step % model.sample_every == 0
     every = frames.every[at.world]
-    measured = sample or step > state.rest_from[at.world] or every > 0 or tables.pauses[at.world]
-    left = any_of_all(begin_step(model, tables, state, work, at, gravity, push, sample))
-    n_pairs = listed
-    anew = left or n_pairs < 0
+    measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
+    left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
+    npair = listed
+    anew = left or npair < 0
     if anew:
-        n_pairs = list_pairs(model, tables, work, at, APART)
-        listed = n_pairs
-        if n_pairs > model.pairs:
+        npair = list_pairs(model, worlds, at, APART, work)
+        listed = npair
+        if npair > model.npairmax:
             # without the pairs that only may touch soon, so that it does not depend on when they were listed
-            n_pairs = list_pairs(model, tables, work, at, NEAR)
+            npair = list_pairs(model, worlds, at, NEAR, work)
             listed = -1
-        if n_pairs > model.pairs:
-            overflow(state, at)
+        if npair > model.npairmax:
+            overflow(at, state)
             return -1
-    changed = collide(model, tables, work, at, n_pairs, anew)
-    n_contacts = work.contact_of[at.lane, n_pairs]
+    changed = collide(model, worlds, at, npair, anew, work)
+    ncon = work.pair_conadr[at.block, npair]
     if at.thread == 0:
-        work.contacts[at.lane] = n_contacts
-        wp.atomic_max(counts.contacts, 0, n_contacts)
-    if n_contacts > model.room:
-        overflow(state, at)
+        work.ncon[at.block] = ncon
+        wp.atomic_max(counts.contacts, 0, ncon)
+    if ncon > model.nconmax:
+        overflow(at, state)
         return -1
-    make_rows(model, tables, state, work, at, n_contacts)
+    make_constraint(model, worlds, state, at, ncon, work)
     if step % RENEWED_EVERY == 0:
-        renew_order(tables, state, work, at, n_pairs)
+        renew_order(worlds, at, npair, state, work)
         changed = True
     if changed:
-        link_blocks(tables, state, work, at)
-    limit = wp.where(state.driven_from[at.world] == NEVER, model.limit, model.driven_limit)
-    newton(at.lane, at.thread, at.threads, limit, changed, measured, model, work, near, near_words)
+        link_contacts(worlds, state, at, work)
+    limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
+    newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
     wait_for_all()
-    astray = any_of_all(end_step(model, state, work, at, measured))
-    after_step(model, tables, state, work, at, astray)
+    astray = any_of_all(end_step(model, at, measured, state, work))
+    after_step(model, worlds, at, astray, state, work)
     if every > 0:
-        keep_frame(state, work, frames, at, every)
+        keep_frame(state, at, every, work, frames)
     return listed
 
 
 @wp.func
-def run_lane(
-    lane: int,
+def run_worlds(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    block: int,
     thread: int,
     threads: int,
-    n_lanes: int,
+    n_blocks: int,
     slice_ns: wp.int64,
-    model: Model,
-    tables: Tables,
+    shared: Any,
+    shared_words: int,
+    # Data out:
     state: State,
     work: Workspace,
-    frames: Frames,
+    frames: FrameBuffer,
     counts: Counts,
-    near: Any,
-    near_words: int,
 ) -> None:
     """Take worlds and step them, until the queue is empty or the call's time is over.
 
     Args:
-        n_lanes: of the call.
-        slice_ns: time of the call from its first step on, ns. If it is over a lane takes one step more.
-        near: a tile in shared memory for ``near_words`` numbers.
+        n_blocks: of the call, of all sizes.
+        slice_ns: time of the call from its first step on, ns. If it is over a block takes one step more.
+        shared: a tile in shared memory for ``shared_words`` numbers.
     """
     late = bool(False)
     while not late:
         if thread == 0:
             number = wp.atomic_add(counts.taken, model.queue, 1)
-            work.world[lane] = -1
-            if number < tables.order.shape[1]:
-                work.world[lane] = tables.order[model.queue, number]
+            work.world[block] = -1
+            if number < worlds.order.shape[1]:
+                work.world[block] = worlds.order[model.queue, number]
         wait_for_all()
-        world = work.world[lane]
+        world = work.world[block]
         wait_for_all()
         if world < 0:
             break
-        at = Lane()
-        at.lane = lane
+        at = Thread()
+        at.block = block
         at.thread = thread
         at.threads = threads
         at.world = world
@@ -165,23 +176,23 @@ def run_lane(
         recorded = frames.every[at.world] > 0
         full = bool(False)
         if recorded and thread == 0:
-            full = no_room(frames, n_lanes)
+            full = no_room(frames, n_blocks)
         late = any_of_all(full)
         while state.status[at.world] == RUNNING and not late:
             at.placed = state.placed[at.world]
-            at.geoms = first_geom(tables, at.world, at.placed + 1)
-            at.held = wp.where(state.driven_from[at.world] != NEVER and tables.held[at.world], 1, 0)
+            at.geoms = first_geom(worlds, at.world, at.placed + 1)
+            at.held = wp.where(state.driven_from[at.world] != NEVER and worlds.held[at.world], 1, 0)
             if at.placed != stood:
                 listed = -1
             stood = at.placed
-            listed = advance(model, tables, state, work, frames, counts, at, near, near_words, listed)
+            listed = advance(model, worlds, at, shared, shared_words, listed, state, work, frames, counts)
             steps += 1
-            iterations += work.iterations[lane]
+            iterations += work.solver_niter[block]
             over = bool(False)
             if thread == 0:
                 over = elapsed(counts.clock) >= slice_ns
                 if recorded:
-                    over = over or no_room(frames, n_lanes)
+                    over = over or no_room(frames, n_blocks)
             late = any_of_all(over)
         if thread == 0:
             wp.atomic_add(counts.steps, 0, steps)
