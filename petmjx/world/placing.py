@@ -147,7 +147,7 @@ def free_begin(
         most_aside_m: how far it may go aside along x and y each.
     """
     aside = begin.copy()
-    for _ in range(MOST_SIDESTEPS):
+    for _ in range(MOST_SIDESTEPS + 1):
         overlap, in_way = _overlap(aside, own_reach, pos, reaches)
         if not in_way.any():
             return aside

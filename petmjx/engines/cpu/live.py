@@ -244,7 +244,7 @@ class LiveWorld:
         planned, pose = end + course.offset[box], self.pose[:box]
         own = reach(quat[None], scene.half_size[box, None])[0]
         reaches, most_aside_m = reach(pose[:, 3:], scene.half_size[:box]), scene.placing.side_mm / MM_PER_M
-        begin = free_begin(planned, own, pose[:, :3], reaches, most_aside_m if course.steps[box] else 0.0)
+        begin = free_begin(planned, own, pose[:, :3], reaches, most_aside_m)
         steps = int(course.steps[box])
         if steps and (begin != planned).any():
             length = float(np.linalg.norm(begin - end))
