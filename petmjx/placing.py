@@ -42,8 +42,8 @@ class Placing(Checked):
     )
     side_mm: Annotated[float, within(0, 1000), CliFlag("--placing-side-mm", "MM")] = Field(
         10.0,
-        description="hand, tines: how far beside its place a box begins, against its approach; drop, hand, tines: how far "
-        "aside it may begin of what is in its way, mm",
+        description="hand, tines: how far beside its place a box begins, against its approach; also how far "
+        "beside what is in its way any box may begin, mm",
     )
     speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
         0.13, description="hand, tines: largest speed on the way, m/s"
