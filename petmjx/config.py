@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Self
 from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
 
 from petmjx.checked import Checked, CliFlag, complaint, got, within
-from petmjx.placing import EXACT, Placing, Way
+from petmjx.placing import Placing, Way
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -335,7 +335,7 @@ class Simulation(Checked):
         description="simulate worlds with a margin below a half again at half the timestep, and name those that change "
         "(flag timestep)",
     )
-    placing: Placing = Field(EXACT, description="how a box is placed")
+    placing: Placing = Field(Placing(), description="how a box is placed")
     thresholds: Thresholds = Field(Thresholds(), description="where a plan stops being stable")
     quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
     solver: Annotated[Solver, CliFlag("--solver")] = Field(
@@ -375,7 +375,7 @@ class Simulation(Checked):
     @model_validator(mode="after")
     def _placed_one_by_one(self) -> Self:
         way = self.placing.name
-        if way is not Way.EXACT and self.check is Check.STATIC:
+        if not self.placing.appears and self.check is Check.STATIC:
             raise complaint(
                 f"{way} needs check one-by-one: in a static check all boxes stand from the start", "placing"
             )
@@ -384,6 +384,15 @@ class Simulation(Checked):
                 f"{way} needs schedule adaptive: a fixed one does not wait until a box is let go", "placing"
             )
         return self
+
+    @property
+    def may_carry(self) -> bool:
+        """Whether a hand may place boxes. Where nobody has chosen one, not in physics in which boxes fall
+        into their places, nor where nobody waits for a hand."""
+        if self.placing.name is not Way.AUTO:
+            return self.placing.carries
+        waits = self.check is Check.ONE_BY_ONE and self.schedule is Schedule.ADAPTIVE
+        return waits and not self.physics.falls_into_place
 
     @property
     def waits_for_rest(self) -> bool:

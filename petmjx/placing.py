@@ -18,6 +18,7 @@ from petmjx.checked import Checked, CliFlag, within
 class Way(StrEnum):
     """How a box comes to its place."""
 
+    AUTO = "auto"
     EXACT = "exact"
     DROP = "drop"
     HAND = "hand"
@@ -32,10 +33,11 @@ class Placing(Checked):
     """
 
     name: Annotated[Way, CliFlag("--placing")] = Field(
-        Way.EXACT,
+        Way.AUTO,
         description="how a box is placed: exact: it appears at its place, at rest; drop: it falls from a height; hand: "
         "it is carried there by a limited force, and let go where it can go no further; tines: the same, and let go "
-        "with one bottom edge down and the opposite one still up",
+        "with one bottom edge down and the opposite one still up; auto: hand where places or sizes have errors, else "
+        "exact",
     )
     height_mm: Annotated[float, within(0, 2000), CliFlag("--placing-height-mm", "MM")] = Field(
         10.0, description="drop, hand, tines: height above its place at which a box begins, mm"
@@ -61,10 +63,20 @@ class Placing(Checked):
         return values if isinstance(values, Mapping | Placing) else {"name": values}
 
     @property
+    def appears(self) -> bool:
+        """Whether boxes appear at their places, where these have no errors."""
+        return self.name in (Way.AUTO, Way.EXACT)
+
+    @property
+    def for_errors(self) -> Placing:
+        """How boxes are placed whose places or sizes have errors."""
+        return self.model_copy(update={"name": Way.HAND}) if self.name is Way.AUTO else self
+
+    @property
     def carries(self) -> bool:
         """Whether boxes are carried to their places."""
         return self.name in (Way.HAND, Way.TINES)
 
 
-EXACT: Final = Placing()
+EXACT: Final = Placing(name=Way.EXACT)
 """Boxes appear at their places."""

@@ -82,7 +82,7 @@ class Course(NamedTuple):
 def course_of(scene: Scene, sim: Simulation) -> Course | None:
     """How the boxes of a scene come to their places; None: they appear there."""
     placing, n = scene.placing, scene.n_boxes
-    if placing.name is Way.EXACT or sim.check is Check.STATIC:
+    if placing.appears or sim.check is Check.STATIC:
         return None
     lift, quat, offset = np.zeros((n, 3)), scene.start_quat, np.zeros((n, 3))
     offset[:, 2] = mm_to_m(np.array(placing.height_mm))

@@ -153,7 +153,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         carrier=_slab(plan, sim) if boards is None else body_of(boards, physics),
         floor_friction=physics.floor_friction,
         floor_z=floor_z_m(sim),
-        placing=sim.placing,
+        placing=sim.placing if sim.may_carry or not sim.placing.appears else EXACT,
         approach=_directions(plan),
     )
 

@@ -172,7 +172,8 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     each other apart. Boxes are set down on the actual tops of those below. Placement errors in x, y and yaw change
     ``start_pos`` and ``start_quat``; a box whose new place is over a slightly higher neighbour is released above it. No
     box starts inside another one vertically. ``target``, from which shifts are measured, stays at the planned x and y;
-    its z is the height at which the box really stands, so that a tolerance in height is no shift.
+    its z is the height at which the box really stands, so that a tolerance in height is no shift. With errors of places
+    or sizes boxes are placed as for errors (``Placing.for_errors``).
 
     Returns:
         The same object where nothing changes.
@@ -187,11 +188,12 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     start_pos[:, 0] += mm_to_m(change.x_mm.draw(key.rng("x"), (n_boxes,)))
     start_pos[:, 1] += mm_to_m(change.y_mm.draw(key.rng("y"), (n_boxes,)))
     yaw = np.radians(change.yaw_deg.draw(key.rng("yaw"), (n_boxes,)))
-    target = scene.target.copy()
+    target, placing = scene.target.copy(), scene.placing
     moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
     if not all(error.zero for error in moved):
         start_pos[:, 2] = _set_down(scene, half_size, start_pos, yaw)
         target[:, 2] = start_pos[:, 2]
+        placing = scene.placing.for_errors
     if change.shifts_from_release:
         target = start_pos.copy()
     drop_height_mm = change.drop_height_mm.draw(key.rng("drop"), (n_boxes,))
@@ -206,6 +208,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
         target=target,
         start_pos=start_pos,
         start_quat=_turned(scene.start_quat, yaw),
+        placing=placing,
         friction=scene.friction * (change.box_friction_factor * friction),
         carrier=replace(scene.carrier, friction=scene.carrier.friction * (change.carrier_friction_factor * friction)),
     )

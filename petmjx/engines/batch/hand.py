@@ -1,6 +1,6 @@
 """The hands that carry boxes to their places, for all worlds of a batch (docs/rules.md, section 4).
 
-Pure functions of states. Twin of petmjx/engines/cpu/hand.py. The carried box of a world is the last one that was placed.
+Pure functions of states. Twin of petmjx/engines/cpu/hand.py. The carried box of a world is the last that was placed.
 """
 
 from __future__ import annotations

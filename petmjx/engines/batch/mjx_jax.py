@@ -22,7 +22,6 @@ from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import State, Status, uploaded
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import GRANULE, Batch, is_out_of_memory, load, round_up
-from petmjx.placing import Way
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import ACCELERATION, Job
 
@@ -163,7 +162,7 @@ class MjxJaxEngine(Engine):
         self, batch: Batch, sim: Simulation, drive: str | None, profiles: jax.Array, progress: Progress
     ) -> Program:
         worlds, capacity, _ = batch.worlds.half.shape
-        carries = drive is None and batch.jobs[0].scene.placing.name is not Way.EXACT
+        carries = drive is None and not batch.jobs[0].scene.placing.appears
         key = ProgramKey(sim, capacity, worlds, batch.boards, drive, profiles.shape, carries)
         if key not in self.programs:
             progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
@@ -185,7 +184,7 @@ def alike_jobs(jobs: Sequence[Job]) -> list[list[int]]:
         size = ((job.scene.n_boxes - 1) // GRANULE).bit_length()
         drive = job.drive.excitation.kind if job.drive is not None else None
         boards, begun = len(job.scene.carrier.half_size), isinstance(job.start, State)
-        key = (size, boards, drive, begun, job.scene.placing.name is Way.EXACT)
+        key = (size, boards, drive, begun, job.scene.placing.appears)
         found.setdefault(key, []).append(index)
     return [found[key] for key in sorted(found, key=lambda key: -key[0])]
 

@@ -97,7 +97,10 @@ class Rules:
         if not self.carries:
             return placed
         timestep_s = self.sim.physics.timestep_s
-        return jax.lax.cond(where.any(), lambda: hand.take_up(placed, worlds, where, timestep_s), lambda: placed)
+        taken: State = jax.lax.cond(
+            where.any(), lambda: hand.take_up(placed, worlds, where, timestep_s), lambda: placed
+        )
+        return taken
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
         """How far the support of each box is from its planned height, m; 0 where it has none."""
