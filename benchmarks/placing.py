@@ -1,4 +1,4 @@
-"""What placing costs and changes: worlds with errors whose boxes appear at their places, or are carried there by hand."""
+"""What placing costs and changes: worlds with errors whose boxes appear at their places, or are carried there."""
 
 from __future__ import annotations
 

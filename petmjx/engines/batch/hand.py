@@ -129,8 +129,8 @@ def _free_begin(
         return shared, stands & (shared > FREE_M).all(-1)
 
     def sidestep(
-        _: int, before: tuple[Vector, Bool[Array, " world"]]
-    ) -> tuple[Float[Array, "world 3"], Bool[Array, " world"]]:
+        _: Int[Array, ""], before: tuple[Vector, Bool[Array, " world"]]
+    ) -> tuple[Vector, Bool[Array, " world"]]:
         place, far = before
         shared, in_way = overlap(place)
         first = in_way.argmax(-1)
