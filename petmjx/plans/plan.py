@@ -67,6 +67,8 @@ class Plan:
             fields["orientation"] = _whole_numbers(self.orientation, "orientation")
             if not ((fields["orientation"] == 0) | (fields["orientation"] == 1)).all():
                 raise InputError("orientation must be 0 or 1 for each box")
+        if self.approach_deg is not None:
+            fields["approach_deg"] = np.asarray(self.approach_deg, np.float64)
         groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
         if groups:
             fields["product_groups"] = groups
@@ -104,7 +106,8 @@ class Plan:
             boxes: a dictionary for each box, in packing order, or one that has a list of n values for each field; also
                 a data frame. Fields are the columns of the table form: ``length_mm``, ``width_mm``, ``height_mm``,
                 ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and where known ``article``, ``item_id``,
-                ``product_group``, ``orientation`` and ``order_sequence``. ``sequence`` gives another packing order.
+                ``product_group``, ``orientation``, ``order_sequence`` and ``approach_deg``. ``sequence`` gives
+                another packing order.
             size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm; with ``orientation`` the item's own
                 length, width and height.
             corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
+    LARGEST_DEG,
+    approach_fault,
     coordinate_fault,
     missing_anywhere,
     missing_fault,
@@ -35,12 +37,12 @@ _SIZE: Final = ("length_mm", "width_mm", "height_mm")
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")
 NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
 """Columns that every table has."""
-OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence")
+OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", "approach_deg")
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
 there is none, ``sequence`` is taken for it."""
 _TEXTS: Final = ("article", "item_id", "product_group")
 _NAMES: Final = ("plan_id", *_TEXTS)
-_MAY_LACK: Final = ("item_id", "product_group")
+_MAY_LACK: Final = ("item_id", "product_group", "approach_deg")
 """Columns that may have no value in a row."""
 _ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg")}
 """BED-BPP's own spelling of sizes and weights."""
@@ -206,7 +208,17 @@ class _Reading:
                 bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
         for numbers in self._numbers.values():
             bad |= np.isnan(numbers)
+        if self._approach is not None:
+            bad |= np.isnan(self._approach) & ~self._missing["approach_deg"]
         return bad
+
+    @cached_property
+    def _approach(self) -> FloatArray | None:
+        """(n,) approaches, degrees; NaN where a value cannot be used or is not given. None: there is no column."""
+        if "approach_deg" not in self.table.columns:
+            return None
+        numbers, usable = self.table.columns["approach_deg"].numbers()
+        return np.where(usable & (np.abs(numbers) <= LARGEST_DEG), numbers, np.nan)
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
@@ -249,6 +261,8 @@ class _Reading:
         if "orientation" in whole:
             found["orientation"] = turned = whole["orientation"][0][order]
             size[turned == 1, :2] = size[turned == 1, 1::-1]
+        if self._approach is not None:
+            found["approach"] = self._approach[order]
         point = np.stack([number[name][order] for name in _CORNER], axis=1)
         return {"size": size, "corner": self.given.corner_mm(point, size), **found}
 
@@ -261,6 +275,7 @@ class _Reading:
             self.gaps.append(plan_id)
         names = {name: tuple(sorted_[name][rows].tolist()) for name in _TEXTS if name in sorted_}
         groups = names.get("product_group", ())
+        approach = sorted_["approach"][rows] if "approach" in sorted_ else np.full(len(numbers), np.nan)
         return {
             "plan_id": plan_id,
             "source": self.source,
@@ -272,6 +287,7 @@ class _Reading:
             "sequence": sorted_["sequence"][rows].copy(),
             "orientation": sorted_["orientation"][rows].copy() if "orientation" in sorted_ else None,
             "product_groups": groups if any(groups) else (),
+            "approach_deg": None if np.isnan(approach).all() else approach.copy(),
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
@@ -318,6 +334,7 @@ class _Reading:
             *(positive_fault(name, raw[name], *self._limits[name]) for name in (*_SIZE, "weight_kg")),
             orientation_fault(_whole_value(raw["orientation"])) if "orientation" in raw else None,
             *(coordinate_fault(name, raw[name], *self._limits[name]) for name in _CORNER),
+            approach_fault(raw.get("approach_deg")),
         )
         return next(filter(None, faults), None)
 

@@ -16,6 +16,7 @@ from petmjx.plans.fields import (
     SMALLEST_KG,
     SMALLEST_MM,
     Unread,
+    approach_fault,
     coordinate_fault,
     kind,
     missing_anywhere,
@@ -37,7 +38,7 @@ _NUMBERS_OF_ITEM: Final = (*_SIZES, "weight/kg")
 _NEEDED: Final = ("article", "id", *_NUMBERS_OF_ITEM, "sequence")
 _ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group"})
 _OF_PLACEMENT: Final = ("item", "orientation", "flb_coordinates")
-_PLACEMENT_FIELDS: Final = frozenset(_OF_PLACEMENT)
+_PLACEMENT_FIELDS: Final = frozenset({*_OF_PLACEMENT, "approach_deg"})
 _NUMBERS: Final = {int, float}
 
 
@@ -114,6 +115,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         ids = [item["id"] for item in items]
         articles = [item["article"] for item in items]
         groups = ["" if (group := item.get("product_group")) is None else group for item in items]
+        approaches = [placement.get("approach_deg") for placement in value]
         corner_lengths = set(map(len, corners))
     except (AttributeError, KeyError, TypeError, IndexError):
         return None
@@ -125,6 +127,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         and set(map(type, chain(coordinates, *columns))) <= _NUMBERS
         and set(map(type, chain(orientations, sequences))) == {int}
         and set(orientations) <= {0, 1}
+        and set(map(type, approaches)) <= {*_NUMBERS, type(None)}
         and set(map(type, chain(ids, articles, groups))) == {str}
         and max(map(len, chain(ids, articles, groups))) <= LONGEST_NAME
         and is_text("".join(chain(ids, articles, groups)))
@@ -135,6 +138,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         numbers = np.array(columns, dtype=np.float64)
         point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
         sequence = np.array(sequences, dtype=np.int64)
+        approach = np.array([np.nan if degrees is None else degrees for degrees in approaches], dtype=np.float64)
     except OverflowError:
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
@@ -144,6 +148,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
         and (np.abs(point) <= FARTHEST_MM).all()
+        and all(approach_fault(degrees) is None for degrees in approaches if degrees is not None)
     )
     if not in_range:
         return None
@@ -161,6 +166,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         sequence=sequence,
         orientation=orientation,
         product_groups=tuple([names.setdefault(name, name) for name in groups]) if any(groups) else (),
+        approach_deg=None if np.isnan(approach).all() else approach,
     )
 
 
@@ -187,6 +193,7 @@ def find_fault(placement: object, given: Given = USUAL) -> str | None:
         or whole_fault("sequence", item["sequence"])
         or orientation_fault(placement["orientation"])
         or _corner_fault(placement["flb_coordinates"], given)
+        or approach_fault(placement.get("approach_deg"))
     )
 
 

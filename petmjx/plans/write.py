@@ -31,6 +31,7 @@ _UNITS: Final = {
     **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm"), "mm"),
     "weight_kg": "kg",
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
+    "approach_deg": "deg",
 }
 
 
@@ -73,6 +74,7 @@ def as_placements(plan: Plan) -> list[Placement]:
     """A plan as BED-BPP writes it. Whole numbers are written without decimals."""
     size, corner, mass = plan.item_size_mm.tolist(), plan.corner_mm.tolist(), plan.mass_kg.tolist()
     groups = plan.product_groups
+    approach = np.full(plan.n_boxes, np.nan) if plan.approach_deg is None else plan.approach_deg
     return [
         {
             "item": {
@@ -87,6 +89,7 @@ def as_placements(plan: Plan) -> list[Placement]:
             },
             "orientation": int(plan.turned[box]),
             "flb_coordinates": [_exact(value) for value in corner[box]],
+            **({} if np.isnan(approach[box]) else {"approach_deg": _exact(float(approach[box]))}),
         }
         for box in range(plan.n_boxes)
     ]
@@ -130,6 +133,7 @@ class _Columns:
     product_group: bool
     orientation: bool
     order_sequence: bool
+    approach: bool
 
     @classmethod
     def of(cls, plans: Sequence[Plan]) -> _Columns:
@@ -138,6 +142,7 @@ class _Columns:
             product_group=any(plan.product_groups for plan in plans),
             orientation=any(plan.orientation is not None for plan in plans),
             order_sequence=any((plan.sequence != np.arange(1, plan.n_boxes + 1)).any() for plan in plans),
+            approach=any(plan.approach_deg is not None for plan in plans),
         )
 
     @property
@@ -152,6 +157,7 @@ class _Columns:
             **({"orientation": pa.int64()} if self.orientation else {}),
             **dict.fromkeys(("x_mm", "y_mm", "z_mm"), pa.float64()),
             **({"order_sequence": pa.int64()} if self.order_sequence else {}),
+            **({"approach_deg": pa.float64()} if self.approach else {}),
         }
         return pa.schema(
             [pa.field(name, kind, metadata={"unit": _UNITS.get(name, "")}) for name, kind in kinds.items()]
@@ -175,6 +181,10 @@ class _Columns:
             "orientation": np.concatenate([plan.turned for plan in plans]).astype(np.int64),
             **dict(zip(("x_mm", "y_mm", "z_mm"), corner.T, strict=True)),
             "order_sequence": np.concatenate([plan.sequence for plan in plans]),
+            "approach_deg": np.concatenate(
+                [np.full(plan.n_boxes, np.nan) if plan.approach_deg is None else plan.approach_deg for plan in plans]
+            ),
         }
         schema = self.schema
-        return pa.table([pa.array(values[name], schema.field(name).type) for name in schema.names], schema=schema)
+        columns = [pa.array(values[name], schema.field(name).type, from_pandas=True) for name in schema.names]
+        return pa.table(columns, schema=schema)

@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.placing import Placing
 from petmjx.units import FloatArray, mm_to_m
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene
@@ -104,6 +105,8 @@ class PlacementChange:
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
         drop_height_mm: height above its place at which a box is released; negative draws count as 0.
+        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: instead of those of
+            ``petmjx.placing.Placing``; None: those.
         shifts_from_release: shifts are measured from where a box was released instead of from the plan.
     """
 
@@ -118,7 +121,25 @@ class PlacementChange:
     y_mm: Distribution = ZERO
     yaw_deg: Distribution = ZERO
     drop_height_mm: Distribution = ZERO
+    placing_height_mm: float | None = None
+    placing_side_mm: float | None = None
+    placing_speed_m_s: float | None = None
+    placing_force_n: float | None = None
+    tines_height_mm: float | None = None
     shifts_from_release: bool = False
+
+    def placing(self, placing: Placing, *, errors: bool) -> Placing:
+        """How boxes are placed that would be placed so; ``errors``: their places or sizes have errors."""
+        other = {
+            "height_mm": self.placing_height_mm,
+            "side_mm": self.placing_side_mm,
+            "speed_m_s": self.placing_speed_m_s,
+            "force_n": self.placing_force_n,
+            "tines_mm": self.tines_height_mm,
+        }
+        given = {name: value for name, value in other.items() if value is not None}
+        chosen = placing.for_errors if errors else placing
+        return chosen.changed(**given) if given else chosen
 
     @property
     def random(self) -> bool:
@@ -188,12 +209,12 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     start_pos[:, 0] += mm_to_m(change.x_mm.draw(key.rng("x"), (n_boxes,)))
     start_pos[:, 1] += mm_to_m(change.y_mm.draw(key.rng("y"), (n_boxes,)))
     yaw = np.radians(change.yaw_deg.draw(key.rng("yaw"), (n_boxes,)))
-    target, placing = scene.target.copy(), scene.placing
+    target = scene.target.copy()
     moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
-    if not all(error.zero for error in moved):
+    has_errors = not all(error.zero for error in moved)
+    if has_errors:
         start_pos[:, 2] = _set_down(scene, half_size, start_pos, yaw)
         target[:, 2] = start_pos[:, 2]
-        placing = scene.placing.for_errors
     if change.shifts_from_release:
         target = start_pos.copy()
     drop_height_mm = change.drop_height_mm.draw(key.rng("drop"), (n_boxes,))
@@ -208,7 +229,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
         target=target,
         start_pos=start_pos,
         start_quat=_turned(scene.start_quat, yaw),
-        placing=placing,
+        placing=change.placing(scene.placing, errors=has_errors),
         friction=scene.friction * (change.box_friction_factor * friction),
         carrier=replace(scene.carrier, friction=scene.carrier.friction * (change.carrier_friction_factor * friction)),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from petmjx.config import SOFT_START_STEPS, Check, Simulation
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu.drive import ActingDrive
+from petmjx.engines.cpu.explosion import Explosion
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
@@ -67,7 +68,7 @@ class WorldRun:
         self._step = self._first_step = 0
         self._waits = Waits(sim, self._clock, self._settles)
         self._quiet = QuietRule(sim, job.scene)
-        self._fast_since = NEVER
+        self._explosion = Explosion(sim.quiet.min_steps)
         self._sign_step = self._n_at_sign = 0
         self._waiting = True
         self._pauses = self.paused = False
@@ -223,29 +224,14 @@ class WorldRun:
         too_fast = self._metrics.add_sample(self._clock.time_s(step), pos[:k], quat[:k], live.qacc[:k], force)
         if no_sign and self._metrics.culprit >= 0:
             self._sign_step, self._n_at_sign = step, live.n_placed
-        if not self._driving and self._explodes(too_fast):
+        placing_at = step if live.hand is not None else self._waits.last_placement
+        if not self._driving and self._explosion.seen(step, placing_at, too_fast):
             self._flags |= Flag.EXPLOSION
             return False
         if self._sim.early_stop and self._metrics.any_dropped and step < self._end:
             self._flags |= Flag.EARLY_STOP
             return False
         return True
-
-    def _explodes(self, too_fast: bool) -> bool:
-        """The explosion rule: large accelerations that last, without a sign that explains them.
-
-        When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is
-        not an explosion. So samples right after a placement do not count. And one violent sample is not enough: the
-        following ones, over at least as many steps as a box needs to land, must be violent too.
-        """
-        landing = self._sim.quiet.min_steps
-        if self._live.hand is not None or self._step - self._waits.last_placement < landing:
-            return False
-        if not too_fast:
-            self._fast_since = NEVER
-            return False
-        self._fast_since = min(self._fast_since, self._step)
-        return self._step - self._fast_since >= landing
 
     def _transition(self) -> None:
         """After a step: place the next box, or begin what follows the placement, if it is time."""
