@@ -40,15 +40,15 @@ class Placing(Checked):
         "exact",
     )
     height_mm: Annotated[float, within(0, 2000), CliFlag("--placing-height-mm", "MM")] = Field(
-        10.0, description="drop, hand, tines: height above its place at which a box begins, mm"
+        5.0, description="drop, hand, tines: height above its place at which a box begins, mm"
     )
     side_mm: Annotated[float, within(0, 1000), CliFlag("--placing-side-mm", "MM")] = Field(
-        10.0,
-        description="hand, tines: how far beside its place a box begins, against its approach; also how far "
-        "beside what is in its way any box may begin, mm",
+        5.0,
+        description="hand, tines: how far beside its place a box begins, against its approach; any box may begin twice "
+        "as far aside of what is in its way, mm",
     )
     speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
-        0.13, description="hand, tines: largest speed on the way, m/s"
+        0.08, description="hand, tines: largest speed on the way, m/s"
     )
     force_n: Annotated[float, within(0.1, 100_000), CliFlag("--placing-force-n", "N")] = Field(
         100.0, description="hand, tines: what the robot presses with at most, beside holding the box's weight, N"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Check, Simulation
 from petmjx.placing import Placing, Way
-from petmjx.units import FloatArray, mm_to_m
+from petmjx.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.world.scene import Scene
 from petmjx.world.turned import rotations
 
@@ -52,6 +52,9 @@ softness of contacts, and less than would push them apart visibly."""
 
 MOST_SIDESTEPS: Final = 8
 """How often a box goes aside before it goes up."""
+
+ASIDE_SHARE: Final = 2.0
+"""How far aside a box goes at most, as a share of how far beside its place it begins: errors of two places may add."""
 
 CLEARANCE_M: Final = 0.001
 """How far above what is in its way a box begins."""
@@ -123,6 +126,11 @@ def lowering_rate_1_s(timestep_s: float) -> float:
     return min(LOWERING_RATE_1_S, MOST_LOWERING_PER_STEP / timestep_s)
 
 
+def most_aside_m(placing: Placing) -> float:
+    """How far a box goes aside along x and y each at most, m."""
+    return ASIDE_SHARE * placing.side_mm / MM_PER_M
+
+
 def stuck_steps(timestep_s: float) -> int:
     """Steps for which a hand holds a box at most after the way's end, or sets it down."""
     return int(MOST_STUCK_S / timestep_s)
@@ -134,7 +142,7 @@ def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
 
 
 def free_begin(
-    begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_aside_m: float
+    begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: float
 ) -> FloatArray:
     """(3,) where a box begins so that it is in no other, m: there, or as little aside as it must, or above.
 
@@ -144,7 +152,7 @@ def free_begin(
     Args:
         begin: (3,) where it would begin; its half extents (3,).
         pos, reaches: (k, 3) of the boxes that stand.
-        most_aside_m: how far it may go aside along x and y each.
+        most_m: how far it may go aside along x and y each.
     """
     aside = begin.copy()
     for _ in range(MOST_SIDESTEPS + 1):
@@ -155,7 +163,7 @@ def free_begin(
         axis = 0 if overlap[first, 0] <= overlap[first, 1] else 1
         away = 1.0 if aside[axis] >= pos[first, axis] else -1.0
         aside[axis] += away * overlap[first, axis]
-        if abs(aside[axis] - begin[axis]) > most_aside_m:
+        if abs(aside[axis] - begin[axis]) > most_m:
             break
     above = begin.copy()
     for _ in range(len(pos)):

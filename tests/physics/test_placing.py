@@ -136,7 +136,7 @@ def test_no_box_begins_in_another_one() -> None:
         (CUBE[0], (0.0, 294.0, 0.0), 6.0),
         ((316.0, 300.0, 300.0), (292.0, 0.0, 0.0), 6.0),
     ]
-    sim = simulation(name="hand", side_mm=7.0)
+    sim = simulation(name="hand", side_mm=3.5)
     _, history = watched(make_scene(boxes, sim), sim)
     assert history.pos[begins(history, 2), 2, 1] > 0.299 + 0.15  # aside
     assert history.pos[begins(history, 3), 3, 2] > 0.3 + 0.15  # above its neighbours

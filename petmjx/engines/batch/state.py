@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from petmjx.config import SOFT_START_STEPS, Simulation
 from petmjx.history import CARRIER
-from petmjx.units import MM_PER_M, seconds_to_steps
+from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
-from petmjx.world.placing import course_of
+from petmjx.world.placing import course_of, most_aside_m
 from petmjx.world.release import NOTHING, release_of
 from petmjx.world.scene import IDENTITY_QUAT
 
@@ -295,7 +295,7 @@ def upload_worlds(
         falls=spread(falls, np.bool_),
         hand_force=spread([scene.placing.force_n for scene in scenes]),
         hand_speed=spread([scene.placing.speed_m_s for scene in scenes]),
-        hand_aside=spread([scene.placing.side_mm / MM_PER_M for scene in scenes]),
+        hand_aside=spread([most_aside_m(scene.placing) for scene in scenes]),
     )
 
 

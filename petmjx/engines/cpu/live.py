@@ -15,10 +15,10 @@ from petmjx.config import Cone, Simulation, Solver
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.ordering import body_order
 from petmjx.metrics.force_np import top_forces
-from petmjx.units import MM_PER_M, FloatArray
+from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
-from petmjx.world.placing import Course, course_of, free_begin, reach, way_steps
+from petmjx.world.placing import Course, course_of, free_begin, most_aside_m, reach, way_steps
 from petmjx.world.release import Release, release_of
 from petmjx.world.scene import Scene
 
@@ -243,8 +243,8 @@ class LiveWorld:
         end, quat = rest + course.lift[box], course.quat[box]
         planned, pose = end + course.offset[box], self.pose[:box]
         own = reach(quat[None], scene.half_size[box, None])[0]
-        reaches, most_aside_m = reach(pose[:, 3:], scene.half_size[:box]), scene.placing.side_mm / MM_PER_M
-        begin = free_begin(planned, own, pose[:, :3], reaches, most_aside_m)
+        reaches = reach(pose[:, 3:], scene.half_size[:box])
+        begin = free_begin(planned, own, pose[:, :3], reaches, most_aside_m(scene.placing))
         steps = int(course.steps[box])
         if steps and (begin != planned).any():
             length = float(np.linalg.norm(begin - end))
