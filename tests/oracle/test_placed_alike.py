@@ -63,6 +63,7 @@ def test_mjx_warp_places_as_mujoco_does(way: str) -> None:
             np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("ranks_may_differ")
 def test_mjx_jax_places_as_mujoco_does() -> None:
     from petmjx.engines.batch.mjx_jax import MjxJaxEngine
