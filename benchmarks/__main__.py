@@ -1,4 +1,4 @@
-"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity |
+"""The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity | placing |
 criteria | small-stacks | balance | crossengine | cross-forces``."""
 
 from __future__ import annotations
@@ -91,6 +91,25 @@ def sensitivity(
         if out is not None:
             for side, table in (("before", before), ("after", after)):
                 table.to_parquet(out / f"{number:02}-{side}.parquet")
+
+
+@app.command()
+@opt.takes("limit", "lanes", "threads", "carrier")
+def placing(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    way: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this placing; repeatable.")] = None,
+    worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors of each plan.")] = 16,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    **options: Any,
+) -> None:
+    """What worlds with errors cost, and how many stand, if boxes appear at their places and if a hand carries them."""
+    from benchmarks.placing import WAYS, placings
+    from petmjx.run_options import RunOptions
+
+    limit = {"limit": options.pop("limit")} if "limit" in options else {}
+    found = _usable(plans, RunOptions(**limit))
+    for name, values in placings(found, worlds, way or WAYS, engine=engine, **options):
+        print(f"{name}: {', '.join(f'{what} {value:g}' for what, value in values.items())}", flush=True)
 
 
 @app.command()

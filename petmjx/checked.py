@@ -50,6 +50,21 @@ VALUE: Final = "<a single value>"
 path of an error; the angle brackets let `describe` find them and take them out."""
 
 
+@dataclass(frozen=True)
+class CliFlag:
+    """The name of a field on the command line.
+
+    Attributes:
+        metavar: placeholder of its value in the help.
+        default: what the help shows as the default where the field's own default is None.
+    """
+
+    name: str
+    metavar: str = "NAME"
+    short: str = ""
+    default: str = ""
+
+
 class _OneLine(ModelMetaclass):
     """Makes the constructor of a record raise ``InputError`` with one line instead of pydantic's own error.
 
@@ -101,21 +116,6 @@ class Checked(BaseModel, metaclass=_OneLine):
             if info.is_required() and name not in values:
                 raise complaint(f"is missing: {info.description}" if info.description else "is missing", name)
         return values
-
-
-@dataclass(frozen=True)
-class CliFlag:
-    """The name of a field on the command line.
-
-    Attributes:
-        metavar: placeholder of its value in the help.
-        default: what the help shows as the default where the field's own default is None.
-    """
-
-    name: str
-    metavar: str = "NAME"
-    short: str = ""
-    default: str = ""
 
 
 def within(low: float, high: float) -> AfterValidator:

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, computed_field, field_validator, mod
 from petmjx.carrier import AnyCarrier, Carrier
 from petmjx.checked import Checked, CliFlag, complaint, got, within
 from petmjx.materials import FrictionPair
+from petmjx.placing import Placing, Way
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -318,6 +319,7 @@ class Simulation(Checked):
         description="simulate worlds with a margin below a half again at half the timestep, and name those that change "
         "(flag timestep)",
     )
+    placing: Placing = Field(Placing(), description="how a box is placed")
     thresholds: Thresholds = Field(Thresholds(), description="where a plan stops being stable")
     quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
     solver: Annotated[Solver, CliFlag("--solver")] = Field(
@@ -353,6 +355,28 @@ class Simulation(Checked):
             if self.rest_s != type(self).model_fields["rest_s"].default:
                 raise complaint("contradicts total_time_factor: drop one of them", "rest_s")
         return self
+
+    @model_validator(mode="after")
+    def _placed_one_by_one(self) -> Self:
+        way = self.placing.name
+        if not self.placing.appears and self.check is Check.STATIC:
+            raise complaint(
+                f"{way} needs check one-by-one: in a static check all boxes stand from the start", "placing"
+            )
+        if self.placing.carries and self.schedule is Schedule.FIXED:
+            raise complaint(
+                f"{way} needs schedule adaptive: a fixed one does not wait until a box is let go", "placing"
+            )
+        return self
+
+    @property
+    def may_carry(self) -> bool:
+        """Whether a hand may place boxes. Where nobody has chosen one, not in physics in which boxes fall
+        into their places, nor where nobody waits for a hand."""
+        if self.placing.name is not Way.AUTO:
+            return self.placing.carries
+        waits = self.check is Check.ONE_BY_ONE and self.schedule is Schedule.ADAPTIVE
+        return waits and not self.physics.falls_into_place
 
     @property
     def waits_for_rest(self) -> bool:

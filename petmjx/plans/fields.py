@@ -21,6 +21,8 @@ FARTHEST_MM: Final = 20_000.0
 SMALLEST_KG: Final = 0.001
 LARGEST_KG: Final = 10_000.0
 """Masses. A pallet carries at most a few tonnes."""
+LARGEST_DEG: Final = 360.0
+"""Approaches, both ways."""
 LONGEST_NAME: Final = 1000
 """Characters of a plan id, an item id, an article or a product group."""
 
@@ -113,6 +115,11 @@ def orientation_fault(value: object) -> str | None:
     """What is wrong with an orientation; None if nothing is."""
     known = type(value) is int and value in (0, 1)
     return None if known else f"orientation must be 0 or 1, got {kind(value)}"
+
+
+def approach_fault(value: object) -> str | None:
+    """What is wrong with an approach that is given; None if nothing is."""
+    return None if value is None else coordinate_fault("approach_deg", value, -LARGEST_DEG, LARGEST_DEG, "degrees")
 
 
 def missing_fault(fields: Sequence[str]) -> str:

@@ -34,6 +34,8 @@ class Plan:
         product_groups: n names, "" where an item has none; empty: no item has one.
         materials: n names, by which friction is known (petmjx.materials), "" where nothing is said; empty: nowhere.
         mass_center_mm: (n, 3) centres of mass, seen from the boxes' middles along x, y and z; None: in the middles.
+        approach_deg: (n,) level direction in which each box goes to its place, from +x to +y; NaN where nobody said;
+            None: nobody said of any. Used where boxes are carried (``petmjx.placing``).
     """
 
     plan_id: str
@@ -48,6 +50,7 @@ class Plan:
     product_groups: tuple[str, ...] = ()
     materials: tuple[str, ...] = ()
     mass_center_mm: NDArray[np.float64] | None = None
+    approach_deg: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Take lists for arrays, and refuse what no engine could use; from_boxes says which box it is.
@@ -68,6 +71,8 @@ class Plan:
             fields["orientation"] = _whole_numbers(self.orientation, "orientation")
             if not ((fields["orientation"] == 0) | (fields["orientation"] == 1)).all():
                 raise InputError("orientation must be 0 or 1 for each box")
+        if self.approach_deg is not None:
+            fields["approach_deg"] = np.asarray(self.approach_deg, np.float64)
         groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
         if groups:
             fields["product_groups"] = groups
@@ -113,7 +118,8 @@ class Plan:
             boxes: a dictionary for each box, in packing order, or one that has a list of n values for each field; also
                 a data frame. Fields are the columns of the table form: ``length_mm``, ``width_mm``, ``height_mm``,
                 ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and where known ``article``, ``item_id``,
-                ``product_group``, ``orientation`` and ``order_sequence``. ``sequence`` gives another packing order.
+                ``product_group``, ``orientation``, ``order_sequence`` and ``approach_deg``. ``sequence`` gives
+                another packing order.
             size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm; with ``orientation`` the item's own
                 length, width and height.
             corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
+    LARGEST_DEG,
+    approach_fault,
     com_fault,
     coordinate_fault,
     missing_anywhere,
@@ -39,12 +41,12 @@ _CORNER: Final = ("x_mm", "y_mm", "z_mm")
 NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
 """Columns that every table has."""
 _COM: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
-OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", "material", *_COM)
+OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", "material", *_COM, "approach_deg")
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
 there is none, ``sequence`` is taken for it."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material")
 _NAMES: Final = ("plan_id", *_TEXTS)
-_MAY_LACK: Final = ("item_id", "product_group", "material", *_COM)
+_MAY_LACK: Final = ("item_id", "product_group", "material", *_COM, "approach_deg")
 """Columns that may have no value in a row."""
 _ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *_COM)}
 """BED-BPP's own spelling of sizes and weights."""
@@ -221,7 +223,17 @@ class _Reading:
                 bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
         for numbers in (*self._numbers.values(), *self._com.values()):
             bad |= np.isnan(numbers)
+        if self._approach is not None:
+            bad |= np.isnan(self._approach) & ~self._missing["approach_deg"]
         return bad
+
+    @cached_property
+    def _approach(self) -> FloatArray | None:
+        """(n,) approaches, degrees; NaN where a value cannot be used or is not given. None: there is no column."""
+        if "approach_deg" not in self.table.columns:
+            return None
+        numbers, usable = self.table.columns["approach_deg"].numbers()
+        return np.where(usable & (np.abs(numbers) <= LARGEST_DEG), numbers, np.nan)
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
@@ -268,6 +280,8 @@ class _Reading:
             along = np.stack([self._com.get(name, np.zeros(len(order)))[order] for name in _COM], axis=1)
             turned = found.get("orientation", np.zeros(len(order), np.int64)) == 1
             found["com"] = com_along_axes(along, turned)
+        if self._approach is not None:
+            found["approach"] = self._approach[order]
         point = np.stack([number[name][order] for name in _CORNER], axis=1)
         return {"size": size, "corner": self.given.corner_mm(point, size), **found}
 
@@ -281,6 +295,7 @@ class _Reading:
         names = {name: tuple(sorted_[name][rows].tolist()) for name in _TEXTS if name in sorted_}
         groups, materials = (names.get(name, ()) for name in ("product_group", "material"))
         com = sorted_["com"][rows].copy() if "com" in sorted_ else None
+        approach = sorted_["approach"][rows] if "approach" in sorted_ else np.full(len(numbers), np.nan)
         return {
             "plan_id": plan_id,
             "source": self.source,
@@ -294,6 +309,7 @@ class _Reading:
             "product_groups": groups if any(groups) else (),
             "materials": materials if any(materials) else (),
             "mass_center_mm": com if com is not None and com.any() else None,
+            "approach_deg": None if np.isnan(approach).all() else approach.copy(),
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
@@ -345,6 +361,7 @@ class _Reading:
             ),
             orientation_fault(_whole_value(raw["orientation"])) if "orientation" in raw else None,
             *(coordinate_fault(name, raw[name], *self._limits[name]) for name in _CORNER),
+            approach_fault(raw.get("approach_deg")),
         )
         return next(filter(None, faults), None)
 

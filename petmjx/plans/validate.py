@@ -16,6 +16,7 @@ from petmjx.plans.fields import (
     SMALLEST_KG,
     SMALLEST_MM,
     Unread,
+    approach_fault,
     com_fault,
     coordinate_fault,
     kind,
@@ -41,7 +42,7 @@ _MORE: Final = frozenset({"material", *_COM})
 """Fields that few plans have."""
 _ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group", *_MORE})
 _OF_PLACEMENT: Final = ("item", "orientation", "flb_coordinates")
-_PLACEMENT_FIELDS: Final = frozenset(_OF_PLACEMENT)
+_PLACEMENT_FIELDS: Final = frozenset({*_OF_PLACEMENT, "approach_deg"})
 _NUMBERS: Final = {int, float}
 
 
@@ -118,6 +119,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         ids = [item["id"] for item in items]
         articles = [item["article"] for item in items]
         groups = ["" if (group := item.get("product_group")) is None else group for item in items]
+        approaches = [placement.get("approach_deg") for placement in value]
         corner_lengths = set(map(len, corners))
         more = not all(map(_MORE.isdisjoint, items))
         materials = [_said(item, "material", "") for item in items] if more else []
@@ -132,6 +134,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         and set(map(type, chain(coordinates, *columns, *offsets))) <= _NUMBERS
         and set(map(type, chain(orientations, sequences))) == {int}
         and set(orientations) <= {0, 1}
+        and set(map(type, approaches)) <= {*_NUMBERS, type(None)}
         and set(map(type, chain(ids, articles, groups, materials))) == {str}
         and max(map(len, chain(ids, articles, groups, materials))) <= LONGEST_NAME
         and is_text("".join(chain(ids, articles, groups, materials)))
@@ -143,6 +146,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
         sequence = np.array(sequences, dtype=np.int64)
         com = np.array(offsets, dtype=np.float64) * given.length_mm if more else None
+        approach = np.array([np.nan if degrees is None else degrees for degrees in approaches], dtype=np.float64)
     except OverflowError:
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
@@ -153,6 +157,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
         and (np.abs(point) <= FARTHEST_MM).all()
         and (com is None or (2 * np.abs(com) < size).all())
+        and all(approach_fault(degrees) is None for degrees in approaches if degrees is not None)
     )
     if not in_range:
         return None
@@ -172,6 +177,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         product_groups=tuple([names.setdefault(name, name) for name in groups]) if any(groups) else (),
         materials=tuple([names.setdefault(name, name) for name in materials]) if any(materials) else (),
         mass_center_mm=com_along_axes(com, swapped) if com is not None and com.any() else None,
+        approach_deg=None if np.isnan(approach).all() else approach,
     )
 
 
@@ -208,6 +214,7 @@ def find_fault(placement: object, given: Given = USUAL) -> str | None:
         or whole_fault("sequence", item["sequence"])
         or orientation_fault(placement["orientation"])
         or _corner_fault(placement["flb_coordinates"], given)
+        or approach_fault(placement.get("approach_deg"))
     )
 
 

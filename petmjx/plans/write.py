@@ -33,6 +33,7 @@ _UNITS: Final = {
     **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm", *_COM), "mm"),
     "weight_kg": "kg",
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
+    "approach_deg": "deg",
 }
 
 
@@ -76,6 +77,7 @@ def as_placements(plan: Plan) -> list[Placement]:
     size, corner, mass = plan.item_size_mm.tolist(), plan.corner_mm.tolist(), plan.mass_kg.tolist()
     groups = plan.product_groups
     com = None if plan.mass_center_mm is None else plan.item_com_mm.tolist()
+    approach = np.full(plan.n_boxes, np.nan) if plan.approach_deg is None else plan.approach_deg
     return [
         {
             "item": {
@@ -92,6 +94,7 @@ def as_placements(plan: Plan) -> list[Placement]:
             },
             "orientation": int(plan.turned[box]),
             "flb_coordinates": [_exact(value) for value in corner[box]],
+            **({} if np.isnan(approach[box]) else {"approach_deg": _exact(float(approach[box]))}),
         }
         for box in range(plan.n_boxes)
     ]
@@ -137,6 +140,7 @@ class _Columns:
     order_sequence: bool
     material: bool
     com: bool
+    approach: bool
 
     @classmethod
     def of(cls, plans: Sequence[Plan]) -> _Columns:
@@ -147,6 +151,7 @@ class _Columns:
             order_sequence=any((plan.sequence != np.arange(1, plan.n_boxes + 1)).any() for plan in plans),
             material=any(plan.materials for plan in plans),
             com=any(plan.mass_center_mm is not None for plan in plans),
+            approach=any(plan.approach_deg is not None for plan in plans),
         )
 
     @property
@@ -163,6 +168,7 @@ class _Columns:
             **({"order_sequence": pa.int64()} if self.order_sequence else {}),
             **({"material": pa.string()} if self.material else {}),
             **(dict.fromkeys(_COM, pa.float64()) if self.com else {}),
+            **({"approach_deg": pa.float64()} if self.approach else {}),
         }
         return pa.schema(
             [pa.field(name, kind, metadata={"unit": _UNITS.get(name, "")}) for name, kind in kinds.items()]
@@ -188,6 +194,10 @@ class _Columns:
             "order_sequence": np.concatenate([plan.sequence for plan in plans]),
             "material": [name for plan in plans for name in plan.materials or ("",) * plan.n_boxes],
             **dict(zip(_COM, np.concatenate([plan.item_com_mm for plan in plans]).T, strict=True)),
+            "approach_deg": np.concatenate(
+                [np.full(plan.n_boxes, np.nan) if plan.approach_deg is None else plan.approach_deg for plan in plans]
+            ),
         }
         schema = self.schema
-        return pa.table([pa.array(values[name], schema.field(name).type) for name in schema.names], schema=schema)
+        columns = [pa.array(values[name], schema.field(name).type, from_pandas=True) for name in schema.names]
+        return pa.table(columns, schema=schema)

@@ -306,6 +306,11 @@ AXIS_KINDS: Final = {
             ("drop_height_mm",),
             plain=DistributionShape.FIXED,
         ),
+        AxisKind("placing_height_mm", "mm", Positives, "height at which placed boxes begin", ("placing_height_mm",)),
+        AxisKind("placing_side_mm", "mm", Positives, "how far beside its place a box begins", ("placing_side_mm",)),
+        AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),
+        AxisKind("placing_force_n", "N", Positives, "what a hand presses with at most", ("placing_force_n",)),
+        AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
 """All axes of sweep files, in the order of nesting: of each half the last axis varies fastest."""

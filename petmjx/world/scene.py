@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from petmjx.carrier import extent_m
 from petmjx.config import Simulation, Triple
 from petmjx.history import CARRIER
+from petmjx.placing import EXACT, Placing
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
 from petmjx.world.body import Body, Shapes
@@ -35,6 +36,7 @@ OF_BOXES: Final = (
     "mass_center",
     "inertia_box",
     "surface",
+    "approach",
 )
 """What of a scene has a row for each box, or is None."""
 
@@ -60,6 +62,9 @@ class Scene:
         surface: (n,) the boxes' surfaces; None: all 0.
         pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.pairs.LARGER``; None: the larger
             one of two shapes everywhere.
+        placing: how boxes come to their places.
+        approach: (n, 2) level directions in which they do so, of length 1; 0, or None for all: that which follows from
+            what stands there.
     """
 
     half_size: NDArray[np.float64]
@@ -75,6 +80,8 @@ class Scene:
     inertia_box: NDArray[np.float64] | None = None
     surface: NDArray[np.intp] | None = None
     pair_friction: NDArray[np.float64] | None = None
+    placing: Placing = EXACT
+    approach: NDArray[np.float64] | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -107,11 +114,11 @@ class Scene:
             return middle
         return middle - turned(quat, self.middle[: middle.shape[-2]])
 
-    def start_frame(self, box: int, middle: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) origin of a box's frame when its middle is here and it is turned as at its release, m."""
+    def frame(self, box: int, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3,) origin of a box's frame when its middle is here and it is turned like this, m."""
         if self.mass_center is None:
             return middle
-        origin: NDArray[np.float64] = middle - turned(self.start_quat[box], self.middle[box])
+        origin: NDArray[np.float64] = middle - turned(quat, self.middle[box])
         return origin
 
     @cached_property
@@ -165,7 +172,17 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         mass_center=None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm),
         surface=None if surfaces is None else surfaces.of_boxes,
         pair_friction=None if surfaces is None else surfaces.friction,
+        placing=sim.placing if sim.may_carry or not sim.placing.appears else EXACT,
+        approach=_directions(plan),
     )
+
+
+def _directions(plan: Plan) -> NDArray[np.float64] | None:
+    """(n, 2) approaches that a plan gives."""
+    if plan.approach_deg is None:
+        return None
+    angle = np.radians(plan.approach_deg)
+    return np.asarray(np.nan_to_num(np.stack([np.cos(angle), np.sin(angle)], axis=1)))
 
 
 def _slab(plan: Plan, sim: Simulation) -> Body:

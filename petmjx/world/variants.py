@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.placing import Placing
 from petmjx.units import FloatArray, mm_to_m
 from petmjx.world.pairs import scaled_pairs
 from petmjx.world.random import WorldKey
@@ -105,6 +106,8 @@ class PlacementChange:
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
         drop_height_mm: height above its place at which a box is released; negative draws count as 0.
+        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: instead of those of
+            ``petmjx.placing.Placing``; None: those.
         shifts_from_release: shifts are measured from where a box was released instead of from the plan.
     """
 
@@ -119,7 +122,25 @@ class PlacementChange:
     y_mm: Distribution = ZERO
     yaw_deg: Distribution = ZERO
     drop_height_mm: Distribution = ZERO
+    placing_height_mm: float | None = None
+    placing_side_mm: float | None = None
+    placing_speed_m_s: float | None = None
+    placing_force_n: float | None = None
+    tines_height_mm: float | None = None
     shifts_from_release: bool = False
+
+    def placing(self, placing: Placing, *, errors: bool) -> Placing:
+        """How boxes are placed that would be placed so; ``errors``: their places or sizes have errors."""
+        other = {
+            "height_mm": self.placing_height_mm,
+            "side_mm": self.placing_side_mm,
+            "speed_m_s": self.placing_speed_m_s,
+            "force_n": self.placing_force_n,
+            "tines_mm": self.tines_height_mm,
+        }
+        given = {name: value for name, value in other.items() if value is not None}
+        chosen = placing.for_errors if errors else placing
+        return chosen.changed(**given) if given else chosen
 
     @property
     def random(self) -> bool:
@@ -173,7 +194,8 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     each other apart. Boxes are set down on the actual tops of those below. Placement errors in x, y and yaw change
     ``start_pos`` and ``start_quat``; a box whose new place is over a slightly higher neighbour is released above it. No
     box starts inside another one vertically. ``target``, from which shifts are measured, stays at the planned x and y;
-    its z is the height at which the box really stands, so that a tolerance in height is no shift.
+    its z is the height at which the box really stands, so that a tolerance in height is no shift. With errors of places
+    or sizes boxes are placed as for errors (``Placing.for_errors``).
 
     Returns:
         The same object where nothing changes.
@@ -190,7 +212,8 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     yaw = np.radians(change.yaw_deg.draw(key.rng("yaw"), (n_boxes,)))
     target = scene.target.copy()
     moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
-    if not all(error.zero for error in moved):
+    has_errors = not all(error.zero for error in moved)
+    if has_errors:
         start_pos[:, 2] = _set_down(scene, half_size, start_pos, yaw)
         target[:, 2] = start_pos[:, 2]
     if change.shifts_from_release:
@@ -208,6 +231,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
         target=target,
         start_pos=start_pos,
         start_quat=_turned(scene.start_quat, yaw),
+        placing=change.placing(scene.placing, errors=has_errors),
         friction=scene.friction * of_boxes,
         carrier=replace(scene.carrier, friction=scene.carrier.friction * of_carrier),
         pair_friction=scaled_pairs(scene.pair_friction, scene.carrier.surface, of_boxes, of_carrier),

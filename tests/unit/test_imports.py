@@ -14,7 +14,7 @@ import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"errors", "text", "units", "version", "machine", "bounded", "checked", "arguments", "whole"}),
-    frozenset({"carrier", "materials", "config"}),
+    frozenset({"carrier", "materials", "placing", "config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),

@@ -9,12 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petmjx.config import SOFT_START_STEPS
+from petmjx.engines.batch import hand
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State, Worlds
-from petmjx.engines.batch.template import override_fields
+from petmjx.engines.batch.template import FIRST_BOX_BODY, override_fields
 
 CHUNK_STEPS = 25
 """Steps of one call of a program. Between two calls the host looks whether any world still runs."""
@@ -93,6 +94,10 @@ class Lockstep:
             "qacc_warmstart": self._join(shown.carrier_qacc, start),
             "xfrc_applied": jnp.zeros((len(push), self.model.bodies, 6)).at[:, self.model.carrier, :3].set(push),
         }
+        if rules.carries and not rules.driven:
+            inputs["xfrc_applied"] = (
+                inputs["xfrc_applied"].at[:, FIRST_BOX_BODY:].set(hand.wrenches(state, worlds, rules.sim))
+            )
         if held:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]

@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Schedule, Simulation
+from petmjx.engines.batch import hand
 from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
 from petmjx.engines.batch.template import PARKING_HEIGHT_M, parked_positions
 from petmjx.engines.batch.timetable import Timetable
@@ -37,12 +39,13 @@ class _Seen(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Rules:
     """The rules with their numbers, for worlds with room for ``capacity`` boxes. ``driven``: settled worlds are shaken
-    instead of boxes placed."""
+    instead of boxes placed. ``carries``: there are worlds in which boxes do not appear at their places."""
 
     sim: Simulation
     timetable: Timetable
     capacity: int
     driven: bool
+    carries: bool = False
 
     def parked_pose(self) -> Float[Array, "box 7"]:
         """Poses of boxes that are not in play."""
@@ -53,6 +56,14 @@ class Rules:
         """Boxes in play: placed, in a world that runs."""
         placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
         return placed & state.running[:, None]
+
+    def judged(self, state: State) -> Bool[Array, "world box"]:
+        """Boxes in play that no hand has."""
+        standing = self.standing(state)
+        if not self.carries:
+            return standing
+        in_hand = hand.carried(state)[:, None] & (jnp.arange(self.capacity)[None] == state.placed[:, None] - 1)
+        return standing & ~in_hand
 
     def park(self, state: State) -> State:
         """Put boxes that are not in play to the places where they wait, at rest. Carriers of worlds that have ended go
@@ -69,10 +80,10 @@ class Rules:
         )
 
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
-        """Release the next box: at its release pose, at rest."""
+        """Release the next box: at its release pose, at rest; or where it begins to fall, or is carried from."""
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
-        return state._replace(
+        placed = state._replace(
             qpos=jnp.where(chosen, release, state.qpos),
             still_qpos=jnp.where(chosen, release, state.still_qpos),
             qvel=jnp.where(chosen, 0.0, state.qvel),
@@ -83,6 +94,13 @@ class Rules:
             waits_since=jnp.where(where, state.step, state.waits_since),
             quiet_steps=jnp.where(where, 0, state.quiet_steps),
         )
+        if not self.carries:
+            return placed
+        timestep_s = self.sim.physics.timestep_s
+        taken: State = jax.lax.cond(
+            where.any(), lambda: hand.take_up(placed, worlds, where, timestep_s), lambda: placed
+        )
+        return taken
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
         """How far the support of each box is from its planned height, m; 0 where it has none."""
@@ -149,7 +167,7 @@ class Rules:
             qacc: linear (m/s²) and angular (rad/s²) of each box in that step.
             top_force: N.
         """
-        before = state.running
+        before, in_hand = state.running, hand.carried(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
         values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
@@ -160,6 +178,9 @@ class Rules:
             status=jnp.where(nonfinite, Status.FINISHED, state.status),
         )
         state = self._look_at_the_end(self._proceed(state, worlds), worlds)
+        if self.carries:
+            state = hand.carry_on(state, worlds, state.running & in_hand, self.sim)
+            state = state._replace(placed=state.placed - (before & in_hand & ~state.running))
         still_from = state.end - self.timetable.still_steps
         still_from = jnp.maximum(still_from, state.driven_from if self.driven else 0)
         here = state.running & (state.step == still_from)
@@ -171,7 +192,7 @@ class Rules:
         sample = counted & (state.step % self.timetable.sample_every == 0)
         last = counted & (state.step >= state.end)
         resting = counted & (state.step > state.rest_from)
-        standing = self.standing(state)
+        standing = self.judged(state)
         sampled = standing & sample[:, None]
         looked = standing & (sample | last)[:, None]
 
@@ -190,6 +211,8 @@ class Rules:
         # placement do not count, and a violent one is an explosion only if those that follow say the same.
         landing = self.sim.quiet.min_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
+        if self.carries:
+            counts &= ~hand.carried(state)
         since = jnp.where(violent, jnp.minimum(state.violent_since, state.step), NEVER)
         violent_since = jnp.where(counts, since, state.violent_since)
         exploded = counts & violent & (state.step - since >= landing) & (not self.driven)
@@ -255,6 +278,8 @@ class Rules:
         quiet, table = self.sim.quiet, self.timetable
         more = (state.placed < worlds.n_boxes) & (not self.driven)
         waits = state.running & (state.step > 0) & (more | (state.end == NEVER))
+        if self.carries:
+            waits &= ~hand.carried(state)
         poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
         state, still = self.count_quiet(state, worlds, poll)
         adapts = self._adaptive | (state.waits_since > state.last_placed_at)

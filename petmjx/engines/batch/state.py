@@ -21,6 +21,7 @@ from petmjx.history import CARRIER
 from petmjx.units import seconds_to_steps
 from petmjx.world.job import Job
 from petmjx.world.pairs import filled_up
+from petmjx.world.placing import course_of, most_aside_m
 from petmjx.world.release import NOTHING, release_of
 from petmjx.world.scene import IDENTITY_QUAT
 
@@ -54,7 +55,10 @@ class Worlds(NamedTuple):
     (cos, sin); ``drive_steps`` counts from the drive's first step to the world's end. ``driven``: a drive follows;
     ``held``: it holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
     ``pauses``: when its boxes rest the world waits for more (petmjx/engines/open.py). ``start`` is where a box is
-    released if its ``support`` is where the plan has it (petmjx/world/release.py).
+    released if its ``support`` is where the plan has it (petmjx/world/release.py). ``appears``: all boxes begin there.
+    Else they begin by ``way_offset`` from there, for a way of ``way_steps``, or 0 if they fall; at its end those that
+    are not let go to fall are set down (petmjx/world/placing.py). ``hand_force``, N, ``hand_speed``, m/s, and
+    ``hand_aside``, m, are what a hand may do.
     """
 
     n_boxes: Int[Array, " world"]
@@ -83,6 +87,13 @@ class Worlds(NamedTuple):
     held: Bool[Array, " world"]
     settles: Bool[Array, " world"]
     pauses: Bool[Array, " world"]
+    appears: Bool[Array, " world"]
+    way_offset: Float[Array, "world box 3"]
+    way_steps: Int[Array, "world box"]
+    falls: Bool[Array, "world box"]
+    hand_force: Float[Array, " world"]
+    hand_speed: Float[Array, " world"]
+    hand_aside: Float[Array, " world"]
 
 
 class Metrics(NamedTuple):
@@ -125,6 +136,14 @@ class State(NamedTuple):
     step: Int[Array, " world"]
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
+
+    # Carrying: the steps after which a hand took up the last of these boxes, and began to set it down, or NEVER; the
+    # steps and the ends of its way, where the origin of the box's frame is.
+    carried_from: Int[Array, " world"]
+    lowered_from: Int[Array, " world"]
+    carried_steps: Int[Array, " world"]
+    way_begin: Float[Array, "world 3"]
+    way_end: Float[Array, "world 3"]
 
     # For the rules: the step after which the wait for the next event began, steps for which all boxes have been quiet,
     # their speed at the first of these, and the first of consecutive violent samples.
@@ -212,6 +231,8 @@ def upload_worlds(
     target, start = np.zeros((n, width, 3), np.float32), np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
     support = np.full((n, width), NOTHING, np.int32)
+    way_offset, way_steps = np.zeros((n, width, 3), np.float32), np.zeros((n, width), np.int32)
+    falls, appears = np.zeros((n, width), np.bool_), np.ones(n, np.bool_)
     mass, inertia_box = np.ones((n, width + 1), np.float32), np.full((n, width + 1, 3), 0.1, np.float32)
     first_shape = np.tile(np.arange(width + 2, dtype=np.int32), (n, 1))
     shape_body, shape_surface = (np.zeros((n, boards + width), np.int32) for _ in range(2))
@@ -219,7 +240,11 @@ def upload_worlds(
     for row, scene in enumerate(scenes):
         k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
         half[row, :k], middle[row, :k], target[row, :k] = scene.half_size, scene.middle, scene.target
-        start[row, :k, :3], start[row, :k, 3:] = scene.frames(release.pos, scene.start_quat), scene.start_quat
+        place, quat, course = release.pos, scene.start_quat, course_of(scene, sim)
+        if course is not None:
+            place, quat, appears[row] = place + course.lift, course.quat, False
+            way_offset[row, :k], way_steps[row, :k], falls[row, :k] = course.offset, course.steps, course.falls
+        start[row, :k, :3], start[row, :k, 3:] = scene.frames(place, quat), quat
         support[row, :k] = release.support
         mass[row, : k + 1] = np.append(scene.carrier.mass, scene.mass)
         inertia_box[row, : k + 1] = scene.inertia_boxes
@@ -270,6 +295,13 @@ def upload_worlds(
         held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
         settles=each(lambda job: job.drive is not None or job.keep_state, np.bool_),
         pauses=uploaded(np.zeros(rows, np.bool_)),
+        appears=spread(appears, np.bool_),
+        way_offset=spread(way_offset),
+        way_steps=spread(way_steps, np.int32),
+        falls=spread(falls, np.bool_),
+        hand_force=spread([scene.placing.force_n for scene in scenes]),
+        hand_speed=spread([scene.placing.speed_m_s for scene in scenes]),
+        hand_aside=spread([most_aside_m(scene.placing) for scene in scenes]),
     )
 
 
@@ -323,6 +355,11 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),
         placed=worlds.n_boxes if all_placed else ints,
         last_placed_at=ints,
+        carried_from=never,
+        lowered_from=never,
+        carried_steps=ints,
+        way_begin=jnp.zeros((n, 3)),
+        way_end=jnp.zeros((n, 3)),
         waits_since=ints,
         quiet_steps=ints,
         quiet_speed=zeros,

@@ -14,6 +14,7 @@ from jaxtyping import Float64, Int32
 
 from petmjx.config import Check, Simulation
 from petmjx.units import seconds_to_steps
+from petmjx.world.placing import MOST_STUCK_S, MOST_WAY_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,8 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
     wait_s = max(sim.interval_s, sim.longest_wait_s)
     # a wait takes whole steps, and the clock's rounding may make it one more
     waits = 2 if sim.check is Check.STATIC else max_boxes + 2
+    if sim.may_carry:
+        wait_s += MOST_WAY_S + 2 * MOST_STUCK_S
     n = waits * (seconds_to_steps(wait_s, dt) + 2) + seconds_to_steps(sim.settle_s, dt) + 4
     n += seconds_to_steps(sim.duration_s, dt) if sim.check is Check.STATIC else 0
     clock = np.concatenate([[0.0], np.cumsum(np.full(n, dt))])

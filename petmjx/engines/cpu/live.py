@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Simulation, Solver
+from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.ordering import body_order
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
+from petmjx.world.placing import Course, course_of, free_begin, most_aside_m, reach, way_steps
 from petmjx.world.release import Release, release_of
 from petmjx.world.scene import Scene
 
@@ -70,6 +72,7 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
+        hand: carries the last of the placed boxes; None: all are let go.
         geom_bodies: (ngeom,) the box that each geom belongs to, or ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are.
     """
@@ -82,6 +85,7 @@ class LiveWorld:
         self._ordered = sim.physics.cone is Cone.ELLIPTIC and scene.n_boxes >= ORDERED_FROM
         self._held: HeldCarrier | None = None
         self.n_placed = n_boxes
+        self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._build(n_boxes)
 
@@ -139,6 +143,16 @@ class LiveWorld:
         """Where boxes are released; worlds that start from a settled state release none."""
         return release_of(self.scene, self._sim)
 
+    @cached_property
+    def course(self) -> Course | None:
+        """How boxes come to their places; None: they appear there."""
+        return course_of(self.scene, self._sim)
+
+    @property
+    def n_free(self) -> int:
+        """Boxes that stand where they were let go: the placed ones but for one that is carried."""
+        return self.n_placed - (self.hand is not None)
+
     @property
     def pose(self) -> FloatArray:
         """(capacity, 7) middles and quaternions of the boxes after the last step."""
@@ -180,7 +194,8 @@ class LiveWorld:
     def extend(self, scene: Scene) -> None:
         """The scene has more boxes behind those that it had."""
         self.scene = scene
-        vars(self).pop("release", None)  # is worked out anew
+        for name in ("release", "course"):  # are worked out anew
+            vars(self).pop(name, None)
 
     def fork(self) -> LiveWorld:
         """A world of its own in the same state, to the last bit."""
@@ -199,20 +214,62 @@ class LiveWorld:
         return row
 
     def place_next(self) -> None:
-        """Put the next box where it is released, at rest."""
+        """Put the next box where it is released, at rest; or where it begins to fall, or is carried from."""
         if self.n_placed == self.capacity:
             self._grow()
         box = self.n_placed
         row = self._row[box]
         place = self.release.place_of(box, self.scene, self.pose[:, 2], self.carrier_pose[2])
-        self._poses[row, :3] = self.scene.start_frame(box, place)
-        self._poses[row, 3:] = self.scene.start_quat[box]
+        quat = self.scene.start_quat[box]
+        if self.course is not None:
+            place, quat = self._take_up(self.course, box, place)
+        self._poses[row, :3] = self.scene.frame(box, place, quat)
+        self._poses[row, 3:] = quat
         self._velocities[row] = 0.0
         self._warmstarts[row] = 0.0
         self._forces(box)[2] = 0.0
         self.n_placed += 1
+        self._carry()
         if self._has_waiting:
             self._press_waiting()
+
+    def _take_up(self, course: Course, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(3,) where a box begins, m, and (4,) how it is turned; a hand may then have it.
+
+        Args:
+            rest: (3,) where it would rest, m.
+        """
+        scene, physics = self.scene, self._sim.physics
+        end, quat = rest + course.lift[box], course.quat[box]
+        planned, pose = end + course.offset[box], self.pose[:box]
+        own = reach(quat[None], scene.half_size[box, None])[0]
+        reaches = reach(pose[:, 3:], scene.half_size[:box])
+        begin = free_begin(planned, own, pose[:, :3], reaches, most_aside_m(scene.placing))
+        steps = int(course.steps[box])
+        if steps and (begin != planned).any():
+            length = float(np.linalg.norm(begin - end))
+            steps = int(way_steps(length, scene.mass[box], scene.placing, physics.timestep_s))
+        if steps:
+            ends = scene.frame(box, begin, quat), scene.frame(box, end, quat)
+            falls = bool(course.falls[box])
+            self.hand = Hand(scene, box, *ends, quat, steps, falls, physics.gravity_m_s2, physics.timestep_s)
+        return begin, quat
+
+    def carry_on(self, slow: bool) -> bool:
+        """After a step in which a box was carried: whether it is let go now. ``slow``: as of ``Hand.has_let_go``."""
+        hand = self.hand
+        if hand is None or not hand.has_let_go(self._poses[self._row[hand.box]], slow):
+            self._carry()
+            return False
+        self._forces(hand.box)[:] = 0.0
+        self.hand = None
+        return True
+
+    def _carry(self) -> None:
+        """Let the hand act during the next step."""
+        if self.hand is not None:
+            row = self._row[self.hand.box]
+            self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def _press_waiting(self) -> None:
         """Press on the stop so that its cost equals that of the waiting boxes if they stood on the floor.

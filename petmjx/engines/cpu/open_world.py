@@ -59,6 +59,7 @@ class OpenWorld(WorldRun):
         twin = copy.copy(self)
         twin._live, twin._metrics, twin._quiet = self._live.fork(), self._metrics.fork(), copy.copy(self._quiet)
         twin._waits, twin._still_pose = copy.copy(self._waits), self._still_pose.copy()
+        twin._explosion = copy.copy(self._explosion)
         return twin
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:

@@ -61,6 +61,10 @@ class QuietRule:
                 return False
         return True
 
+    def is_slow(self, velocity: FloatArray, boxes: slice) -> bool:
+        """Whether these boxes are slower than a quiet pallet's."""
+        return bool((motion_np.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
+
     def is_still(self, before: FloatArray, after: FloatArray, seconds: float) -> bool:
         """Whether no point of any box moved faster than ``still_m_s``, from (k, 7) poses and the time between them."""
         moved = motion_np.moved(before, after, self._radius_m[: len(after)])

@@ -11,6 +11,8 @@ import numpy as np
 from petmjx.config import SOFT_START_STEPS, Check, Simulation
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu.drive import ActingDrive
+from petmjx.engines.cpu.explosion import Explosion
+from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.recorder import WorldRecorder
@@ -66,7 +68,7 @@ class WorldRun:
         self._step = self._first_step = 0
         self._waits = Waits(sim, self._clock, self._settles)
         self._quiet = QuietRule(sim, job.scene)
-        self._fast_since = NEVER
+        self._explosion = Explosion(sim.quiet.min_steps)
         self._sign_step = self._n_at_sign = 0
         self._waiting = True
         self._pauses = self.paused = False
@@ -185,6 +187,8 @@ class WorldRun:
 
     def _next_event(self) -> int:
         step = self._step
+        if self._live.hand is not None:
+            return step + 1
         target = min(self._end, step + self._sample_steps - step % self._sample_steps)
         if self._waiting:
             poll = self._sim.quiet.poll_steps
@@ -209,17 +213,19 @@ class WorldRun:
         in_rest = step > self._end - self._rest_steps
         if not (sampled or in_rest):
             return True
-        force = live.top_forces()
+        k = live.n_free
+        force = live.top_forces()[:k]
         if in_rest:
             self._metrics.add_rest(force)
         if not sampled:
             return True
         pos, quat = live.sampled_pose()
         no_sign = self._metrics.culprit < 0
-        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos, quat, live.qacc[: live.n_placed], force)
+        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos[:k], quat[:k], live.qacc[:k], force)
         if no_sign and self._metrics.culprit >= 0:
             self._sign_step, self._n_at_sign = step, live.n_placed
-        if not self._driving and self._explodes(too_fast):
+        placing_at = step if live.hand is not None else self._waits.last_placement
+        if not self._driving and self._explosion.seen(step, placing_at, too_fast):
             self._flags |= Flag.EXPLOSION
             return False
         if self._sim.early_stop and self._metrics.any_dropped and step < self._end:
@@ -227,25 +233,11 @@ class WorldRun:
             return False
         return True
 
-    def _explodes(self, too_fast: bool) -> bool:
-        """The explosion rule: large accelerations that last, without a sign that explains them.
-
-        When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is
-        not an explosion. So samples right after a placement do not count. And one violent sample is not enough: the
-        following ones, over at least as many steps as a box needs to land, must be violent too.
-        """
-        landing = self._sim.quiet.min_steps
-        if self._step - self._waits.last_placement < landing:
-            return False
-        if not too_fast:
-            self._fast_since = NEVER
-            return False
-        self._fast_since = min(self._fast_since, self._step)
-        return self._step - self._fast_since >= landing
-
     def _transition(self) -> None:
         """After a step: place the next box, or begin what follows the placement, if it is time."""
-        if self._waiting:
+        if self._live.hand is not None:
+            self._carry_on(self._live.hand)
+        elif self._waiting:
             self._wait_or_go_on()
         self._keep_still_pose()
 
@@ -268,17 +260,29 @@ class WorldRun:
             if self._recorder is not None:
                 self._recorder.look(self._step, live)
             live.place_next()
-            self._still_pose[live.n_placed - 1] = live.pose[live.n_placed - 1]
             if self._recorder is not None:
                 self._recorder.place(live)
-            self._waits.last_placement = self._step
-            self._wait()
+            self._has_placed()
         elif settles:
             self._settle()
         else:
             self._waiting = False
             if self._end == NEVER:
                 self._set_end(self._step + self._rest_steps)
+
+    def _carry_on(self, hand: Hand) -> None:
+        """After a step in which a box was carried: carry it on, or let it go."""
+        box = slice(hand.box, hand.box + 1)
+        slow = self._quiet.is_slow(self._live.velocity[box], box)
+        if self._live.carry_on(slow):
+            self._has_placed()
+
+    def _has_placed(self) -> None:
+        """The last box stands, or falls, or is in the hand: waiting begins, in the last case once more at its end."""
+        live = self._live
+        self._still_pose[live.n_placed - 1] = live.pose[live.n_placed - 1]
+        self._waits.last_placement = self._step
+        self._wait()
 
     def _wait(self) -> None:
         """Begin to wait for the next event."""
@@ -358,7 +362,7 @@ class WorldRun:
 
     def _outcome(self, came_to_end: bool) -> Outcome:
         scene, live, metrics = self._scene, self._live, self._metrics
-        k = live.n_placed
+        k = live.n_free
         pos, quat = scene.start_pos.copy(), scene.start_quat.copy()
         pos[:k], quat[:k] = live.pose[:k, :3], live.pose[:k, 3:]
         boxes = metrics.finish(pos, quat, k, came_to_end)

@@ -67,7 +67,7 @@ class Simulator:
         fleet = Fleet(launch, launch.blocks, most_boxes, boards, pairs, contacts)
         self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
         self._sim, self._timetable = sim, timetable
-        self._placing = Rules(sim, timetable, most_boxes, driven=False)
+        self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
         self._driving = Rules(sim, timetable, most_boxes, driven=True)
 
     def load(self) -> None:

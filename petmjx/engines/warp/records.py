@@ -92,6 +92,9 @@ class Model:
     quiet_steps: int
     min_steps: int
     poll_steps: int
+    hand_rate: float  # of the hand's spring, 1/s
+    lowering_rate: float  # of the damper by which it sets boxes down, 1/s
+    stuck_steps: int  # for which a hand waits at most
 
     due: wp.array[int]  # by step; as in Timetable
     longest: wp.array[int]
@@ -128,6 +131,13 @@ class Worlds:
     held: Annotated[wp.array[wp.bool], "world"]
     settles: Annotated[wp.array[wp.bool], "world"]
     pauses: Annotated[wp.array[wp.bool], "world"]
+    appears: Annotated[wp.array[wp.bool], "world"]
+    way_offset: Annotated[wp.array3d[float], "world box 3"]
+    way_steps: Annotated[wp.array2d[int], "world box"]
+    falls: Annotated[wp.array2d[wp.bool], "world box"]
+    hand_force: Annotated[wp.array[float], "world"]
+    hand_speed: Annotated[wp.array[float], "world"]
+    hand_aside: Annotated[wp.array[float], "world"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
     order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
 
@@ -149,6 +159,11 @@ class State:
     step: Annotated[wp.array[int], "world"]
     placed: Annotated[wp.array[int], "world"]
     last_placed_at: Annotated[wp.array[int], "world"]
+    carried_from: Annotated[wp.array[int], "world"]
+    lowered_from: Annotated[wp.array[int], "world"]
+    carried_steps: Annotated[wp.array[int], "world"]
+    way_begin: Annotated[wp.array2d[float], "world 3"]
+    way_end: Annotated[wp.array2d[float], "world 3"]
     waits_since: Annotated[wp.array[int], "world"]
     quiet_steps: Annotated[wp.array[int], "world"]
     quiet_speed: Annotated[wp.array2d[float], "world box"]
@@ -260,6 +275,7 @@ class Thread:
     placed: int  # boxes that stand
     geoms: int  # the floor and the shapes of the carrier and of these boxes
     held: int  # 1 if the carrier is held fast: it is then no free body
+    carried: int  # 1 if a hand has the last of these boxes
 
 
 def most_panels(n_boxes: int) -> int:

@@ -23,6 +23,7 @@ from petmjx.engines.warp.frames import room_for
 from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.march import SLICE_NS, Fleet, March
 from petmjx.world.contact import MOST_IMPEDANCE
+from petmjx.world.placing import lowering_rate_1_s, rate_1_s, stuck_steps
 from petmjx.world.release import MOST_FOLLOWED_M
 
 TOLERANCE = 1e-8
@@ -86,6 +87,9 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "quiet_steps": quiet.steps,
         "min_steps": quiet.min_steps,
         "poll_steps": quiet.poll_steps,
+        "hand_rate": rate_1_s(physics.timestep_s),
+        "lowering_rate": lowering_rate_1_s(physics.timestep_s),
+        "stuck_steps": stuck_steps(physics.timestep_s),
         "due": wp.array(timetable.due, dtype=int),
         "longest": wp.array(timetable.longest, dtype=int),
         "settled": wp.array(timetable.settled, dtype=int),

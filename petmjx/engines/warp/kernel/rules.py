@@ -11,6 +11,7 @@ import warp as wp
 from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
+from petmjx.engines.warp.kernel.hand import lets_go, take_up
 from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation
 from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, speed_of, tilt_of
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
@@ -172,11 +173,36 @@ def place_next(
         state.qvel[world, box, i] = 0.0
         state.qacc[world, box, i] = 0.0
         state.qacc_warmstart[world, box, i] = 0.0
+    if not worlds.appears[world]:
+        take_up(model, worlds, world, box, step, state)
     state.position[world, box] = box + 1
     state.placed[world] = box + 1
     state.last_placed_at[world] = step
     state.waits_since[world] = step
     state.quiet_steps[world] = 0
+
+
+@wp.func
+def carry_on(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    world: int,
+    step: int,
+    # Data out:
+    state: State,
+) -> None:
+    """After a step in which a box was carried: carry it on, or let it go. By one thread."""
+    box = state.placed[world] - 1
+    if lets_go(model, worlds, world, box, step, state):
+        for i in range(7):
+            state.still_qpos[world, box, i] = state.qpos[world, box, i]
+        state.carried_from[world] = NEVER
+        state.lowered_from[world] = NEVER
+        state.last_placed_at[world] = step
+        state.waits_since[world] = step
+        state.quiet_steps[world] = 0
 
 
 @wp.func
@@ -214,7 +240,7 @@ def after_step(
     violent = bool(False)
     drops = bool(False)
     if sample or last or resting:
-        for box in range(at.thread, at.placed, at.threads):
+        for box in range(at.thread, at.placed - at.carried, at.threads):
             if sample or last:
                 if measure(model, worlds, at, box, step, sample, driven, state, work):
                     drops = True
@@ -238,7 +264,7 @@ def after_step(
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
         # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
         # placement do not count, and a violent one is an explosion only if those that follow say the same.
-        if sample and step - landed >= model.min_steps:
+        if sample and step - landed >= model.min_steps and at.carried == 0:
             since = NEVER
             if violent and culprit < 0:
                 since = wp.min(violent_since, step)
@@ -252,7 +278,7 @@ def after_step(
     adapts = model.fixed == 0 or state.waits_since[world] > landed
     rests_first = model.fixed == 0 and model.waits_for_rest != 0
     goes = bool(False)
-    if not finished and step > 0 and (more or end == NEVER):
+    if not finished and step > 0 and at.carried == 0 and (more or end == NEVER):
         waited = step - state.waits_since[world]
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
@@ -317,6 +343,9 @@ def after_step(
         state.flags[world] = flags
         if finished:
             state.status[world] = FINISHED
+            state.placed[world] = at.placed - at.carried
+        elif at.carried != 0:
+            carry_on(model, worlds, world, step, state)
         elif pauses:
             state.status[world] = PAUSED
         elif goes and more:

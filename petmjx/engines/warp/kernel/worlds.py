@@ -10,6 +10,7 @@ from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_constraint
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
+from petmjx.engines.warp.kernel.hand import carry
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
@@ -90,6 +91,7 @@ def advance(
     every = frames.every[at.world]
     measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
     left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
+    carry(model, worlds, state, at, work)
     npair = listed
     anew = left or npair < 0
     if anew:
@@ -182,6 +184,7 @@ def run_worlds(
             at.placed = state.placed[at.world]
             at.geoms = first_geom(worlds, at.world, at.placed + 1)
             at.held = wp.where(state.driven_from[at.world] != NEVER and worlds.held[at.world], 1, 0)
+            at.carried = wp.where(state.carried_from[at.world] != NEVER, 1, 0)
             if at.placed != stood:
                 listed = -1
             stood = at.placed

@@ -1,0 +1,57 @@
+"""What placing costs and changes: worlds with errors whose boxes appear at their places, or are carried there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import pandas as pd
+
+import petmjx
+from petmjx.placing import Way
+from petmjx.plans.plan import Plan
+
+WAYS = (Way.EXACT, Way.HAND)
+
+
+def placings(
+    plans: Sequence[Plan], worlds: int, ways: Sequence[str], **options: Any
+) -> Iterator[tuple[str, pd.Series]]:
+    """For each way its name and what a score with confidence says.
+
+    Args:
+        worlds: with errors, of each plan; the nominal world comes on top.
+        options: of ``petmjx.score``.
+    """
+    for way in ways:
+        begin = time.perf_counter()
+        results = petmjx.score(plans, confidence=worlds, placing=way, **options)
+        yield way, summary(results.worlds, time.perf_counter() - begin, results.info["timings"])
+
+
+def summary(worlds: pd.DataFrame, seconds: float, timings: dict[str, Any]) -> pd.Series:
+    """What the worlds of a run came to.
+
+    Args:
+        seconds: of the run.
+        timings: as in ``run.json``.
+    """
+    drawn = worlds[worlds.variant > 0]
+    known = drawn[drawn.verdict != "invalid"]
+    steps = drawn.n_steps / drawn.n_placed.clip(lower=1)
+    reasons = drawn[drawn.verdict != "stable"].reason.value_counts(normalize=True)
+    compile_s = float(timings.get("compile_s", 0.0))
+    return pd.Series(
+        {
+            "worlds": len(worlds),
+            "worlds_per_s": round(len(worlds) / max(seconds - compile_s, 1e-9), 2),
+            "seconds": round(seconds, 1),
+            "compile_s": round(compile_s, 1),
+            "stand": round(float((known.verdict == "stable").mean()), 4),
+            "nominal_stand": round(float((worlds[worlds.variant == 0].verdict == "stable").mean()), 4),
+            "without_verdict": len(drawn) - len(known),
+            "steps_per_box": round(float(steps.mean()), 1),
+            **{f"by {reason}": round(float(share), 3) for reason, share in reasons.items()},
+        }
+    )

@@ -1,0 +1,290 @@
+"""The hand that carries a box to its place (docs/rules.md, section 4). Twin of petmjx/engines/cpu/hand.py.
+
+The carried box is the last one that was placed. One thread takes boxes up and lets them go, between two steps; what the
+hand does in a step is worked out by the thread that has the box.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.batch import state as batch_state
+from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, moments, orientation, rotation, vec6
+from petmjx.engines.warp.kernel.samples import speed_of
+from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
+from petmjx.world import placing
+
+NEVER = wp.constant(int(batch_state.NEVER))
+FREE = wp.constant(placing.FREE_M)
+CLEARANCE = wp.constant(placing.CLEARANCE_M)
+AT_PLACE = wp.constant(placing.AT_PLACE_M)
+MOST_SIDESTEPS = wp.constant(placing.MOST_SIDESTEPS)
+MOST_WAY_S = wp.constant(placing.MOST_WAY_S)
+LOWERING_STEPS = wp.constant(placing.LOWERING_STEPS)
+
+
+@wp.func
+def reach_of(q: wp.vec4, half: wp.vec3) -> wp.vec3:
+    """Half extents along x, y and z of the box around a turned box, m."""
+    turn = rotation(q)
+    return wp.vec3(wp.dot(wp.abs(turn[0]), half), wp.dot(wp.abs(turn[1]), half), wp.dot(wp.abs(turn[2]), half))
+
+
+@wp.func
+def _overlap(
+    # Model:
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    world: int,
+    box: int,
+    place: wp.vec3,
+    reach: wp.vec3,
+) -> wp.vec3:
+    """Lengths that something at this place shares along each axis with a box that stands, m; negative: apart."""
+    q = orientation(state, world, box + 1)
+    middle = middle_of(worlds, world, box, center(state, world, box + 1), q)
+    return reach_of(q, box_half(worlds, world, box)) + reach - wp.abs(middle - place)
+
+
+@wp.func
+def _in_way(
+    # Model:
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    world: int,
+    count: int,
+    place: wp.vec3,
+    reach: wp.vec3,
+) -> tuple[int, float]:
+    """The first of the boxes that stand which overlaps something at this place, or -1, and the highest top of those
+    that do, m."""
+    first = int(-1)
+    top = float(-1.0e30)
+    for other in range(count):
+        shared = _overlap(worlds, state, world, other, place, reach)
+        if wp.min(shared) > FREE:
+            if first < 0:
+                first = other
+            q = orientation(state, world, other + 1)
+            middle = middle_of(worlds, world, other, center(state, world, other + 1), q)
+            top = wp.max(top, middle[2] + reach_of(q, box_half(worlds, world, other))[2])
+    return first, top
+
+
+@wp.func
+def free_begin(
+    # Model:
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    world: int,
+    box: int,
+    begin: wp.vec3,
+    reach: wp.vec3,
+) -> wp.vec3:
+    """Where a box begins so that it is in none that stands, m: there, or as little aside as it must, or above.
+
+    Args:
+        begin: where it would begin.
+        reach: its half extents along x, y and z, m.
+    """
+    place = begin
+    first, top = _in_way(worlds, state, world, box, place, reach)
+    moves = int(0)
+    while first >= 0 and moves < MOST_SIDESTEPS:
+        shared = _overlap(worlds, state, world, first, place, reach)
+        q = orientation(state, world, first + 1)
+        other = middle_of(worlds, world, first, center(state, world, first + 1), q)
+        axis = wp.where(shared[0] <= shared[1], 0, 1)
+        place[axis] = place[axis] + wp.where(place[axis] >= other[axis], shared[axis], -shared[axis])
+        if wp.abs(place[axis] - begin[axis]) > worlds.hand_aside[world]:
+            break
+        first, top = _in_way(worlds, state, world, box, place, reach)
+        moves += 1
+    if first < 0:
+        return place
+    place = begin
+    first, top = _in_way(worlds, state, world, box, place, reach)
+    while first >= 0:
+        place[2] = top + reach[2] + CLEARANCE
+        first, top = _in_way(worlds, state, world, box, place, reach)
+    return place
+
+
+@wp.func
+def take_up(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    world: int,
+    box: int,
+    step: int,
+    # Data out:
+    state: State,
+) -> None:
+    """Move a box, which is where it is to be let go, to where it begins; a hand may then have it. By one thread."""
+    end = wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
+    q = orientation(state, world, box + 1)
+    offset = wp.vec3(
+        worlds.way_offset[world, box, 0], worlds.way_offset[world, box, 1], worlds.way_offset[world, box, 2]
+    )
+    planned = middle_of(worlds, world, box, end + offset, q)
+    aside = free_begin(worlds, state, world, box, planned, reach_of(q, box_half(worlds, world, box))) - planned
+    begin = end + offset + aside
+    steps = worlds.way_steps[world, box]
+    if steps > 0 and wp.length_sq(aside) > 0.0:
+        length = wp.length(offset + aside)
+        at_speed = 1.5 * length / worlds.hand_speed[world]
+        at_force = wp.sqrt(12.0 * worlds.mass[world, box + 1] * length / worlds.hand_force[world])
+        seconds = wp.min(wp.max(at_speed, at_force), MOST_WAY_S)
+        steps = wp.max(int(wp.ceil(seconds / model.timestep)), 1)
+    for i in range(3):
+        state.qpos[world, box, i] = begin[i]
+        state.still_qpos[world, box, i] = begin[i]
+        state.way_begin[world, i] = begin[i]
+        state.way_end[world, i] = end[i]
+    if steps > 0:
+        state.carried_from[world] = step
+        state.carried_steps[world] = steps
+
+
+@wp.func
+def lets_go(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    world: int,
+    box: int,
+    step: int,
+    # Data out:
+    state: State,
+) -> bool:
+    """Whether the hand lets go after a step in which it has carried the box: when that has arrived and rests. Unless it
+    is to fall from there, the box is set down first. By one thread."""
+    taken = step - state.carried_from[world]
+    slow = speed_of(worlds, state, world, box) < model.quiet_speed
+    lowered_from = state.lowered_from[world]
+    if lowered_from != NEVER:
+        since = step - lowered_from
+        return since >= model.stuck_steps or (slow and since >= LOWERING_STEPS)
+    if taken < state.carried_steps[world] + wp.where(slow, 0, model.stuck_steps):
+        return False
+    place = center(state, world, box + 1)
+    if worlds.falls[world, box] and wp.length(_three(state.way_end, world) - place) <= AT_PLACE:
+        return True
+    state.lowered_from[world] = step
+    return False
+
+
+@wp.func
+def _three(values: wp.array2d[float], world: int) -> wp.vec3:
+    """Three numbers of a world."""
+    return wp.vec3(values[world, 0], values[world, 1], values[world, 2])
+
+
+@wp.func
+def _progress(step: int, steps: int) -> float:
+    """Share of the way after some of its steps."""
+    share = wp.clamp(float(step) / float(steps), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+@wp.func
+def _limited(vector: wp.vec3, most: float) -> wp.vec3:
+    """A vector, or one of the same direction that is not longer than this."""
+    length = wp.length(vector)
+    return wp.where(length <= most, vector, vector * (most / wp.max(length, 1.0e-30)))
+
+
+@wp.func
+def _rotation_vector(q: wp.vec4, wanted: wp.vec4) -> wp.vec3:
+    """Rotation from one orientation to another, in the axes of the first, rad; for small angles."""
+    w = q[0]
+    u = wp.vec3(q[1], q[2], q[3])
+    v = wp.vec3(wanted[1], wanted[2], wanted[3])
+    real = w * wanted[0] + wp.dot(u, v)
+    imaginary = w * v - wanted[0] * u - wp.cross(u, v)
+    return imaginary * wp.where(real >= 0.0, 2.0, -2.0)
+
+
+@wp.func
+def _hand_qacc(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    world: int,
+    box: int,
+    inertia: wp.vec3,
+) -> vec6:
+    """Accelerations that the hand gives a box during the step to come: m/s² in world axes, rad/s² in the box's."""
+    mass = worlds.mass[world, box + 1]
+    half = box_half(worlds, world, box)
+    most = worlds.hand_force[world]
+    q = orientation(state, world, box + 1)
+    place = center(state, world, box + 1)
+    velocity = wp.vec3(state.qvel[world, box, 0], state.qvel[world, box, 1], state.qvel[world, box, 2])
+    spin = wp.vec3(state.qvel[world, box, 3], state.qvel[world, box, 4], state.qvel[world, box, 5])
+    force = wp.vec3(0.0, 0.0, 0.0)
+    moment = wp.vec3(0.0, 0.0, 0.0)
+    if state.lowered_from[world] != NEVER:
+        force = _limited(-mass * model.lowering_rate * velocity, most + mass * model.gravity)
+        moment = wp.cw_mul(inertia, -model.lowering_rate * spin)
+    else:
+        rate = model.hand_rate
+        taken = state.step[world] - state.carried_from[world]
+        steps = state.carried_steps[world]
+        before = _progress(taken - 1, steps)
+        now = _progress(taken, steps)
+        after = _progress(taken + 1, steps)
+        begin = _three(state.way_begin, world)
+        way = _three(state.way_end, world) - begin
+        ahead = begin + now * way - place
+        lag = (now - before) / model.timestep * way - velocity
+        along = ((after - now) - (now - before)) / (model.timestep * model.timestep) * way
+        force = _limited(mass * (along + rate * rate * ahead + 2.0 * rate * lag), most)
+        force = force + wp.vec3(0.0, 0.0, mass * model.gravity)
+        wanted = wp.vec4(
+            worlds.start[world, box, 3],
+            worlds.start[world, box, 4],
+            worlds.start[world, box, 5],
+            worlds.start[world, box, 6],
+        )
+        moment = wp.cw_mul(inertia, (rate * rate) * _rotation_vector(q, wanted) - (2.0 * rate) * spin)
+    moment = _limited(moment, most * wp.max(half))
+    found = vec6()
+    for i in range(3):
+        found[i] = force[i] / mass
+        found[3 + i] = moment[i] / inertia[i]
+    return found
+
+
+@wp.func
+def carry(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    # Data out:
+    work: Workspace,
+) -> None:
+    """Let the hand act during the step to come, once ``begin_step`` is done. A carried box has a free carrier."""
+    if at.carried != 0 and at.thread == 0:
+        body = at.placed
+        equal = worlds.inertia_box[at.world, body]
+        inertia = moments(wp.vec3(equal[0], equal[1], equal[2]), worlds.mass[at.world, body])
+        qacc = _hand_qacc(model, worlds, state, at.world, body - 1, inertia)
+        for i in range(6):
+            work.qacc_smooth[at.block, 6 * body + i] = work.qacc_smooth[at.block, 6 * body + i] + qacc[i]

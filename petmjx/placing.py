@@ -1,0 +1,82 @@
+"""How a box is placed (``Placing``): where it begins, and what carries it to its place.
+
+As ``petmjx.config``: defaults, units, checks and descriptions are written only here. The rules, to the step:
+docs/rules.md, section 4. Users read about it in docs/placing.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Annotated, Any, Final
+
+from pydantic import Field, model_validator
+
+from petmjx.checked import Checked, CliFlag, within
+
+
+class Way(StrEnum):
+    """How a box comes to its place."""
+
+    AUTO = "auto"
+    EXACT = "exact"
+    DROP = "drop"
+    HAND = "hand"
+    TINES = "tines"
+
+
+class Placing(Checked):
+    """How a box is placed. Made from a way's name ("hand"), or from a table (``{"name": "hand", "force_n": 50}``).
+
+    The defaults are assumptions: no figures were found of how near robots take boxes to their places before the last
+    movement, how fast that is, and how hard they may press then.
+    """
+
+    name: Annotated[Way, CliFlag("--placing")] = Field(
+        Way.AUTO,
+        description="how a box is placed: exact: it appears at its place, at rest; drop: it falls from a height; hand: "
+        "it is carried there by a limited force, and let go where it can go no further; tines: the same, and let go "
+        "with one bottom edge down and the opposite one still up; auto: hand where places or sizes have errors, else "
+        "exact",
+    )
+    height_mm: Annotated[float, within(0, 2000), CliFlag("--placing-height-mm", "MM")] = Field(
+        5.0, description="drop, hand, tines: height above its place at which a box begins, mm"
+    )
+    side_mm: Annotated[float, within(0, 1000), CliFlag("--placing-side-mm", "MM")] = Field(
+        5.0,
+        description="hand, tines: how far beside its place a box begins, against its approach; any box may begin twice "
+        "as far aside of what is in its way, mm",
+    )
+    speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
+        0.08, description="hand, tines: largest speed on the way, m/s"
+    )
+    force_n: Annotated[float, within(0.1, 100_000), CliFlag("--placing-force-n", "N")] = Field(
+        100.0, description="hand, tines: what the robot presses with at most, beside holding the box's weight, N"
+    )
+    tines_mm: Annotated[float, within(0, 1000), CliFlag("--tines-height-mm", "MM")] = Field(
+        10.0, description="tines: how high the edge that comes down last is when the box is let go, mm"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, values: Any) -> Any:
+        return values if isinstance(values, Mapping | Placing) else {"name": values}
+
+    @property
+    def appears(self) -> bool:
+        """Whether boxes appear at their places, where these have no errors."""
+        return self.name in (Way.AUTO, Way.EXACT)
+
+    @property
+    def for_errors(self) -> Placing:
+        """How boxes are placed whose places or sizes have errors."""
+        return self.model_copy(update={"name": Way.HAND}) if self.name is Way.AUTO else self
+
+    @property
+    def carries(self) -> bool:
+        """Whether boxes are carried to their places."""
+        return self.name in (Way.HAND, Way.TINES)
+
+
+EXACT: Final = Placing(name=Way.EXACT)
+"""Boxes appear at their places."""

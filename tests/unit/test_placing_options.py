@@ -1,0 +1,100 @@
+"""How boxes are placed, as an option, as an axis of sweeps and as a field of plans."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.plans import make_plan, make_scene
+
+import petmjx
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.placing import Placing, Way
+from petmjx.plans.write import save_plans
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.world.placing import course_of
+from petmjx.world.scene import Scene, build_scene
+from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply
+
+BOXES = [((300.0, 300.0, 300.0), (0.0, 0.0, 0.0), 6.0), ((300.0, 300.0, 300.0), (300.0, 0.0, 0.0), 6.0)]
+SD_2 = Distribution(DistributionShape.NORMAL, 0.0, 2.0)
+
+
+def varied(sim: Simulation, **changes: Any) -> Scene:
+    return apply(make_scene(BOXES, sim), "plan", Variant(1, PlacementChange(**changes)), seed=1)
+
+
+@pytest.mark.parametrize("error", ["x_mm", "yaw_deg", "size_mm"])
+def test_worlds_with_errors_are_placed_by_hand_unless_told_otherwise(error: str) -> None:
+    sim = Simulation()
+    assert course_of(make_scene(BOXES, sim), sim) is None
+    assert varied(sim, **{error: SD_2}).placing.name is Way.HAND
+    assert varied(sim, mass_rel=Distribution(DistributionShape.NORMAL, 0.0, 0.02)).placing.appears
+    assert varied(Simulation(placing="exact"), **{error: SD_2}).placing.name is Way.EXACT
+    assert varied(Simulation(placing="tines"), **{error: SD_2}).placing.name is Way.TINES
+
+
+@pytest.mark.parametrize("options", [{"schedule": "fixed"}, {"check": "static"}, {"physics": "reference"}])
+def test_nobody_is_carried_where_nobody_waits(options: dict[str, Any]) -> None:
+    sim = Simulation(**options)
+    assert course_of(varied(sim, x_mm=SD_2), sim) is None
+
+
+def test_a_name_stands_for_a_table_and_numbers_change_it() -> None:
+    assert Simulation(placing="hand").placing == Placing(name=Way.HAND)
+    assert Simulation(placing={"name": "hand", "force_n": 30}).placing.force_n == 30
+    assert Simulation(placing="drop").changed(placing={"height_mm": 7}).placing == Placing(name=Way.DROP, height_mm=7)
+
+
+def test_the_numbers_are_axes(tmp_path: Path) -> None:
+    file = tmp_path / "sweep.toml"
+    file.write_text(
+        'simulation = { placing = "hand" }\n[axes]\nplacing_force_n = [20, 60]\nplacing_height_mm = 8\n'
+        "placing_side_mm = 9\nplacing_speed_m_s = 0.2\n",
+        encoding="utf-8",
+    )
+    plan = SweepPlan(load_sweep(file, plans_given=True), (make_plan("two", BOXES),))
+    found = [plan.scene(group).placing for group in plan.groups()]
+    assert found == [Placing(name=Way.HAND, force_n=f, height_mm=8, side_mm=9, speed_m_s=0.2) for f in (20, 60)]
+
+
+def test_a_plan_says_from_where_its_boxes_come(tmp_path: Path) -> None:
+    size, corner = [box[0] for box in BOXES], [box[1] for box in BOXES]
+    plan = petmjx.Plan.from_boxes("p", size_mm=size, corner_mm=corner, mass_kg=[6, 6], approach_deg=[None, 90.0])
+    sim = Simulation(placing="hand")
+    for name in ("plan.json", "plan.csv", "plan.parquet"):
+        save_plans(plan, tmp_path / name)
+        (read,) = petmjx.load_plans(tmp_path / name).plans
+        np.testing.assert_array_equal(read.approach_deg, [np.nan, 90.0])
+        course = course_of(build_scene(read, sim), sim)
+        assert course is not None
+        np.testing.assert_allclose(course.offset * 1000, [[0, 0, 5], [0, -5, 5]], atol=1e-9)
+    plain = petmjx.Plan.from_boxes("p", size_mm=size, corner_mm=corner, mass_kg=[6, 6])
+    assert plain.approach_deg is None
+
+
+@pytest.mark.parametrize(
+    ("value", "fault"), [(700, "must be from -360 to 360 (degrees), got 700"), ("x", "must be a number")]
+)
+def test_an_unusable_approach_costs_its_plan(tmp_path: Path, value: Any, fault: str) -> None:
+    file = tmp_path / "plan.json"
+    save_plans(make_plan("p", BOXES), file)
+    plans = json.loads(file.read_text(encoding="utf-8"))
+    plans["p"][1]["approach_deg"] = value
+    plans["q"] = plans["p"][:1]
+    file.write_text(json.dumps(plans), encoding="utf-8")
+    found = petmjx.load_plans(file)
+    assert [plan.plan_id for plan in found.plans] == ["q"]
+    assert f"plan p, placement 1: approach_deg {fault}" in found.skipped[0].message
+
+
+def test_a_run_goes_on_only_with_the_same_placing(tmp_path: Path) -> None:
+    options = {"engine": "mujoco", "threads": 1, "out": tmp_path}
+    petmjx.score([make_plan("p", BOXES[:1])], **options)
+    with pytest.raises(InputError, match="placing"):
+        petmjx.score([make_plan("p", BOXES[:1])], resume=True, placing="hand", **options)
