@@ -13,7 +13,10 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "version", "machine", "bounded", "checked", "arguments", "whole", "config"}),
+    frozenset(
+        {"errors", "text", "units", "_version", "version", "machine", "bounded", "checked", "arguments", "whole"}
+    ),
+    frozenset({"config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),
@@ -24,6 +27,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"sweeps", "statics"}),
     frozenset({"packers", "rating"}),
     frozenset({"simulate"}),
+    frozenset({"option_types"}),
     frozenset({"api", "doctor", "story"}),
     frozenset({"show", "pages", "pictures"}),
     frozenset({"cli", "__main__"}),
