@@ -8,7 +8,7 @@ TEST_PROCESSES ?= 2
 DEMO_OUT := petmjx-results/demo
 BENCH_OUT := petmjx-results/bench.jsonl
 
-.PHONY: demo test check bench pictures clean help
+.PHONY: demo test check bench pictures options docs clean help
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -33,6 +33,9 @@ bench: $(VENV)/.runtime ## two minutes of benchmarks on the CPU; benchmarks/READ
 
 pictures: $(VENV)/.dev ## draw the pictures of the documents again
 	$(BIN)/python docs/pictures.py
+
+options: $(VENV)/.dev ## write the types of options again, after a change of one
+	$(BIN)/python -m tools.option_types
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache

@@ -14,6 +14,7 @@ from petmjx.cli import options as opt
 from petmjx.cli.main import run_app
 from petmjx.config import Check, Schedule
 from petmjx.errors import InputError
+from petmjx.placing import Way
 from petmjx.text import counted
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def sensitivity(
 @opt.takes("limit", "lanes", "threads", "carrier")
 def placing(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
-    way: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this placing; repeatable.")] = None,
+    way: Annotated[list[Way] | None, typer.Option(metavar="NAME", help="Only this placing; repeatable.")] = None,
     worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors of each plan.")] = 16,
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
     **options: Any,

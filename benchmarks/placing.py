@@ -16,7 +16,7 @@ WAYS = (Way.EXACT, Way.HAND)
 
 
 def placings(
-    plans: Sequence[Plan], worlds: int, ways: Sequence[str], **options: Any
+    plans: Sequence[Plan], worlds: int, ways: Sequence[Way], **options: Any
 ) -> Iterator[tuple[str, pd.Series]]:
     """For each way its name and what a score with confidence says.
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
 from petmjx.arguments import instance_of, path_of
 from petmjx.checked import Checked, got
 from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.option_types import ScoreOptions, SweepOptions
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.results.reader import RunResults
 from petmjx.run_options import Confidence, RunOptions, sorted_options
@@ -67,7 +68,9 @@ def _intervals(options: RunOptions) -> Intervals | None:
 
 
 @_takes_options(Simulation, Confidence, RunOptions)
-def score(plans: PlanSource | None = None, *, watcher: Watcher | None = None, **options: Any) -> RunResults:
+def score(
+    plans: PlanSource | None = None, *, watcher: Watcher | None = None, **options: Unpack[ScoreOptions]
+) -> RunResults:
     """Simulate each plan and say whether it stands, and with ``confidence`` how sure that is.
 
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
@@ -107,7 +110,7 @@ def sweep(
     *,
     watcher: Watcher | None = None,
     batching: Batching | None = None,
-    **options: Any,
+    **options: Unpack[SweepOptions],
 ) -> RunResults:
     """Simulate each plan in all variants that a sweep file asks for.
 

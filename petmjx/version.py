@@ -1,3 +1,8 @@
-"""The version of petmjx, which results and pages name."""
+"""The version of petmjx, which results and pages name: that of the git tag at the time of the installation."""
 
-__version__ = "0.2.0.dev0"
+__all__ = ["__version__"]
+
+try:
+    from petmjx._version import __version__  # written by the build (pyproject.toml)
+except ImportError:  # a checkout that was never installed
+    __version__ = "0.2.0.dev0"

@@ -68,7 +68,6 @@ app = typer.Typer(
     help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
     epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted "
     "(143 by SIGTERM, 129 by SIGHUP).",
-    add_completion=False,
     rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
     context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
 )

@@ -20,6 +20,7 @@ from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
     LARGEST_DEG,
     approach_fault,
+    com_along_axes,
     com_fault,
     coordinate_fault,
     missing_anywhere,
@@ -32,7 +33,6 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given, Limits
-from petmjx.plans.plan import com_along_axes
 from petmjx.text import counted, first_names, shown
 from petmjx.units import FloatArray
 

@@ -17,6 +17,7 @@ from petmjx.plans.fields import (
     SMALLEST_MM,
     Unread,
     approach_fault,
+    com_along_axes,
     com_fault,
     coordinate_fault,
     kind,
@@ -30,7 +31,7 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given
-from petmjx.plans.plan import Plan, com_along_axes
+from petmjx.plans.plan import Plan
 from petmjx.plans.scan import Repeating
 from petmjx.text import is_text, shown
 

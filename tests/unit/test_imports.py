@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "text", "units", "version", "machine", "bounded", "checked", "arguments", "whole"}),
+    frozenset(
+        {"errors", "text", "units", "_version", "version", "machine", "bounded", "checked", "arguments", "whole"}
+    ),
     frozenset({"carrier", "materials", "placing", "config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
@@ -24,6 +26,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"results"}),
     frozenset({"study"}),
     frozenset({"simulate", "sweeps", "statics", "rating"}),
+    frozenset({"option_types"}),
     frozenset({"api", "packers", "story"}),
     frozenset({"show", "pages", "pictures"}),
     frozenset({"cli", "__main__"}),

@@ -1,0 +1,211 @@
+"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
+
+Written by ``make options`` (tools/option_types.py) from the records in petmjx/config.py and petmjx/run_options.py,
+which check the values and say what they mean. Do not edit.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Literal, TypedDict
+
+from petmjx.carrier import Board, Carrier, OwnCarrier
+from petmjx.config import Check, Cone, Physics, Quiet, Schedule, Solver, Thresholds
+from petmjx.engines.base import Simulates
+from petmjx.materials import FrictionPair
+from petmjx.placing import Placing, Way
+
+EngineName = Literal[
+    "auto",
+    "mujoco",
+    "mjx-jax",
+    "mjx-warp",
+]
+PhysicsName = Literal[
+    "pallet",
+    "reference",
+]
+CarrierName = Literal[
+    "footprint",
+    "euro-pallet",
+    "rollcontainer",
+    "epal-1",
+    "gma-48x40",
+    "pet-eur",
+    "rollcontainer-grid",
+]
+CheckName = Literal[
+    "one-by-one",
+    "static",
+]
+ConeName = Literal[
+    "pyramidal",
+    "elliptic",
+]
+ScheduleName = Literal[
+    "fixed",
+    "adaptive",
+]
+SolverName = Literal[
+    "newton",
+    "cg",
+]
+WayName = Literal[
+    "auto",
+    "exact",
+    "drop",
+    "hand",
+    "tines",
+]
+
+
+class PhysicsTable(TypedDict, total=False):
+    """Fields of ``petmjx.config.Physics``."""
+
+    name: PhysicsName | Literal["custom"]
+    cone: Cone | ConeName
+    carrier_friction: tuple[float, float, float] | list[float]
+    box_friction: tuple[float, float, float] | list[float]
+    floor_friction: tuple[float, float, float] | list[float]
+    floor_z_m: float
+    carrier_half_height_m: float
+    carrier_mass_kg: float
+    timestep_s: float
+    gravity_m_s2: float
+    solref: tuple[float, float] | list[float]
+    solreffriction: tuple[float, float] | list[float]
+    solimp: tuple[float, float, float] | list[float]
+    impratio: float
+    skin_m: float
+    falls_into_place: bool
+
+
+class ThresholdsTable(TypedDict, total=False):
+    """Fields of ``petmjx.config.Thresholds``."""
+
+    shift_m: float
+    shift_floor_m: float
+    tilt_deg: float
+    drop_hull_z_m: float
+    lin_acc_m_s2: float
+    ang_acc_rad_s2: float
+
+
+class QuietTable(TypedDict, total=False):
+    """Fields of ``petmjx.config.Quiet``."""
+
+    quiet_m_s: float
+    slow_m_s: float
+    slowing: float
+    steps: int
+    min_steps: int
+    poll_steps: int
+    still_m_s: float
+    still_steps: int
+
+
+class PlacingTable(TypedDict, total=False):
+    """Fields of ``petmjx.placing.Placing``."""
+
+    name: Way | WayName
+    height_mm: float
+    side_mm: float
+    speed_m_s: float
+    force_n: float
+    tines_mm: float
+
+
+class OwnCarrierTable(TypedDict, total=False):
+    """Fields of ``petmjx.carrier.OwnCarrier``."""
+
+    name: str
+    mass_kg: float | None
+    friction: float | None
+    material: str
+    boards: tuple[Board | BoardTable, ...] | list[Board | BoardTable]
+
+
+class BoardTable(TypedDict, total=False):
+    """Fields of ``petmjx.carrier.Board``."""
+
+    name: str
+    corner_mm: tuple[float, float, float] | list[float]
+    size_mm: tuple[float, float, float] | list[float]
+    mass_kg: float | None
+    friction: float | None
+    material: str
+
+
+class FrictionPairTable(TypedDict, total=False):
+    """Fields of ``petmjx.materials.FrictionPair``."""
+
+    between: tuple[str, str] | list[str]
+    friction: float
+
+
+class SimulationOptions(TypedDict, total=False):
+    """Fields of ``petmjx.config.Simulation``."""
+
+    check: Check | CheckName
+    schedule: Schedule | ScheduleName
+    physics: Physics | PhysicsTable | PhysicsName
+    carrier: Carrier | CarrierName | OwnCarrier | OwnCarrierTable | str | PathLike[str]
+    friction_pairs: tuple[FrictionPair | FrictionPairTable, ...] | list[FrictionPair | FrictionPairTable]
+    size_reduction_mm: float
+    interval_s: float
+    longest_wait_s: float
+    duration_s: float
+    settle_s: float
+    rest_s: float
+    total_time_factor: float | None
+    sample_interval_s: float
+    rest_window_s: float
+    early_stop: bool
+    check_timestep: bool
+    placing: Placing | PlacingTable | Way | WayName
+    thresholds: Thresholds | ThresholdsTable
+    quiet: Quiet | QuietTable
+    solver: Solver | SolverName
+    solver_iterations: int | None
+    solver_tolerance: float | None
+
+
+class ConfidenceOptions(TypedDict, total=False):
+    """Fields of ``petmjx.run_options.Confidence``."""
+
+    confidence: int | None
+    errors: str | PathLike[str] | None
+
+
+class RunOptionsGiven(TypedDict, total=False):
+    """Fields of ``petmjx.run_options.RunOptions``."""
+
+    engine: EngineName | Simulates
+    threads: int | None
+    lanes: int | None
+    world_timeout_s: float | None
+    workers: int | str | None
+    ray: str | None
+    limit: int | None
+    units: str
+    anchor: Literal["corner", "centre", "base-centre", "far-corner"]
+    articles: str | PathLike[str] | None
+    record: str | tuple[str, ...] | list[str] | None
+    record_interval_s: float
+    record_details: bool
+    force_intervals: bool
+    orders: str | PathLike[str] | None
+    strict: bool
+    allow_large: bool
+    out: str | PathLike[str] | None
+    overwrite: bool
+    resume: bool
+    shard: str | None
+
+
+class ScoreOptions(SimulationOptions, ConfidenceOptions, RunOptionsGiven, total=False):
+    """The options of ``petmjx.score``."""
+
+
+class SweepOptions(SimulationOptions, RunOptionsGiven, total=False):
+    """The options of ``petmjx.sweep``."""

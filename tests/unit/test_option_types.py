@@ -1,0 +1,74 @@
+"""Type checkers know the options of `petmjx.score` and `petmjx.sweep`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+from petmjx import api
+from petmjx.config import Simulation
+from petmjx.option_types import ScoreOptions, SweepOptions
+from petmjx.run_options import Confidence, RunOptions
+from tools.option_types import TARGET, option_types
+
+KNOWN = """\
+import petmjx
+from typing import Any
+
+petmjx.score("plans.json", threads=2, engine="mujoco", out="results", record=["A", "B"])
+petmjx.score(physics="reference", schedule="fixed", thresholds={"tilt_deg": 5}, carrier=petmjx.Carrier.EPAL_1)
+petmjx.score(physics={"name": "pallet", "timestep_s": 0.001, "solref": [0.02, 1]}, quiet=petmjx.Quiet(steps=50))
+petmjx.score(confidence=16, world_timeout_s=None)
+petmjx.sweep("eumos", limit=2, rest_s=1)
+read_from_a_file: dict[str, Any] = {"threads": 2}
+petmjx.score(**read_from_a_file)
+"""
+
+REFUSED = (
+    "petmjx.score(threds=2)",
+    "petmjx.score(threads='two')",
+    "petmjx.score(physics='palet')",
+    "petmjx.score(physics={'timestep': 0.001})",
+    "petmjx.score(thresholds={'tilt_degrees': 5})",
+    "petmjx.score(schedule='brisk')",
+    "petmjx.score(engine='warp')",
+    "petmjx.score(engine=3)",
+    "petmjx.score(carrier='euro')",
+    "petmjx.score(rest_s='1')",
+    "petmjx.sweep('eumos', confidence=16)",
+)
+
+
+def test_the_types_are_those_of_the_records() -> None:
+    assert TARGET.read_text(encoding="utf-8") == option_types(), "an option has changed: run `make options`"
+
+
+def test_what_is_typed_is_what_is_taken() -> None:
+    known = [set(record.model_fields) for record in (Simulation, RunOptions, Confidence)]
+    assert set(get_type_hints(ScoreOptions)) == set.union(*known)
+    assert set(get_type_hints(SweepOptions)) == set.union(*known[:2])
+    assert api.score.__annotations__["options"] == "Unpack[ScoreOptions]"
+
+
+def test_a_type_checker_knows_options_and_refuses_mistakes(repository: Path, tmp_path: Path) -> None:
+    """One run of mypy, with the cache that `make check` has left."""
+    pytest.importorskip("mypy", reason="mypy is not installed (extra: dev)")
+    snippet = tmp_path / "snippet.py"
+    snippet.write_text(KNOWN + "\n".join(REFUSED) + "\n", encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--config-file", repository / "pyproject.toml", "--no-pretty", snippet],
+        cwd=repository,
+        env={**os.environ, "MYPYPATH": str(repository), "PYTHONPATH": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1, done.stdout + done.stderr
+    first = KNOWN.count("\n") + 1
+    blamed = {int(line.split(":")[1]) for line in done.stdout.splitlines() if ": error: " in line}
+    assert blamed == set(range(first, first + len(REFUSED))), done.stdout

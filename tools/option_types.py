@@ -1,0 +1,156 @@
+"""Writes ``petmjx/option_types.py``: the options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers.
+
+    python -m tools.option_types
+
+An option is written once, as a field of a record in ``petmjx/config.py`` or ``petmjx/run_options.py``. Type checkers do
+not run code, so they need its name and type once more. This program writes them, and a test says when to run it again.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterable, Iterator
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from petmjx.carrier import Board, OwnCarrier
+from petmjx.checked import Checked
+from petmjx.config import CUSTOM, PHYSICS, Physics, Quiet, Simulation, Thresholds
+from petmjx.engines.choose import ENGINES
+from petmjx.materials import FrictionPair
+from petmjx.placing import Placing
+from petmjx.run_options import AUTO, Confidence, RunOptions
+
+TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "option_types.py"
+
+HEAD = '''\
+"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
+
+Written by ``make options`` (tools/option_types.py) from the records in petmjx/config.py and petmjx/run_options.py,
+which check the values and say what they mean. Do not edit.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Literal, TypedDict
+
+'''
+
+INNER: tuple[type[Checked], ...] = (Physics, Thresholds, Quiet, Placing, OwnCarrier, Board, FrictionPair)
+"""Records within ``Simulation``, which may also be given as tables."""
+
+SHORT: dict[type[Checked], tuple[str, ...]] = {
+    Physics: ("PhysicsName",),
+    Placing: ("Way", "WayName"),
+    OwnCarrier: ("str", "PathLike[str]"),
+}
+"""What else stands for such a record: its name, or the file that has it."""
+
+OUTER: dict[str, type[Checked]] = {
+    "SimulationOptions": Simulation,
+    "ConfidenceOptions": Confidence,
+    "RunOptionsGiven": RunOptions,
+}
+"""Name of a typed dictionary → the record whose fields it has."""
+
+TAIL = '''
+
+class ScoreOptions(SimulationOptions, ConfidenceOptions, RunOptionsGiven, total=False):
+    """The options of ``petmjx.score``."""
+
+
+class SweepOptions(SimulationOptions, RunOptionsGiven, total=False):
+    """The options of ``petmjx.sweep``."""
+'''
+
+
+def literal(values: Iterable[str]) -> str:
+    quoted = ", ".join(f'"{value}"' for value in values)
+    return f"Literal[{quoted}]"
+
+
+class Written:
+    """Types as text, and the names that the text needs.
+
+    Attributes:
+        enums: enumerations that were named; each has an alias for its values as text.
+    """
+
+    def __init__(self) -> None:
+        self.enums: dict[str, type[Enum]] = {}
+
+    def members(self, kind: Any) -> Iterator[str]:
+        """The members of the union that a caller may give for a field of this type."""
+        origin, arguments = get_origin(kind), get_args(kind)
+        if origin is Annotated:
+            yield from self.members(arguments[0])
+        elif origin in (Union, types.UnionType):
+            for argument in arguments:
+                yield from self.members(argument)
+        elif origin is Literal:
+            yield literal(arguments)
+        elif origin is tuple:
+            entries = [self.text(entry) for entry in arguments if entry is not Ellipsis]
+            yield f"tuple[{', '.join(entries)}{', ...' if Ellipsis in arguments else ''}]"
+            yield f"list[{' | '.join(dict.fromkeys(entries))}]"
+        elif kind is type(None):
+            yield "None"
+        elif issubclass(kind, Enum):
+            self.enums[kind.__name__] = kind
+            yield from (kind.__name__, f"{kind.__name__}Name")
+        elif issubclass(kind, Checked):
+            yield from (kind.__name__, f"{kind.__name__}Table", *SHORT.get(kind, ()))
+        elif issubclass(kind, Path):
+            yield from ("str", "PathLike[str]")
+        else:
+            yield str(kind.__name__)
+
+    def text(self, kind: Any) -> str:
+        found = list(dict.fromkeys(self.members(kind)))
+        return " | ".join(sorted(found, key=lambda member: member == "None"))
+
+
+def table(name: str, about: str, fields: Iterable[tuple[str, str]]) -> str:
+    rows = "\n".join(f"    {field}: {kind}" for field, kind in fields)
+    return f'\n\nclass {name}(TypedDict, total=False):\n    """{about}"""\n\n{rows}\n'
+
+
+def alias(name: str, values: Iterable[str]) -> str:
+    rows = "\n".join(f'    "{value}",' for value in values)
+    return f"{name} = Literal[\n{rows}\n]\n"
+
+
+def option_types() -> str:
+    """The text of the module."""
+    written = Written()
+
+    def fields_of(record: type[Checked]) -> Iterator[tuple[str, str]]:
+        if record is Physics:
+            yield "name", f"PhysicsName | {literal([CUSTOM])}"
+        for field, info in record.model_fields.items():
+            yield field, "EngineName | Simulates" if field == "engine" else written.text(info.annotation)
+
+    tables = [
+        table(f"{record.__name__}Table", f"Fields of ``{record.__module__}.{record.__name__}``.", fields_of(record))
+        for record in INNER
+    ]
+    tables += [
+        table(name, f"Fields of ``{record.__module__}.{record.__name__}``.", fields_of(record))
+        for name, record in OUTER.items()
+    ]
+    modules: dict[str, list[str]] = {"petmjx.engines.base": ["Simulates"]}
+    for kind in (*written.enums.values(), *INNER):
+        modules.setdefault(kind.__module__, []).append(kind.__name__)
+    imports = [f"from {module} import {', '.join(sorted(modules[module]))}\n" for module in sorted(modules)]
+    aliases = [
+        alias("EngineName", [AUTO, *ENGINES]),
+        alias("PhysicsName", PHYSICS),
+        *(alias(f"{name}Name", [str(member.value) for member in kind]) for name, kind in sorted(written.enums.items())),
+    ]
+    return HEAD + "".join(imports) + "\n" + "".join(aliases) + "".join(tables) + TAIL
+
+
+if __name__ == "__main__":
+    TARGET.write_text(option_types(), encoding="utf-8")
