@@ -38,7 +38,7 @@ REFUSED = (
     "petmjx.score(schedule='brisk')",
     "petmjx.score(engine='warp')",
     "petmjx.score(engine=3)",
-    "petmjx.score(carrier='euro')",
+    "petmjx.score(carrier=3)",
     "petmjx.score(rest_s='1')",
     "petmjx.sweep('eumos', confidence=16)",
 )

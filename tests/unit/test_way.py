@@ -16,10 +16,10 @@ from support.plans import make_plan, stack
 
 import petmjx
 
-MOST_FILES = 48
+MOST_FILES = 51
 """That a warm score enters in its own thread. What an engine's threads enter is the engine's."""
 
-MOST_THAT_LEAD_ON = 25
+MOST_THAT_LEAD_ON = 27
 """Of these, files from which the way leads on into others. Where it ends (units, texts, options, arithmetic, columns) a
 reader who follows it need not look twice."""
 
@@ -27,6 +27,8 @@ BESIDE = {"sweeps", "statics", "rating", "packers", "story", "show", "pages", "p
 """What hangs on the mission's way."""
 
 MANY_DOORS = {
+    "checked.py",  # the base of all records of options
+    "config.py",  # a record of options, which says what follows from them
     "engines/cpu/engine.py",  # the protocol of engines: one makes it, one asks for its device, one runs it
     "plans/plan_set.py",  # a record, which checks what it is made of
     "world/scene.py",  # a record, of which whoever has a world reads sizes and masses
