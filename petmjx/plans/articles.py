@@ -24,9 +24,9 @@ import pyarrow.parquet as pq
 from petmjx.bounded import open_regular
 from petmjx.checked import read_toml, reason
 from petmjx.errors import InputError
-from petmjx.plans.fields import LARGEST_MM, kind, listed
+from petmjx.plans.fields import LARGEST_MM, com_along_axes, kind, listed
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
-from petmjx.plans.plan import Plan, com_along_axes
+from petmjx.plans.plan import Plan
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.text import number_in, printable, shown
 

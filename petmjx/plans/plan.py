@@ -158,15 +158,6 @@ class Plan:
         return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
 
 
-def com_along_axes(item_com_mm: NDArray[np.float64], turned: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(n, 3) centres of mass along x, y and z, from those along items' length, width and height.
-
-    Of an item that is turned the length lies along y and the width against x.
-    """
-    across = item_com_mm[:, [1, 0, 2]] * (-1.0, 1.0, 1.0)
-    return np.where(turned[:, None], across, item_com_mm) + 0.0  # not -0.0
-
-
 def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
     """(n,) whole numbers."""
     if isinstance(values, np.ndarray) and values.dtype == np.int64 and values.ndim == 1:

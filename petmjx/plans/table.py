@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
+    com_along_axes,
     com_fault,
     coordinate_fault,
     missing_anywhere,
@@ -30,7 +31,6 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given, Limits
-from petmjx.plans.plan import com_along_axes
 from petmjx.text import counted, first_names, shown
 from petmjx.units import FloatArray
 

@@ -16,6 +16,7 @@ from petmjx.plans.fields import (
     SMALLEST_KG,
     SMALLEST_MM,
     Unread,
+    com_along_axes,
     com_fault,
     coordinate_fault,
     kind,
@@ -29,7 +30,7 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given
-from petmjx.plans.plan import Plan, com_along_axes
+from petmjx.plans.plan import Plan
 from petmjx.plans.scan import Repeating
 from petmjx.text import is_text, shown
 
