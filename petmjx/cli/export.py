@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from petmjx.world.scene import Scene
 
 
-@opt.takes("physics", "size_reduction_mm", "carrier", "units", "anchor")
+@opt.takes("physics", "size_reduction_mm", "carrier", "friction_pairs", "units", "anchor", "articles")
 def export(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan to write.")],
     source: opt.PlansOrRun = None,
@@ -64,6 +64,6 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
         return worlds.scene(worlds.find(plan_id, index)[0]), worlds.sweep.simulation.physics
     if variant is not None:
         raise InputError("variant belongs to the world of a run: name its folder")
-    read = RunOptions(**{name: options.pop(name) for name in ("units", "anchor") if name in options})
+    read = RunOptions(**{name: options.pop(name) for name in ("units", "anchor", "articles") if name in options})
     sim = Simulation(**options)
     return build_scene(find_plan(usable_plans(source or None, sim, read), plan_id), sim), sim.physics

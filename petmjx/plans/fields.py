@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.text import counted, is_text, shortened, shown
+from petmjx.units import FloatArray
 
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0
@@ -103,6 +104,15 @@ def com_fault(field: str, value: Any, size: float) -> str | None:
     if fault is None and not 2 * abs(value) < size:
         return f"{field} must be inside the box, less than half of its {size:g} from the middle, got {kind(value)}"
     return fault
+
+
+def com_along_axes(item_com_mm: FloatArray, turned: NDArray[np.bool_]) -> FloatArray:
+    """(n, 3) centres of mass along x, y and z, from those along items' length, width and height.
+
+    Of an item that is turned the length lies along y and the width against x.
+    """
+    across = item_com_mm[:, [1, 0, 2]] * (-1.0, 1.0, 1.0)
+    return np.where(turned[:, None], across, item_com_mm) + 0.0  # not -0.0
 
 
 def whole_fault(field: str, value: object) -> str | None:

@@ -118,8 +118,8 @@ class Plan:
             boxes: a dictionary for each box, in packing order, or one that has a list of n values for each field; also
                 a data frame. Fields are the columns of the table form: ``length_mm``, ``width_mm``, ``height_mm``,
                 ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and where known ``article``, ``item_id``,
-                ``product_group``, ``orientation``, ``order_sequence`` and ``approach_deg``. ``sequence`` gives
-                another packing order.
+                ``product_group``, ``orientation``, ``order_sequence``, ``approach_deg``, ``material`` and
+                ``com_length_mm``, ``com_width_mm``, ``com_height_mm``. ``sequence`` gives another packing order.
             size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm; with ``orientation`` the item's own
                 length, width and height.
             corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.

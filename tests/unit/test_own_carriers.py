@@ -212,3 +212,15 @@ def test_what_does_not_count_is_told() -> None:
     )
     options = {"engine": "mujoco", "threads": 1, "carrier": carrier, "physics": "reference"}
     assert f"{slippery}and boxes have 0.5" in petmjx.score([PLAN], **options).info["warnings"]
+
+
+def test_criteria_are_asked_on_the_carrier_of_the_run() -> None:
+    pytest.importorskip("scipy")
+    pytest.importorskip("shapely")
+    post = make_plan("post", (((60.0, 60.0, 200.0), (600.0, 119.0, 0.0), 3.0),))  # 4 mm beyond the edge of a board
+    results = petmjx.score([post], engine="mujoco", threads=1, carrier="epal-1")
+    found = petmjx.criteria([post], run=results, only=("centre",))
+    assert found.plans.centre.tolist() == [False]
+    assert found.plans.centre_slack[0] == pytest.approx(-4)
+    assert found.judged is not None
+    assert petmjx.criteria([post], run=results, only=("centre",), carrier="footprint").plans.centre.tolist() == [True]
