@@ -2,7 +2,7 @@
 
 Thread blocks for worlds of one size are a fleet, with a kernel of its own (petmjx/engines/warp/launch.py); all fleets
 work at the same time, on the same tables. A block takes a world from its fleet's queue, steps it to its end (or
-until its drive begins, or until the call's time is over), and takes the next one. Nothing is done in lockstep: a world
+until its drive begins, or until its time slice is over), and takes the next one. Nothing is done in lockstep: a world
 costs what its own boxes cost, and a step takes as long as its own solver needs. States lie in the tables of
 petmjx/engines/batch/state.py, and a world that was cut off goes on in the next call. So results depend neither on
 blocks, nor on the order of worlds, nor on time.

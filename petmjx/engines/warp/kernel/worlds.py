@@ -147,11 +147,11 @@ def run_worlds(
     frames: FrameBuffer,
     counts: Counts,
 ) -> None:
-    """Take worlds and step them, until the queue is empty or the call's time is over.
+    """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
         n_blocks: of the call, of all sizes.
-        slice_ns: time of the call from its first step on, ns. If it is over a block takes one step more.
+        slice_ns: time slice, from the call's first step on, ns. If it is over a block takes one step more.
         shared: a tile in shared memory for ``shared_words`` numbers.
     """
     late = bool(False)
