@@ -206,9 +206,9 @@ def _approaches(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 def _beside(scene: Scene) -> NDArray[np.bool_]:
     """(n, 2, 2) whether something stands beside each box before it is placed, by the plan: on its low and its high side
-    along x and y, no further away than the box begins."""
+    along x and y, no further away than the box may go aside."""
     place, half = scene.target, scene.half_size
-    near_m = mm_to_m(np.array(scene.placing.side_mm))
+    near_m = most_aside_m(scene.placing)
     lifted_m = mm_to_m(np.array(scene.placing.height_mm))
     between = place[None] - place[:, None]  # from the row's box to the column's
     gap = np.abs(between) - (half[None] + half[:, None])
