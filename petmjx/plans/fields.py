@@ -192,12 +192,3 @@ class Unread(Counter[str]):
     def add(self, names: Iterable[str], known: frozenset[str], prefix: str = "") -> None:
         """Count the names of one placement that are not known."""
         self.update(prefix + name for name in names if name not in known)
-
-
-def com_along_axes(item_com_mm: NDArray[np.float64], turned: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(n, 3) centres of mass along x, y and z, from those along items' length, width and height.
-
-    Of an item that is turned the length lies along y and the width against x.
-    """
-    across = item_com_mm[:, [1, 0, 2]] * (-1.0, 1.0, 1.0)
-    return np.where(turned[:, None], across, item_com_mm) + 0.0  # not -0.0
