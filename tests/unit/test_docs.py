@@ -34,11 +34,11 @@ DOCUMENTS = (
     REPOSITORY / "SECURITY.md",
     *sorted((REPOSITORY / "docs").rglob("*.md")),
 )
-FOLDERS = ("petmjx", "tests", "benchmarks", "tools")
+FOLDERS = ("petmjx", "tests", "benchmarks", "examples", "tools")
 SOURCES = tuple(path for folder in FOLDERS for path in sorted((REPOSITORY / folder).rglob("*.py")))
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
-MENTIONED_PATH = re.compile(r"(?<![\w./-])(?:petmjx|docs|tests|benchmarks|sweeps|tools)/[\w./*-]*[\w*/]")
+MENTIONED_PATH = re.compile(r"(?<![\w./-])(?:petmjx|docs|tests|benchmarks|sweeps|examples|tools)/[\w./*-]*[\w*/]")
 MENTIONED_NAME = re.compile(r"(?<![\w./-])petmjx(?:\.[A-Za-z_]\w*)+(?![\w/])")
 ROLE = re.compile(r":(?:func|class|meth|mod|data|attr):`~?([\w.]+)`")
 CODE_BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
