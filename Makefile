@@ -34,6 +34,9 @@ bench: $(VENV)/.runtime ## two minutes of benchmarks on the CPU; benchmarks/READ
 pictures: $(VENV)/.dev ## draw the pictures of the documents again
 	$(BIN)/python docs/pictures.py
 
+docs: $(VENV)/.docs ## build the documentation site in site/; open site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
 options: $(VENV)/.dev ## write the types of options again, after a change of one
 	$(BIN)/python -m tools.option_types
 
@@ -50,4 +53,8 @@ $(VENV)/.runtime: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@ $(VENV)/.runtime
+
+$(VENV)/.docs: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[docs]'
 	touch $@ $(VENV)/.runtime

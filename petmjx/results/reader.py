@@ -25,6 +25,7 @@ from petmjx.results.files import RUN_FILE
 from petmjx.results.given import Given
 from petmjx.results.listed import LISTED, Parts
 from petmjx.results.memory import MemoryParts
+from petmjx.results.notebook import worlds_as_html
 from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.schema import check_version, plans_schema, schemas
 from petmjx.text import counted, one_line
@@ -58,6 +59,10 @@ class RunResults:
         status = self.unfinished or FINISHED
         where = "in memory" if isinstance(self.parts, MemoryParts) else self.path
         return f"RunResults({where}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: one line about the run, and its first worlds."""
+        return worlds_as_html(repr(self), self.worlds)
 
     @property
     def unfinished(self) -> str | None:

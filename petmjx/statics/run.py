@@ -58,7 +58,8 @@ def criteria(
         overwrite: whether tables that are there are replaced.
         limit: at most so many plans.
         strict: raise at the first plan that would be skipped.
-        units, anchor: of files and data frames, as for ``petmjx.load_plans``.
+        units: of files and data frames, as for ``petmjx.load_plans``.
+        anchor: the same.
         progress: called with the number of plans done, and of all.
         options: fields of ``petmjx.statics.options.CriteriaOptions``: ``friction``, ``side_friction``,
             ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``seed``. With

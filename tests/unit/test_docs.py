@@ -8,6 +8,7 @@ import io
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tokenize
@@ -29,13 +30,15 @@ DOCUMENTS = (
     REPOSITORY / "README.md",
     REPOSITORY / "benchmarks" / "README.md",
     REPOSITORY / "sweeps" / "README.md",
-    *sorted((REPOSITORY / "docs").glob("*.md")),
+    REPOSITORY / "CONTRIBUTING.md",
+    REPOSITORY / "SECURITY.md",
+    *sorted((REPOSITORY / "docs").rglob("*.md")),
 )
-FOLDERS = ("petmjx", "tests", "benchmarks")
+FOLDERS = ("petmjx", "tests", "benchmarks", "examples", "tools")
 SOURCES = tuple(path for folder in FOLDERS for path in sorted((REPOSITORY / folder).rglob("*.py")))
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
-MENTIONED_PATH = re.compile(r"(?<![\w./-])(?:petmjx|docs|tests|benchmarks|sweeps)/[\w./*-]*[\w*/]")
+MENTIONED_PATH = re.compile(r"(?<![\w./-])(?:petmjx|docs|tests|benchmarks|sweeps|examples|tools)/[\w./*-]*[\w*/]")
 MENTIONED_NAME = re.compile(r"(?<![\w./-])petmjx(?:\.[A-Za-z_]\w*)+(?![\w/])")
 ROLE = re.compile(r":(?:func|class|meth|mod|data|attr):`~?([\w.]+)`")
 CODE_BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
@@ -47,7 +50,7 @@ OUTSIDE = re.compile(r"\b[Tt]he spec\b|\bspec,? section|(?<!\]\()\.\./|\b[Tt]he 
 ENDS = ("", ".py")
 """A module may be named without its ending."""
 
-MADE_BY_THE_BUILD = {"petmjx/ready_sweeps"}
+MADE_BY_THE_BUILD = {"petmjx/ready_sweeps", "petmjx/_version.py"}
 """Paths of the wheel alone (pyproject.toml)."""
 
 
@@ -266,6 +269,33 @@ def test_examples_of_criteria_run(tmp_path: Path) -> None:
     pytest.importorskip("shapely")
     pytest.importorskip("scipy")
     assert "centre_slack" in run_in(tmp_path, "\n".join(blocks("criteria.md", "python")))
+
+
+LESSONS = ("start.md", *(f"tutorials/{name}.md" for name in ("score", "see", "sweep", "packers")))
+
+
+def program_of(document: str) -> str:
+    """The petmjx commands and the Python blocks of a page, in order. Other commands (pip, …) are left out."""
+    steps = ["from petmjx.cli import main"]
+    for language, body in CODE_BLOCK.findall((REPOSITORY / "docs" / document).read_text(encoding="utf-8")):
+        if language == "console":
+            commands = [shlex.split(line)[2:] for line in body.splitlines() if line.startswith("$ petmjx ")]
+            steps += [f"assert main({command!r}) == 0" for command in commands]
+        elif language == "python":
+            steps.append(body)
+    return "\n".join(steps)
+
+
+@needs_pictures()
+@pytest.mark.parametrize("document", LESSONS)
+def test_lessons_run(document: str, tmp_path: Path) -> None:
+    """As a newcomer types them, in an empty folder with the files that the pages show."""
+    pytest.importorskip("scipy")
+    (tmp_path / "plans.csv").write_text(blocks("start.md", "csv")[0], encoding="utf-8")
+    (tmp_path / "tilted.toml").write_text(blocks("tutorials/sweep.md", "toml")[0], encoding="utf-8")
+    printed = run_in(tmp_path, program_of(document))
+    shown = [line for body in blocks(document, "console") for line in body.splitlines() if not line.startswith("$")]
+    assert not [line for line in shown if line.split() and " ".join(line.split()) not in " ".join(printed.split())]
 
 
 def edited(field: str, value: Any) -> list[dict[str, Any]]:

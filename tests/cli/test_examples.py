@@ -1,0 +1,84 @@
+"""The scripts in examples/ run as their users start them."""
+
+from __future__ import annotations
+
+import json
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import petmjx
+
+ITEM = {"article": "carton", "id": "1", "product_group": "tea"}
+SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200, "weight/kg": 5, "sequence": 1}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With two plans of two boxes, one of which falls, and orders of two boxes."""
+    sizes, masses = [[600, 400, 250], [400, 300, 200]], [12, 5]
+    plans = [
+        petmjx.Plan.from_boxes(name, size_mm=sizes, corner_mm=[[0, 0, 0], [x, 50, 250]], mass_kg=masses)
+        for name, x in (("careful", 100), ("daring", 420))
+    ]
+    petmjx.save_plans(plans, tmp_path / "plans.json")
+    order = {"item_sequence": {"1": ITEM | SIZE, "2": ITEM | SIZE}, "properties": {"target": "euro-pallet"}}
+    (tmp_path / "orders.json").write_text(json.dumps({"A": order, "B": order}), encoding="utf-8")
+    return tmp_path
+
+
+def run(folder: Path, repository: Path, command: list[str], **environment: str) -> str:
+    given = {**os.environ, "PYTHONPATH": str(repository), **environment}
+    done = subprocess.run(command, cwd=folder, env=given, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_label_plans(folder: Path, repository: Path) -> None:
+    script = str(repository / "examples" / "label_plans.py")
+    printed = run(folder, repository, [sys.executable, script, "plans.json", "labels.csv", "--engine", "mujoco"])
+    assert "2 labels in labels.csv, 50.0% stand" in printed
+    assert dict(pd.read_csv(folder / "labels.csv")[["plan_id", "stands"]].values) == {"careful": 1.0, "daring": 0.0}
+    sure = ["labels.parquet", "--run", "sure", "--engine", "mujoco", "--confidence", "4"]
+    run(folder, repository, [sys.executable, script, "plans.json", *sure])
+    assert list(pd.read_parquet(folder / "labels.parquet")["stands"]) == [1.0, 0.0]
+
+
+def test_judge_packer(folder: Path, repository: Path) -> None:
+    pytest.importorskip("scipy", reason="SciPy is not installed (extra: packers)")
+    script = str(repository / "examples" / "judge_packer.py")
+    printed = run(folder, repository, [sys.executable, script, "orders.json", "--engine", "mujoco"])
+    assert "mine  2         2    1.0" in printed
+    assert "no order is decided" in printed
+
+
+def test_slurm_array(folder: Path, repository: Path) -> None:
+    """Both jobs of an array of two, then merged."""
+    petmjx_command = folder / "petmjx"
+    petmjx_command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m petmjx "$@"\n')
+    petmjx_command.chmod(0o755)
+    script = repository / "examples" / "slurm_array.sh"
+    for number in (1, 2):
+        slurm = {"SLURM_ARRAY_TASK_ID": str(number), "SLURM_ARRAY_TASK_COUNT": "2", "SLURM_CPUS_PER_TASK": "1"}
+        path = f"{folder}{os.pathsep}{os.environ['PATH']}"
+        run(folder, repository, [str(script), "plans.json", "results"], PATH=path, **slurm)
+    merged = petmjx.merge_runs(sorted((folder / "results").glob("shard-*")), folder / "all")
+    assert set(merged.worlds["plan_id"]) == {"careful", "daring"}
+
+
+def test_ray_cluster(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it asks for; that workers do it is for tests/unit/test_workers.py, since Ray takes long to start."""
+    asked: dict[str, Any] = {}
+    monkeypatch.setattr(petmjx, "score", lambda plans, **options: asked.update(options, plans=plans))
+    script = repository / "examples" / "ray_cluster.py"
+    monkeypatch.setattr(sys, "argv", [str(script), "plans.json", "results", "--ray", "head:6379"])
+    runpy.run_path(str(script), run_name="__main__")
+    assert asked.pop("plans") == Path("plans.json")
+    options = petmjx.RunOptions(**asked)
+    assert (options.ray, options.asked_workers, options.resume) == ("head:6379", "auto", True)

@@ -1,0 +1,83 @@
+"""The reference of options and commands as Markdown, made from the code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+
+from petmjx.checked import Checked
+from petmjx.cli.help import WIDTH
+from petmjx.cli.main import app
+from petmjx.config import CliFlag, Physics, Quiet, Simulation, Thresholds
+from petmjx.run_options import Confidence, RunOptions
+
+RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
+    ("What is simulated", "", Simulation),
+    ("Physics", "physics.", Physics),
+    ("Thresholds", "thresholds.", Thresholds),
+    ("Quiet and rest", "quiet.", Quiet),
+    ("How sure it is", "", Confidence),
+    ("How it runs", "", RunOptions),
+)
+"""Heading, path of the record for ``--set``, record."""
+
+
+def cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def shown_default(value: Any) -> str:
+    if isinstance(value, Checked):
+        title = next(title for title, _, record in RECORDS if record is type(value))
+        name = f"`{value.name}`, " if isinstance(value, Physics) else ""
+        return f"{name}[below](#{title.lower().replace(' ', '-')})"
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def flag_of(info: Any, path: str) -> str:
+    flag = next((entry for entry in info.metadata if isinstance(entry, CliFlag)), None)
+    if flag is None:
+        return f"`--set {path}=…`"
+    return f"`{flag.name.partition('/')[0]}`"
+
+
+def option_rows(prefix: str, record: type[Checked]) -> Iterator[str]:
+    for name, info in record.model_fields.items():
+        default = shown_default(info.default)
+        text = (info.description or "").strip()
+        names = f"`{name}`<br>{flag_of(info, prefix + name)}"
+        yield f"| {names} | {default} | {cell(text[:1].upper() + text[1:])} |"
+
+
+def options() -> str:
+    """A table for each record of options."""
+    parts = []
+    for title, prefix, record in RECORDS:
+        rows = "\n".join(option_rows(prefix, record))
+        about = f"Fields of `{prefix.rstrip('.')}`, as a table or as a record.\n\n" if prefix else ""
+        head = "| in Python, on the command line | default | meaning |\n| --- | --- | --- |"
+        parts.append(f"## {title}\n\n{about}{head}\n{rows}\n")
+    return "\n".join(parts)
+
+
+def help_of(name: str, command: Any) -> str:
+    """What ``petmjx NAME --help`` prints."""
+    context = command.make_context(
+        f"petmjx {name}", [], resilient_parsing=True, terminal_width=WIDTH, max_content_width=WIDTH
+    )
+    return str(command.get_help(context)).rstrip()
+
+
+def commands() -> str:
+    """A section for each command."""
+    group: Any = typer.main.get_command(app)
+    parts = []
+    for name, command in group.commands.items():
+        parts.append(f"## petmjx {name}\n\n{command.short_help}\n\n```text\n{help_of(name, command)}\n```\n")
+    return "\n".join(parts)
