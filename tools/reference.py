@@ -7,10 +7,10 @@ from typing import Any
 
 import typer
 
-from petmjx.checked import Checked
+from petmjx.checked import Checked, CliFlag
 from petmjx.cli.help import WIDTH
 from petmjx.cli.main import app
-from petmjx.config import CliFlag, Physics, Quiet, Simulation, Thresholds
+from petmjx.config import Physics, Quiet, Simulation, Thresholds
 from petmjx.run_options import Confidence, RunOptions
 
 RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
