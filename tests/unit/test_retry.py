@@ -234,3 +234,12 @@ def test_attempts_are_for_what_went_wrong(reasons: list[Reason], attempts: list[
     assert result.outcome.reason is reasons[-1]
     for sim, number in zip(engine.sims, attempts, strict=True):
         assert (sim.physics.solimp[1] > PHYSICS["pallet"].solimp[1]) == (number >= 6)
+
+
+@pytest.mark.parametrize(("n_boxes", "asked"), [(12, {6, 7}), (13, {6}), (96, {6}), (97, set())])
+def test_stiff_contacts_are_asked_about_what_they_can_answer_in_time(n_boxes: int, asked: set[int]) -> None:
+    """A large world keeps its verdict and says that contacts may be why; one without is always asked again."""
+    leaning = make_outcome(n_boxes, Verdict.UNSTABLE, Reason.DROP, flags=Flag.SINKING)
+    sunk = make_outcome(n_boxes, Verdict.INVALID, Reason.SINKING, flags=Flag.SINKING)
+    assert {each.number for each in ATTEMPTS[1:] if each.is_for(leaning, Simulation())} == asked
+    assert {each.number for each in ATTEMPTS[1:] if each.is_for(sunk, Simulation())} == {6, 7}
