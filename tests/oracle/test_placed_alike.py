@@ -11,7 +11,9 @@ from support.plans import Box, make_scene
 from support.tiny_worlds import shared_engine
 
 from petmjx.config import Simulation
+from petmjx.engines.base import GrowingJobs
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.placing import EXACT
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -61,6 +63,17 @@ def test_mjx_warp_places_as_mujoco_does(way: str) -> None:
         assert (found.n_steps, found.n_placed, found.flags) == (expected.n_steps, expected.n_placed, expected.flags)
         if way != "drop":  # what falls onto an edge goes its own way in the last digits
             np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
+
+
+def test_a_world_with_a_hand_does_not_join_kernels_without_one() -> None:
+    """As in a score with confidence: the exact world comes first, and worlds with errors follow."""
+    scene, sim = scenes("hand")[2], simulation("auto")
+    growing, found = GrowingJobs([Job(replace(scene, placing=EXACT))]), {}
+    for outcome in shared_engine().run(growing, sim):
+        found[outcome.job] = outcome
+        if outcome.job == 0:
+            growing.append(Job(scene))
+    assert found[0].n_steps < found[1].n_steps == on_mujoco("hand")[2].n_steps
 
 
 @pytest.mark.slow

@@ -60,6 +60,11 @@ class RolloutKey:
     table_boxes: int
 
 
+def _wants_hands(job: Job) -> bool:
+    """Whether a job's boxes do not just appear at their places."""
+    return not job.scene.placing.appears
+
+
 def _size(job: Job) -> int:
     """The size of a job's world: the most boxes of one that its thread block may have."""
     return size_for(job.scene.n_boxes).most_boxes
@@ -157,7 +162,7 @@ class MjxWarpEngine(Engine):
             while first < len(jobs):  # more may have been appended
                 rest = jobs[first:]
                 timetable = build_timetable(sim, max(job.scene.n_boxes for job in rest))
-                run = Run(sim, timetable, _widths(rest), progress, jobs)
+                run = Run(sim, timetable, _widths(rest), progress, jobs, any(map(_wants_hands, rest)))
                 size = math.ceil(len(rest) / math.ceil(len(rest) / self.group_size))
                 end = len(jobs)
                 while first < end:
@@ -175,8 +180,11 @@ class MjxWarpEngine(Engine):
         """Outcomes of a group of jobs, which may take more of the run's jobs behind them; these are appended to it."""
 
         def waiting(most: int) -> Sequence[Job]:
+            if not isinstance(run.jobs, GrowingJobs):
+                return ()
             begin = first_job + len(jobs)
-            return run.jobs[begin : begin + most] if isinstance(run.jobs, GrowingJobs) else ()
+            more = run.jobs[begin : begin + most]
+            return more if run.hands else list(takewhile(lambda job: not _wants_hands(job), more))
 
         for outcome in self._run_worlds(run, jobs, waiting):
             outcome.job += first_job
@@ -333,7 +341,7 @@ class MjxWarpEngine(Engine):
     def _fleet(self, run: Run, size: int, boards: int) -> Fleet:
         """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
         n_boxes = run.widths[size]
-        launch = Launch.here(n_boxes)
+        launch = Launch.here(n_boxes, run.hands)
         shapes = self._boxes_of_room(run, size) + boards - 1
         blocks = min(self.lanes or launch.blocks, launch.blocks)
         return Fleet(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)

@@ -33,6 +33,7 @@ class Run:
     Attributes:
         widths: most boxes of a size (``launch.Size``) → boxes for which blocks of that size have room in this run.
         jobs: all of the run, to which more may be appended: ``GrowingJobs``.
+        hands: whether its kernels let a hand carry boxes, or drop them.
     """
 
     sim: Simulation
@@ -40,6 +41,7 @@ class Run:
     widths: dict[int, int]
     progress: Progress
     jobs: Sequence[Job] = ()
+    hands: bool = False
 
 
 @dataclass

@@ -65,6 +65,7 @@ class Launch:
         threads, per_sm: as in ``Size``.
         shared_words: shared memory for rows of a block's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
+        hands: whether a hand may carry boxes. Without it a kernel has fewer registers to spill.
     """
 
     blocks: int
@@ -72,24 +73,25 @@ class Launch:
     per_sm: int
     shared_words: int
     panels: int
+    hands: bool
 
     @classmethod
-    def here(cls, n_boxes: int) -> Launch:
+    def here(cls, n_boxes: int, hands: bool) -> Launch:
         """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread: Warp runs the
         threads of a block one after the other, so a barrier cannot work."""
         device = wp.get_device()
         size = size_for(n_boxes)
         panels = most_panels(size.most_boxes)
         if not device.is_cuda:
-            return cls(1, 1, 1, PANEL**2, panels)
+            return cls(1, 1, 1, PANEL**2, panels, hands)
         shared = min(size.shared_bytes, device.max_shared_memory_per_block // size.per_sm - newton.own_bytes(panels))
-        return cls(size.per_sm * device.sm_count, size.threads, size.per_sm, shared // 4, panels)
+        return cls(size.per_sm * device.sm_count, size.threads, size.per_sm, shared // 4, panels, hands)
 
 
 @functools.cache
 def kernel(launch: Launch) -> Any:
     """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
-    shared_words = launch.shared_words
+    shared_words, hands = launch.shared_words, int(launch.hands)
 
     def march(
         # Model:
@@ -109,7 +111,7 @@ def kernel(launch: Launch) -> Any:
         shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
         run_worlds(
             model, worlds,
-            block, thread, threads, n_blocks, slice_ns, shared, shared_words,
+            block, thread, threads, n_blocks, slice_ns, hands, shared, shared_words,
             state, work, frames, counts,
         )  # fmt: skip
 

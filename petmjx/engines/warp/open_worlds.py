@@ -61,7 +61,7 @@ class Simulator:
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, most_boxes: int, boards: int, room: int = 1) -> None:
-        launch = Launch.here(most_boxes)
+        launch = Launch.here(most_boxes, hands=True)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
         fleet = Fleet(launch, launch.blocks, most_boxes, boards, pairs, contacts)

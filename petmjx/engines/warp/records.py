@@ -275,6 +275,7 @@ class Thread:
     placed: int  # boxes that stand
     geoms: int  # the floor and the shapes of the carrier and of these boxes
     held: int  # 1 if the carrier is held fast: it is then no free body
+    hands: int  # 1 if a hand may carry boxes; 0 is known to the compiler, which then leaves hands out
     carried: int  # 1 if a hand has the last of these boxes
 
 

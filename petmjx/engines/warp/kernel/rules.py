@@ -149,12 +149,13 @@ def place_next(
     model: Model,
     worlds: Worlds,
     # In:
-    world: int,
+    at: Thread,
     step: int,
     # Data out:
     state: State,
 ) -> None:
     """Release the next box, at rest. By one thread."""
+    world = at.world
     box = state.placed[world]
     support = worlds.support[world, box]
     come_down = float(0.0)
@@ -173,7 +174,7 @@ def place_next(
         state.qvel[world, box, i] = 0.0
         state.qacc[world, box, i] = 0.0
         state.qacc_warmstart[world, box, i] = 0.0
-    if not worlds.appears[world]:
+    if at.hands != 0 and not worlds.appears[world]:
         take_up(model, worlds, world, box, step, state)
     state.position[world, box] = box + 1
     state.placed[world] = box + 1
@@ -344,12 +345,12 @@ def after_step(
         if finished:
             state.status[world] = FINISHED
             state.placed[world] = at.placed - at.carried
-        elif at.carried != 0:
+        elif at.hands != 0 and at.carried != 0:
             carry_on(model, worlds, world, step, state)
         elif pauses:
             state.status[world] = PAUSED
         elif goes and more:
-            place_next(model, worlds, world, step, state)
+            place_next(model, worlds, at, step, state)
         elif settles:
             state.driven_from[world] = step
             state.status[world] = SETTLED

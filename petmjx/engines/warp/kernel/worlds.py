@@ -91,7 +91,8 @@ def advance(
     every = frames.every[at.world]
     measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
     left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
-    carry(model, worlds, state, at, work)
+    if at.hands != 0:
+        carry(model, worlds, state, at, work)
     npair = listed
     anew = left or npair < 0
     if anew:
@@ -139,6 +140,7 @@ def run_worlds(
     threads: int,
     n_blocks: int,
     slice_ns: wp.int64,
+    hands: int,
     shared: Any,
     shared_words: int,
     # Data out:
@@ -151,6 +153,7 @@ def run_worlds(
 
     Args:
         n_blocks: of the call, of all sizes.
+        hands: 1 if a hand may carry boxes.
         slice_ns: time slice, from the call's first step on, ns. If it is over a block takes one step more.
         shared: a tile in shared memory for ``shared_words`` numbers.
     """
@@ -171,6 +174,7 @@ def run_worlds(
         at.thread = thread
         at.threads = threads
         at.world = world
+        at.hands = hands
         steps = int(0)
         iterations = int(0)
         stood = int(-1)  # boxes for which pairs are listed
@@ -184,7 +188,7 @@ def run_worlds(
             at.placed = state.placed[at.world]
             at.geoms = first_geom(worlds, at.world, at.placed + 1)
             at.held = wp.where(state.driven_from[at.world] != NEVER and worlds.held[at.world], 1, 0)
-            at.carried = wp.where(state.carried_from[at.world] != NEVER, 1, 0)
+            at.carried = wp.where(at.hands != 0 and state.carried_from[at.world] != NEVER, 1, 0)
             if at.placed != stood:
                 listed = -1
             stood = at.placed
