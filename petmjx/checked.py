@@ -265,7 +265,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     if _MANY_PARTS.search(data):
         raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
     try:
-        return tomllib.loads(data.decode())
+        return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:

@@ -339,6 +339,15 @@ class Simulation(Checked):
             raise ValueError("must be 'fixed' or 'adaptive': 'brisk' is gone, adaptive takes as few steps now")
         return value
 
+    @field_validator("friction_pairs")
+    @classmethod
+    def _each_pair_once(cls, value: tuple[FrictionPair, ...]) -> tuple[FrictionPair, ...]:
+        names = [frozenset(name.strip().lower() for name in pair.between) for pair in value]
+        for at, pair in enumerate(names):
+            if pair in names[:at]:
+                raise complaint(f"is about the same materials as friction_pairs[{names.index(pair)}]", at)
+        return value
+
     @field_validator("interval_s", "duration_s", "sample_interval_s", "rest_window_s")
     @classmethod
     def _at_least_a_step(cls, value: float, info: Any) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from os import PathLike
@@ -41,6 +41,8 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     Raises:
         InputError: there is none, or with ``options.strict`` a plan would be skipped.
     """
+    if isinstance(plans, Mapping):
+        raise InputError(f"plans must be {_SOURCES}, got a table (of a plan file? give its path)")
     usual = (options.units, options.anchor) == (USUAL.units, USUAL.anchor)
     if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
         given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)

@@ -50,6 +50,9 @@ FREE_M: Final = 0.0003
 """Boxes that overlap by no more are free of one another: twice what neighbours that stand flush may have moved by the
 softness of contacts, and less than would push them apart visibly."""
 
+MOST_TILTED: Final = 0.5
+"""Tines tilt a box by at most this share of the threshold of tilt: how it was let go must not be taken for a sign."""
+
 MOST_SIDESTEPS: Final = 8
 """How often a box goes aside before it goes up."""
 
@@ -94,7 +97,7 @@ def course_of(scene: Scene, sim: Simulation) -> Course | None:
         approach, open_side = _approaches(scene)
         offset[:, :2] = -mm_to_m(np.array(placing.side_mm)) * approach
         if placing.name is Way.TINES:
-            lift, quat = _on_an_edge(scene, open_side)
+            lift, quat = _on_an_edge(scene, open_side, sim.thresholds.tilt_deg)
             falls = np.ones(n, dtype=bool)
         steps = way_steps(np.linalg.norm(offset, axis=1), scene.mass, placing, sim.physics.timestep_s)
     return Course(lift, quat, offset, steps, falls)
@@ -223,18 +226,20 @@ def _beside(scene: Scene) -> NDArray[np.bool_]:
     return found
 
 
-def _on_an_edge(scene: Scene, towards: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[FloatArray, FloatArray]:
     """(n, 3) lifts and (n, 4) orientations of boxes on the bottom edge behind, with the one ahead at its height.
 
     Args:
         towards: (n, 2) what is ahead of each box: a direction along x or y, as its own axes lie before it is turned.
+        tilt_deg: the threshold of tilt.
     """
     yaw = 2.0 * np.arctan2(scene.start_quat[:, 3], scene.start_quat[:, 0])
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead = np.stack([cos * towards[:, 0] - sin * towards[:, 1], sin * towards[:, 0] + cos * towards[:, 1]], axis=1)
     half = np.where(towards[:, 0] != 0, scene.half_size[:, 0], scene.half_size[:, 1])
     height = mm_to_m(np.array(scene.placing.tines_mm))
-    angle = np.arcsin(np.minimum(height / (2.0 * half), 0.5))
+    most = np.radians(MOST_TILTED * tilt_deg)
+    angle = np.arcsin(np.minimum(height / (2.0 * half), np.sin(min(most, np.pi / 2))))
     up = scene.half_size[:, 2]
     along = half * np.cos(angle) - up * np.sin(angle) - half
     lift = np.column_stack([along[:, None] * ahead, half * np.sin(angle) + up * np.cos(angle) - up])

@@ -98,3 +98,23 @@ def test_a_run_goes_on_only_with_the_same_placing(tmp_path: Path) -> None:
     petmjx.score([make_plan("p", BOXES[:1])], **options)
     with pytest.raises(InputError, match="placing"):
         petmjx.score([make_plan("p", BOXES[:1])], resume=True, placing="hand", **options)
+
+
+def test_tines_tilt_a_box_by_half_of_the_threshold_at_most() -> None:
+    """How a box was let go must not be taken for a sign: 28 mm wide it would lie at 21°."""
+    sim = Simulation(placing="tines")
+    course = course_of(make_scene([((28.0, 300.0, 20.0), (0.0, 0.0, 0.0), 0.5)], sim), sim)
+    assert course is not None
+    tilt_deg = 2 * np.degrees(np.arccos(abs(course.quat[0, 0])))
+    assert tilt_deg == pytest.approx(sim.thresholds.tilt_deg / 2)
+
+
+def test_a_pair_of_materials_is_given_once() -> None:
+    pairs = [{"between": ["film", "wood"], "friction": 0.7}, {"between": ["Wood", "film "], "friction": 0.1}]
+    with pytest.raises(InputError, match=r"friction_pairs\[1\] is about the same materials as friction_pairs\[0\]"):
+        Simulation(friction_pairs=pairs)
+
+
+def test_a_plan_file_s_table_is_no_plan() -> None:
+    with pytest.raises(InputError, match="give its path"):
+        petmjx.score({"plan": []})  # type: ignore[arg-type]
