@@ -102,11 +102,12 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
     return found
 
 
-def array_of(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool = False) -> NDArray[np.float64]:
     """An array of finite numbers.
 
     Args:
         shape: of what one value stands for: (3,) for an array of (n, 3), () for one of (n,).
+        may_lack: whether NaN stands for a value that is not given.
 
     Raises:
         InputError: it is none, or of another shape.
@@ -119,7 +120,7 @@ def array_of(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float
         raise InputError(f"{name} must be an array of numbers, {got(values)}")
     if array.ndim != 1 + len(shape) or array.shape[1:] != shape:
         raise InputError(f"{name} must have the shape ({', '.join(['n', *map(str, shape)])}), got {array.shape}")
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
+    if array.dtype.kind == "f" and not (np.isfinite(array) | (may_lack & np.isnan(array))).all():
         raise InputError(f"{name} must be finite")
     return array.astype(np.float64, copy=False)
 

@@ -11,6 +11,7 @@ from petmjx.checked import Checked, CliFlag
 from petmjx.cli.help import WIDTH
 from petmjx.cli.main import app
 from petmjx.config import Physics, Quiet, Simulation, Thresholds
+from petmjx.placing import Placing
 from petmjx.run_options import Confidence, RunOptions
 
 RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
@@ -18,6 +19,7 @@ RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
     ("Physics", "physics.", Physics),
     ("Thresholds", "thresholds.", Thresholds),
     ("Quiet and rest", "quiet.", Quiet),
+    ("Placing", "placing.", Placing),
     ("How sure it is", "", Confidence),
     ("How it runs", "", RunOptions),
 )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from petmjx.arguments import array_of, list_of, text_of
 from petmjx.errors import InputError
+from petmjx.plans.fields import LARGEST_DEG
 from petmjx.plans.given import Given
 from petmjx.run_options import Anchor
 from petmjx.text import counted, shown
@@ -72,7 +73,9 @@ class Plan:
             if not ((fields["orientation"] == 0) | (fields["orientation"] == 1)).all():
                 raise InputError("orientation must be 0 or 1 for each box")
         if self.approach_deg is not None:
-            fields["approach_deg"] = np.asarray(self.approach_deg, np.float64)
+            fields["approach_deg"] = array_of(self.approach_deg, "approach_deg", (), may_lack=True)
+            if (np.abs(fields["approach_deg"]) > LARGEST_DEG).any():
+                raise InputError(f"approach_deg must be from {-LARGEST_DEG:g} to {LARGEST_DEG:g}")
         groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
         if groups:
             fields["product_groups"] = groups

@@ -401,7 +401,10 @@ def test_export_takes_what_a_model_depends_on(plans: Path, capsys: pytest.Captur
     assert run("export", "tower", plans, "--physics", "reference", "--set", "physics.timestep_s=0.001") == 0
     assert 'timestep="0.001"' in capsys.readouterr().out
     assert run("export", "tower", plans, "--set", "quiet.steps=3") == 2
-    assert "--set quiet: unknown field; there are physics, carrier, size_reduction_mm" in capsys.readouterr().err
+    assert (
+        "--set quiet: unknown field; there are physics, carrier, friction_pairs, size_reduction_mm"
+        in capsys.readouterr().err
+    )
 
 
 def test_help_loads_no_simulator() -> None:
