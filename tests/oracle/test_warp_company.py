@@ -94,7 +94,7 @@ def test_alone_and_in_any_order_as_in_company(crowd: dict[str, Outcome]) -> None
 @pytest.mark.slow
 def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
     here = Launch.here
-    monkeypatch.setattr(Launch, "here", lambda n_boxes: replace(here(n_boxes), blocks=3))
+    monkeypatch.setattr(Launch, "here", lambda *args, **options: replace(here(*args, **options), blocks=3))
     assert_equal_worlds(simulate(engine(slice_ns=20_000_000), tiny_scenes(), SHORT), crowd)
 
 

@@ -192,7 +192,7 @@ def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bo
             raise out_of_memory()
 
     here = Launch.here
-    monkeypatch.setattr(Launch, "here", lambda n_boxes: replace(here(n_boxes), blocks=256))
+    monkeypatch.setattr(Launch, "here", lambda *args, **options: replace(here(*args, **options), blocks=256))
     watched_rollouts(monkeypatch, look)
     return tried
 

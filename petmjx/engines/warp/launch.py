@@ -76,7 +76,7 @@ class Launch:
     hands: bool
 
     @classmethod
-    def here(cls, n_boxes: int, hands: bool) -> Launch:
+    def here(cls, n_boxes: int, hands: bool = False) -> Launch:
         """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread: Warp runs the
         threads of a block one after the other, so a barrier cannot work."""
         device = wp.get_device()
