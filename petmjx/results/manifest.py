@@ -37,6 +37,8 @@ def plan_digest(plan: Plan) -> str:
         digest.update(repr(plan.materials).encode("utf-8", "backslashreplace"))
     if plan.mass_center_mm is not None:
         digest.update(plan.mass_center_mm.tobytes())
+    if plan.approach_deg is not None:
+        digest.update(b"approach_deg" + plan.approach_deg.tobytes())
     return digest.hexdigest()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,15 @@ def test_a_run_goes_on_only_with_the_same_placing(tmp_path: Path) -> None:
     petmjx.score([make_plan("p", BOXES[:1])], **options)
     with pytest.raises(InputError, match="placing"):
         petmjx.score([make_plan("p", BOXES[:1])], resume=True, placing="hand", **options)
+
+
+def test_a_run_goes_on_only_with_the_same_approaches(tmp_path: Path) -> None:
+    plan = make_plan("p", BOXES[:1])
+    options = {"engine": "mujoco", "threads": 1, "out": tmp_path, "placing": "hand"}
+    petmjx.score([replace(plan, approach_deg=np.array([0.0]))], **options)
+    for other in (np.array([90.0]), None):
+        with pytest.raises(InputError, match="plan p differs"):
+            petmjx.score([replace(plan, approach_deg=other)], resume=True, **options)
 
 
 def test_tines_tilt_a_box_by_half_of_the_threshold_at_most() -> None:
