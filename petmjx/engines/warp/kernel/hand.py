@@ -9,7 +9,17 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.batch import state as batch_state
-from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, moments, orientation, rotation, vec6
+from petmjx.engines.warp.kernel.motion import (
+    angular_velocity,
+    box_half,
+    center,
+    linear_velocity,
+    middle_of,
+    moments,
+    orientation,
+    rotation,
+    vec6,
+)
 from petmjx.engines.warp.kernel.samples import speed_of
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.world import placing
@@ -31,7 +41,7 @@ def reach_of(q: wp.vec4, half: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def _overlap(
+def _around(
     # Model:
     worlds: Worlds,
     # Data in:
@@ -39,13 +49,11 @@ def _overlap(
     # In:
     world: int,
     box: int,
-    place: wp.vec3,
-    reach: wp.vec3,
-) -> wp.vec3:
-    """Lengths that something at this place shares along each axis with a box that stands, m; negative: apart."""
+) -> tuple[wp.vec3, wp.vec3]:
+    """Middle and half extents along x, y and z of the box around a box that stands, m."""
     q = orientation(state, world, box + 1)
     middle = middle_of(worlds, world, box, center(state, world, box + 1), q)
-    return reach_of(q, box_half(worlds, world, box)) + reach - wp.abs(middle - place)
+    return middle, reach_of(q, box_half(worlds, world, box))
 
 
 @wp.func
@@ -65,13 +73,11 @@ def _in_way(
     first = int(-1)
     top = float(-1.0e30)
     for other in range(count):
-        shared = _overlap(worlds, state, world, other, place, reach)
-        if wp.min(shared) > FREE:
+        middle, extent = _around(worlds, state, world, other)
+        if wp.min(extent + reach - wp.abs(middle - place)) > FREE:
             if first < 0:
                 first = other
-            q = orientation(state, world, other + 1)
-            middle = middle_of(worlds, world, other, center(state, world, other + 1), q)
-            top = wp.max(top, middle[2] + reach_of(q, box_half(worlds, world, other))[2])
+            top = wp.max(top, middle[2] + extent[2])
     return first, top
 
 
@@ -97,9 +103,8 @@ def free_begin(
     first, top = _in_way(worlds, state, world, box, place, reach)
     moves = int(0)
     while first >= 0 and moves < MOST_SIDESTEPS:
-        shared = _overlap(worlds, state, world, first, place, reach)
-        q = orientation(state, world, first + 1)
-        other = middle_of(worlds, world, first, center(state, world, first + 1), q)
+        other, extent = _around(worlds, state, world, first)
+        shared = extent + reach - wp.abs(other - place)
         axis = wp.where(shared[0] <= shared[1], 0, 1)
         place[axis] = place[axis] + wp.where(place[axis] >= other[axis], shared[axis], -shared[axis])
         if wp.abs(place[axis] - begin[axis]) > worlds.hand_aside[world]:
@@ -129,7 +134,7 @@ def take_up(
     state: State,
 ) -> None:
     """Move a box, which is where it is to be let go, to where it begins; a hand may then have it. By one thread."""
-    end = wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
+    end = center(state, world, box + 1)
     q = orientation(state, world, box + 1)
     offset = wp.vec3(
         worlds.way_offset[world, box, 0], worlds.way_offset[world, box, 1], worlds.way_offset[world, box, 2]
@@ -232,8 +237,8 @@ def _hand_qacc(
     most = worlds.hand_force[world]
     q = orientation(state, world, box + 1)
     place = center(state, world, box + 1)
-    velocity = wp.vec3(state.qvel[world, box, 0], state.qvel[world, box, 1], state.qvel[world, box, 2])
-    spin = wp.vec3(state.qvel[world, box, 3], state.qvel[world, box, 4], state.qvel[world, box, 5])
+    velocity = linear_velocity(state, world, box + 1)
+    spin = angular_velocity(state, world, box + 1)
     force = wp.vec3(0.0, 0.0, 0.0)
     moment = wp.vec3(0.0, 0.0, 0.0)
     if state.lowered_from[world] != NEVER:
