@@ -342,10 +342,10 @@ class Simulation(Checked):
     @field_validator("friction_pairs")
     @classmethod
     def _each_pair_once(cls, value: tuple[FrictionPair, ...]) -> tuple[FrictionPair, ...]:
-        names = [frozenset(name.strip().lower() for name in pair.between) for pair in value]
-        for at, pair in enumerate(names):
-            if pair in names[:at]:
-                raise complaint(f"is about the same materials as friction_pairs[{names.index(pair)}]", at)
+        keys = [pair.key for pair in value]
+        for at, key in enumerate(keys):
+            if key in keys[:at]:
+                raise complaint(f"is about the same materials as friction_pairs[{keys.index(key)}]", at)
         return value
 
     @field_validator("interval_s", "duration_s", "sample_interval_s", "rest_window_s")

@@ -49,12 +49,17 @@ class FrictionPair(Checked):
     between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """What pairs of the same materials have in common, in whatever order and however their names are written."""
+        return _pair(*self.between)
+
 
 def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float | None:
     """The coefficient of a pair of materials, whose names differ neither by case nor by white space around them; None:
     it is not known. Of users' own the last one counts."""
     pair = _pair(one, other)
-    said = [each.friction for each in own if _pair(*each.between) == pair]
+    said = [each.friction for each in own if each.key == pair]
     return said[-1] if said else FRICTION_OF_PAIRS.get(pair)
 
 

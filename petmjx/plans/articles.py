@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 from petmjx.bounded import open_regular
 from petmjx.checked import read_toml, reason
 from petmjx.errors import InputError
-from petmjx.plans.fields import LARGEST_MM, com_along_axes, kind, listed
+from petmjx.plans.fields import COM_FIELDS, LARGEST_MM, com_along_axes, kind, listed
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
 from petmjx.plans.plan import Plan
 from petmjx.plans.unpack import read_text_bytes
@@ -36,14 +36,13 @@ MCKEE: Final = 5.87
 _KEYS: Final = ("article", "product_group")
 _SIMPLE: Final = "strength_n"
 _BOARD: Final = ("ect_kn_m", "thickness_mm", "safety_factor")
-_COM: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
 _MATERIAL: Final = "material"
 _NUMBERS: Final = {
     _SIMPLE: (0.0, 1e9),
     "ect_kn_m": (0.0, 1e3),
     "thickness_mm": (0.0, 100.0),
     "safety_factor": (1.0, 1e3),
-    **dict.fromkeys(_COM, (-LARGEST_MM / 2, LARGEST_MM / 2)),
+    **dict.fromkeys(COM_FIELDS, (-LARGEST_MM / 2, LARGEST_MM / 2)),
 }
 """Fields and the limits between which they make sense; a lower one of 0 is not allowed itself."""
 _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
@@ -156,7 +155,7 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     if len(keys) != 1:
         raise InputError(f"{where}: must name either an article or a product_group")
     numbers = {field: _number(where, field, known[field]) for field in _NUMBERS if field in known}
-    com = [numbers.pop(field) if field in numbers else None for field in _COM]
+    com = [numbers.pop(field) if field in numbers else None for field in COM_FIELDS]
     com_mm = None if com == [None] * 3 else (com[0] or 0.0, com[1] or 0.0, com[2] or 0.0)
     material = known.get(_MATERIAL)
     if material is not None and not (isinstance(material, str) and len(material) <= _LONGEST_MATERIAL):
@@ -278,7 +277,7 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
         outside = 2 * np.abs(offset) >= plan.item_size_mm
         if outside.any():
             box, axis = np.argwhere(outside)[0].tolist()
-            where, size = f", placement {box}: {_COM[axis]}", plan.item_size_mm[box, axis]
+            where, size = f", placement {box}: {COM_FIELDS[axis]}", plan.item_size_mm[box, axis]
             name = shown(plan.articles[box])
             raise InputError(f"{where} of article {name} is {offset[box, axis]:g}, not inside the box of {size:g} mm")
         own = plan.item_com_mm

@@ -23,6 +23,12 @@ FARTHEST_MM: Final = 20_000.0
 SMALLEST_KG: Final = 0.001
 LARGEST_KG: Final = 10_000.0
 """Masses. A pallet carries at most a few tonnes."""
+COM_FIELDS: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
+"""A centre of mass in tables, along the item's sides."""
+
+COM_FIELDS_JSON: Final = tuple(name.replace("_mm", "/mm") for name in COM_FIELDS)
+"""The same in JSON."""
+
 LARGEST_DEG: Final = 360.0
 """Approaches, both ways."""
 LONGEST_NAME: Final = 1000

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from petmjx.errors import InputError
 from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
+    COM_FIELDS,
     LARGEST_DEG,
     approach_fault,
     com_along_axes,
@@ -40,15 +41,14 @@ _SIZE: Final = ("length_mm", "width_mm", "height_mm")
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")
 NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
 """Columns that every table has."""
-_COM: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
-OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", "material", *_COM, "approach_deg")
+OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", "material", *COM_FIELDS, "approach_deg")
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
 there is none, ``sequence`` is taken for it."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material")
 _NAMES: Final = ("plan_id", *_TEXTS)
-_MAY_LACK: Final = ("item_id", "product_group", "material", *_COM, "approach_deg")
+_MAY_LACK: Final = ("item_id", "product_group", "material", *COM_FIELDS, "approach_deg")
 """Columns that may have no value in a row."""
-_ALIASES: Final = {name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *_COM)}
+_ALIASES: Final = {own.replace("_mm", "/mm").replace("_kg", "/kg"): own for own in (*_SIZE, "weight_kg", *COM_FIELDS)}
 """BED-BPP's own spelling of sizes and weights."""
 
 
@@ -192,7 +192,7 @@ class _Reading:
     def _com(self) -> dict[str, FloatArray]:
         """Centres of mass along the items' sides, mm; 0 where nothing is said, NaN where a value cannot be used."""
         found = {}
-        for name, of in zip(_COM, _SIZE, strict=True):
+        for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:
                 numbers, usable = self.table.columns[name].numbers()
                 offset = np.where(self._missing[name], 0.0, np.where(usable, numbers * self.given.length_mm, np.nan))
@@ -277,7 +277,7 @@ class _Reading:
             found["orientation"] = turned = whole["orientation"][0][order]
             size[turned == 1, :2] = size[turned == 1, 1::-1]
         if self._com:
-            along = np.stack([self._com.get(name, np.zeros(len(order)))[order] for name in _COM], axis=1)
+            along = np.stack([self._com.get(name, np.zeros(len(order)))[order] for name in COM_FIELDS], axis=1)
             turned = found.get("orientation", np.zeros(len(order), np.int64)) == 1
             found["com"] = com_along_axes(along, turned)
         if self._approach is not None:
@@ -356,7 +356,7 @@ class _Reading:
             *(positive_fault(name, raw[name], *self._limits[name]) for name in (*_SIZE, "weight_kg")),
             *(
                 com_fault(name, raw[name], raw[of])
-                for name, of in zip(_COM, _SIZE, strict=True)
+                for name, of in zip(COM_FIELDS, _SIZE, strict=True)
                 if raw.get(name) is not None and number_fault(of, raw[of]) is None
             ),
             orientation_fault(_whole_value(raw["orientation"])) if "orientation" in raw else None,

@@ -9,6 +9,7 @@ import numpy as np
 
 from petmjx.errors import InputError
 from petmjx.plans.fields import (
+    COM_FIELDS_JSON,
     FARTHEST_MM,
     LARGEST_KG,
     LARGEST_MM,
@@ -38,8 +39,7 @@ from petmjx.text import is_text, shown
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _NUMBERS_OF_ITEM: Final = (*_SIZES, "weight/kg")
 _NEEDED: Final = ("article", "id", *_NUMBERS_OF_ITEM, "sequence")
-_COM: Final = ("com_length/mm", "com_width/mm", "com_height/mm")
-_MORE: Final = frozenset({"material", *_COM})
+_MORE: Final = frozenset({"material", *COM_FIELDS_JSON})
 """Fields that few plans have."""
 _ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group", *_MORE})
 _OF_PLACEMENT: Final = ("item", "orientation", "flb_coordinates")
@@ -124,7 +124,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         corner_lengths = set(map(len, corners))
         more = not all(map(_MORE.isdisjoint, items))
         materials = [_said(item, "material", "") for item in items] if more else []
-        offsets = [[_said(item, field, 0.0) for field in _COM] for item in items] if more else []
+        offsets = [[_said(item, field, 0.0) for field in COM_FIELDS_JSON] for item in items] if more else []
     except (AttributeError, KeyError, TypeError, IndexError):
         return None
     coordinates = list(chain.from_iterable(corners))
@@ -210,7 +210,10 @@ def find_fault(placement: object, given: Given = USUAL) -> str | None:
         or positive_fault("weight/kg", item["weight/kg"], *given.weights)
         or text_fault("material", _said(item, "material", ""))
         or next(
-            filter(None, (com_fault(f, _said(item, f, 0), item[of]) for f, of in zip(_COM, _SIZES, strict=True))), None
+            filter(
+                None, (com_fault(f, _said(item, f, 0), item[of]) for f, of in zip(COM_FIELDS_JSON, _SIZES, strict=True))
+            ),
+            None,
         )
         or whole_fault("sequence", item["sequence"])
         or orientation_fault(placement["orientation"])

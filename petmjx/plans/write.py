@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 
 from petmjx.arguments import list_of, path_of
 from petmjx.errors import InputError
+from petmjx.plans.fields import COM_FIELDS, COM_FIELDS_JSON
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.text import printable, shown
@@ -27,10 +28,8 @@ _JSON: Final = (".json", ".json.gz")
 _CSV: Final = (".csv", ".csv.gz")
 _PARQUET: Final = (".parquet",)
 
-_COM: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
-_COM_JSON: Final = tuple(name.replace("_mm", "/mm") for name in _COM)
 _UNITS: Final = {
-    **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm", *_COM), "mm"),
+    **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm", *COM_FIELDS), "mm"),
     "weight_kg": "kg",
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
     "approach_deg": "deg",
@@ -90,7 +89,7 @@ def as_placements(plan: Plan) -> list[Placement]:
                 "weight/kg": _exact(mass[box]),
                 "sequence": int(plan.sequence[box]),
                 **({"material": plan.materials[box]} if plan.materials and plan.materials[box] else {}),
-                **({} if com is None else dict(zip(_COM_JSON, map(_exact, com[box]), strict=True))),
+                **({} if com is None else dict(zip(COM_FIELDS_JSON, map(_exact, com[box]), strict=True))),
             },
             "orientation": int(plan.turned[box]),
             "flb_coordinates": [_exact(value) for value in corner[box]],
@@ -167,7 +166,7 @@ class _Columns:
             **dict.fromkeys(("x_mm", "y_mm", "z_mm"), pa.float64()),
             **({"order_sequence": pa.int64()} if self.order_sequence else {}),
             **({"material": pa.string()} if self.material else {}),
-            **(dict.fromkeys(_COM, pa.float64()) if self.com else {}),
+            **(dict.fromkeys(COM_FIELDS, pa.float64()) if self.com else {}),
             **({"approach_deg": pa.float64()} if self.approach else {}),
         }
         return pa.schema(
@@ -193,7 +192,7 @@ class _Columns:
             **dict(zip(("x_mm", "y_mm", "z_mm"), corner.T, strict=True)),
             "order_sequence": np.concatenate([plan.sequence for plan in plans]),
             "material": [name for plan in plans for name in plan.materials or ("",) * plan.n_boxes],
-            **dict(zip(_COM, np.concatenate([plan.item_com_mm for plan in plans]).T, strict=True)),
+            **dict(zip(COM_FIELDS, np.concatenate([plan.item_com_mm for plan in plans]).T, strict=True)),
             "approach_deg": np.concatenate(
                 [np.full(plan.n_boxes, np.nan) if plan.approach_deg is None else plan.approach_deg for plan in plans]
             ),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.config import Check, Simulation
 from petmjx.placing import Placing, Way
-from petmjx.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.units import MM_PER_M, FloatArray
 from petmjx.world.scene import Scene
 from petmjx.world.turned import rotations
 
@@ -91,11 +91,11 @@ def course_of(scene: Scene, sim: Simulation) -> Course | None:
     if placing.appears or sim.check is Check.STATIC:
         return None
     lift, quat, offset = np.zeros((n, 3)), scene.start_quat, np.zeros((n, 3))
-    offset[:, 2] = mm_to_m(np.array(placing.height_mm))
+    offset[:, 2] = placing.height_mm / MM_PER_M
     steps, falls = np.zeros(n, np.int64), scene.start_pos[:, 2] > scene.target[:, 2]
     if placing.carries:
         approach, open_side = _approaches(scene)
-        offset[:, :2] = -mm_to_m(np.array(placing.side_mm)) * approach
+        offset[:, :2] = -placing.side_mm / MM_PER_M * approach
         if placing.name is Way.TINES:
             lift, quat = _on_an_edge(scene, open_side, sim.thresholds.tilt_deg)
             falls = np.ones(n, dtype=bool)
@@ -212,7 +212,7 @@ def _beside(scene: Scene) -> NDArray[np.bool_]:
     along x and y, no further away than the box may go aside."""
     place, half = scene.target, scene.half_size
     near_m = most_aside_m(scene.placing)
-    lifted_m = mm_to_m(np.array(scene.placing.height_mm))
+    lifted_m = scene.placing.height_mm / MM_PER_M
     between = place[None] - place[:, None]  # from the row's box to the column's
     gap = np.abs(between) - (half[None] + half[:, None])
     before = np.tri(scene.n_boxes, k=-1, dtype=bool)
@@ -237,7 +237,7 @@ def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[Flo
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead = np.stack([cos * towards[:, 0] - sin * towards[:, 1], sin * towards[:, 0] + cos * towards[:, 1]], axis=1)
     half = np.where(towards[:, 0] != 0, scene.half_size[:, 0], scene.half_size[:, 1])
-    height = mm_to_m(np.array(scene.placing.tines_mm))
+    height = scene.placing.tines_mm / MM_PER_M
     most = np.radians(MOST_TILTED * tilt_deg)
     angle = np.arcsin(np.minimum(height / (2.0 * half), np.sin(min(most, np.pi / 2))))
     up = scene.half_size[:, 2]
