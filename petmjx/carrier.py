@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, StrictFloat, Tag, ValidationInfo, model_validator
 
-from petmjx.checked import TABLE, VALUE, Checked, complaint, got, read_toml, shape
+from petmjx.checked import TABLE, VALUE, Checked, complaint, got, read_toml, shape, similar
 from petmjx.errors import InputError
 from petmjx.materials import WOOD
 from petmjx.text import printable, shown
@@ -80,7 +80,7 @@ Name = Annotated[str, Field(max_length=_MOST_NAME)]
 class Board(Checked):
     """A board, block, stringer or bar of a carrier: a solid box."""
 
-    name: Name = Field("", description="what messages call it")
+    name: Name = Field("", description="name of the board in messages")
     corner_mm: tuple[Place, Place, Place] = Field(
         description="its front-left-bottom corner; the carrier's front-left corner on the floor is the origin"
     )
@@ -106,9 +106,9 @@ class OwnCarrier(Checked):
     name: Name = Field("", description="name of the carrier; by default the file's")
     mass_kg: Mass | None = Field(None, description="the mass of all boards together, if they have none of their own")
     friction: Coefficient | None = Field(
-        None, description="coefficient of sliding friction of boards that have none of their own"
+        None, description="coefficient of sliding friction of boards without a value of their own"
     )
-    material: Name = Field(WOOD, description="what boards are made of that do not say it, for friction by materials")
+    material: Name = Field(WOOD, description="material of boards that name none, for friction by materials")
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
         description="[[boards]] tables with corner_mm, size_mm and mass_kg"
     )
@@ -179,7 +179,7 @@ def _check_masses(carrier: OwnCarrier) -> None:
     for number, (board, mass_kg) in enumerate(zip(carrier.boards, carrier.masses_kg, strict=True)):
         density = mass_kg / (board.volume_mm3 / MM_PER_M**3)
         if not _LIGHTEST_KG_M3 <= density <= _HEAVIEST_KG_M3:
-            than = "more than lead has: is it in grams?" if density > _HEAVIEST_KG_M3 else "less than foam has"
+            than = "heavier than lead; is the mass in grams?" if density > _HEAVIEST_KG_M3 else "lighter than foam"
             raise complaint(f": {_called(carrier, number)}: {mass_kg:.4g} kg in it are {density:.3g} kg/m³, {than}")
     total = sum(carrier.masses_kg)
     if not _LIGHTEST_KG <= total <= _HEAVIEST_KG:
@@ -214,7 +214,7 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
     apart = sorted(set(range(n)) - found)
     if apart:
         raise complaint(
-            f": {_called(carrier, apart[0])} is apart from {_called(carrier, 0)}: a carrier is of one piece"
+            f": {_called(carrier, apart[0])} is separate from {_called(carrier, 0)}: a carrier must be in one piece"
         )
 
 
@@ -295,7 +295,8 @@ def carrier_given(value: Any, info: ValidationInfo) -> Any:
     if isinstance(value, Mapping | OwnCarrier):
         return value
     names = ", ".join(f"'{name}'" for name in Carrier)
-    raise ValueError(f"must be {names} or a TOML file of boards, {got(value)}")
+    close = similar(value, Carrier) if isinstance(value, str) else ""
+    raise ValueError(f"must be {names} or a TOML file of boards, {got(value)}{close}")
 
 
 AnyCarrier = Annotated[

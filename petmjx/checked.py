@@ -8,7 +8,8 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from types import UnionType
+from typing import Any, Final, Self, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
 from pydantic._internal._model_construction import ModelMetaclass  # has no public name
@@ -34,6 +35,8 @@ _TEXTS: Final = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
 }
 """pydantic's kind of error → what comes after the field's path, before the value that was found."""
+
+_NO_NUMBERS: Final = (str, bytes, bool)
 
 _COMPLAINT: Final = "complaint"
 
@@ -112,10 +115,29 @@ class Checked(BaseModel, metaclass=_OneLine):
         for name in values:
             if name not in fields:
                 raise complaint(f": unknown field; {hint(str(name), fields)}", str(name))
+        for name, value in values.items():
+            expected = _lax(fields[name].annotation, value)
+            if expected:
+                raise complaint(f"{expected}, {got(value)}", str(name))
         for name, info in fields.items():
             if info.is_required() and name not in values:
                 raise complaint(f"is missing: {info.description}" if info.description else "is missing", name)
         return values
+
+
+def _lax(annotation: Any, value: Any) -> str:
+    """What a value must be that pydantic would turn into a number or into true and false: text, or true for 1."""
+    union = isinstance(annotation, UnionType) or get_origin(annotation) is Union
+    kinds = set(get_args(annotation)) if union else {annotation}
+    kinds.discard(type(None))
+    if kinds == {bool}:
+        return "" if value is None or isinstance(value, bool) else "must be true or false"
+    if kinds and kinds <= {float, int} and isinstance(value, _NO_NUMBERS):
+        return _TEXTS["int_type" if kinds == {int} else "float_type"]
+    numbers = get_origin(annotation) is tuple and set(get_args(annotation)) <= {float, int}
+    if numbers and isinstance(value, list | tuple) and any(isinstance(each, _NO_NUMBERS) for each in value):
+        return "must be a list of numbers"
+    return ""
 
 
 def within(low: float, high: float) -> AfterValidator:

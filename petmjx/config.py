@@ -16,6 +16,7 @@ from petmjx.carrier import AnyCarrier, Carrier
 from petmjx.checked import Checked, CliFlag, complaint, got, within
 from petmjx.materials import FrictionPair
 from petmjx.placing import Placing, Way
+from petmjx.wrap import Wrap
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.
@@ -132,13 +133,14 @@ class Physics(Checked):
     )
     skin_m: Annotated[float, within(0, 0.001)] = Field(
         0.0001,
-        description="by how much boxes are larger for the collider, which then prefers faces to edges, and half as "
-        "much as the carrier is; contacts of faces begin where the boxes themselves touch; m",
+        description="by how much boxes are enlarged on each side for the collider, which then prefers faces to "
+        "edges, m; the carrier is enlarged by twice that; contacts of faces still begin where the boxes "
+        "themselves touch",
     )
     falls_into_place: bool = Field(
         False,
-        description="whether a box falls into its place when it is released, by size_reduction_mm at least, as it is "
-        "lower by that; else it is released as it will rest on what bears it",
+        description="whether boxes are released above their place, by size_reduction_mm at least, and fall into it; "
+        "else they are released as they will rest",
     )
 
     @property
@@ -152,7 +154,7 @@ class Physics(Checked):
         """Whether friction has a time constant of its own. Only the friction of elliptic cones can have one."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
-    @computed_field(description="the preset that these values are, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
+    @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
     @property
     def name(self) -> str:
         """The preset that has exactly these values, or "custom"."""
@@ -197,22 +199,24 @@ class Thresholds(Checked):
     """Limits beyond which a plan is unstable, and a simulation invalid (PET-Physics paper, section IV-C)."""
 
     shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
-        0.02, gt=0, description="unstable from a larger final displacement of a box in x, y or z, m"
+        0.02, gt=0, description="a plan is unstable if a box ends further than this from its place in x, y or z, m"
     )
     shift_floor_m: Annotated[float, within(0, 100)] = Field(
         0.001, ge=0, description="components of a displacement below this count as 0, m"
     )
     tilt_deg: Annotated[float, within(0, 360), CliFlag("--tilt-limit-deg", "DEG")] = Field(
-        20.0, gt=0, description="unstable from a larger angle between a box's z axis and the world's, degrees"
+        20.0,
+        gt=0,
+        description="a plan is unstable if the angle between a box's z axis and the world's exceeds this, degrees",
     )
     drop_hull_z_m: Annotated[float, within(-100, 100)] = Field(
         -0.1, description="a box whose hull reaches below this has dropped, m"
     )
     lin_acc_m_s2: Annotated[float, within(0, 1e9)] = Field(
-        110.0, gt=0, description="explosion: linear acceleration before any sign, m/s²"
+        110.0, gt=0, description="a larger linear acceleration before the first sign is an explosion, m/s²"
     )
     ang_acc_rad_s2: Annotated[float, within(0, 1e9)] = Field(
-        110.0, gt=0, description="explosion: angular acceleration before any sign, rad/s²"
+        110.0, gt=0, description="a larger angular acceleration before the first sign is an explosion, rad/s²"
     )
 
 
@@ -232,9 +236,11 @@ class Quiet(Checked):
     quiet_m_s: Annotated[float, within(0, 100)] = Field(
         0.01, gt=0, description="speed of a box's fastest point below which it is quiet, m/s"
     )
-    slow_m_s: Annotated[float, within(0, 100)] = Field(0.001, ge=0, description="the same below which it is slow, m/s")
+    slow_m_s: Annotated[float, within(0, 100)] = Field(
+        0.001, ge=0, description="speed of a box's fastest point below which it is slow, m/s"
+    )
     slowing: Annotated[float, within(0, 1000)] = Field(
-        0.5, ge=0, description="a faster box creeps unless it slows to this share of its speed"
+        0.5, ge=0, description="a box that is not slow creeps unless it slows to this share of its speed"
     )
     steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         25, ge=1, description="steps for which all boxes must have been quiet"
@@ -242,7 +248,7 @@ class Quiet(Checked):
     min_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         50, ge=1, description="steps after a placement before which no pallet is quiet"
     )
-    poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(5, ge=1, description="steps between two looks")
+    poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(5, ge=1, description="steps between two checks")
     still_m_s: Annotated[float, within(0, 100)] = Field(
         0.0001, ge=0, description="speed of a box's fastest point up to which it is still, m/s"
     )
@@ -280,7 +286,7 @@ class Simulation(Checked):
         "between, a list of two materials, and friction",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
-        0.1, ge=0, description="boxes are smaller by this along x and y, so that neighbours start apart, mm"
+        0.1, ge=0, description="boxes are made smaller by this along x and y, so that neighbours start apart, mm"
     )
     interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--interval", "S")] = Field(
         0.7, gt=0, description="time between two placements, s; adaptive: the longest wait once a box has failed"
@@ -288,14 +294,16 @@ class Simulation(Checked):
     longest_wait_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--longest-wait", "S")] = Field(
         10.0,
         ge=0,
-        description="longest wait for a pallet to come to rest: adaptive, before the next box; always, before the end, "
-        "s. A world that still moves then has the flag moving",
+        description="longest wait for a pallet to come to rest before a world ends and, with schedule adaptive, "
+        "before the next box, s. A world that still moves then has the flag moving",
     )
     duration_s: Annotated[float, within(0, LONGEST_S), CliFlag("--duration", "S")] = Field(
         10.0, gt=0, description="length of the static check, s"
     )
     settle_s: Annotated[float, within(0, LONGEST_S), CliFlag("--settle", "S")] = Field(
-        2.0, ge=0, description="rest between the last placement and a profile, s; adaptive: of a pallet that has failed"
+        2.0,
+        ge=0,
+        description="pause between the last placement and a profile, s; adaptive: only for pallets that have failed",
     )
     rest_s: Annotated[float, within(0, LONGEST_S), CliFlag("--rest", "S")] = Field(
         1.0, ge=0, description="time to come to rest after a profile's last sample, s"
@@ -303,7 +311,7 @@ class Simulation(Checked):
     total_time_factor: Annotated[float | None, within(1, 10)] = Field(
         None,
         gt=1,
-        description="fixed, one by one: the whole run as a multiple of the placement time, instead of rest_s",
+        description="fixed, one by one: length of the whole run in multiples of the placement time, instead of rest_s",
     )
     sample_interval_s: Annotated[float, within(0, LONGEST_S), CliFlag("--sample-interval", "S")] = Field(
         0.2, gt=0, description="time between two samples of the metrics, s"
@@ -320,7 +328,8 @@ class Simulation(Checked):
         "(flag timestep)",
     )
     placing: Placing = Field(Placing(), description="how a box is placed")
-    thresholds: Thresholds = Field(Thresholds(), description="where a plan stops being stable")
+    wrap: Wrap = Field(Wrap(), description="stretch film around a pallet that is shaken")
+    thresholds: Thresholds = Field(Thresholds(), description="thresholds beyond which a plan is unstable")
     quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
     solver: Annotated[Solver, CliFlag("--solver")] = Field(
         Solver.NEWTON, description="constraint solver of the first attempt"
@@ -336,7 +345,9 @@ class Simulation(Checked):
     @classmethod
     def _no_brisk(cls, value: Any) -> Any:
         if value == "brisk":  # of petmjx 0.1
-            raise ValueError("must be 'fixed' or 'adaptive': 'brisk' is gone, adaptive takes as few steps now")
+            raise ValueError(
+                "must be 'fixed' or 'adaptive': 'brisk' was removed, since adaptive now takes as few steps"
+            )
         return value
 
     @field_validator("friction_pairs")

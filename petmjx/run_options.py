@@ -89,7 +89,7 @@ class Confidence(Checked):
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
         description="simulate each plan also in this many worlds with errors of placement, friction, mass and size, "
-        "and say which share stands; at least 4, since of fewer no share is far from one half",
+        "and report the share that stands; at least 4, since fewer worlds cannot tell a share from one half",
     )
     errors: Annotated[File | None, CliFlag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
         None, description="sweep file with these errors, those of a robot and of its cartons"
@@ -98,29 +98,29 @@ class Confidence(Checked):
     @model_validator(mode="after")
     def _errors_of_something(self) -> Self:
         if self.errors is not None and self.confidence is None:
-            raise complaint("needs confidence: in how many worlds?", "errors")
+            raise complaint("needs confidence, the number of worlds", "errors")
         return self
 
 
 class RunOptions(Checked):
-    """How and where a run runs. Nothing here changes the outcome of a world, except for ``engine``, and for
-    ``world_timeout_s``, which may take the outcome away (``invalid`` by ``timeout``)."""
+    """How and where a run runs. Only ``engine`` changes the outcome of a world, and ``world_timeout_s`` may end a world
+    without one (``invalid`` by ``timeout``)."""
 
     engine: Annotated[Any, CliFlag("--engine")] = Field(
         AUTO,
-        description="what steps worlds: mujoco: C MuJoCo on CPU threads; mjx-jax, mjx-warp: MJX in batches; auto: "
+        description="engine: mujoco: C MuJoCo on CPU threads; mjx-jax, mjx-warp: MJX in batches; auto: "
         "mjx-warp where it runs and is expected to finish first, else mujoco; in Python also an engine of your own",
     )
     threads: Annotated[int | None, within(1, 4096), CliFlag("--threads", "N")] = Field(
         None,
         ge=1,
-        description="CPU threads of the engine mujoco, of each worker if there are some; by default all that there are",
+        description="CPU threads of the engine mujoco (of each worker, if there are workers); by default all",
     )
     lanes: Annotated[int | None, within(1, 1 << 20), CliFlag("--lanes", "N")] = Field(
         None,
         ge=1,
-        description="worlds at once: of mjx-warp one a thread block, by default as many as the device has room for; of "
-        "mjx-jax those of a batch, by default up to 256",
+        description="worlds that are simulated at once: with mjx-warp one per thread block, by default as many as "
+        "fit on the device; with mjx-jax one batch, by default up to 256",
     )
     world_timeout_s: Annotated[float | None, within(0, 1e9), CliFlag("--world-timeout", "S")] = Field(
         None,
@@ -142,18 +142,18 @@ class RunOptions(Checked):
     )
     units: Annotated[str, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS")] = Field(
         PLAN_UNITS,
-        description="what lengths and masses of the plans are given in: mm, cm, m or in; kg, g, lb or t; one of them "
+        description="units of the lengths and masses in the plans: mm, cm, m or in; kg, g, lb or t; one of them "
         "or both, as in cm,g",
     )
     anchor: Annotated[Anchor, CliFlag("--anchor", "POINT")] = Field(
         "corner",
-        description="the point of a box whose coordinates the plans have: corner, the one with the smallest x, y and "
+        description="which point of a box the plans give: corner, the one with the smallest x, y and "
         "z; centre; base-centre, the centre of its base; or far-corner",
     )
     articles: Annotated[File | None, CliFlag("--articles", "FILE")] = Field(
         None,
-        description="table of articles or product groups, as for petmjx loads: what boxes are made of, by which "
-        "friction between them is known, and where their centres of mass are",
+        description="table of articles or product groups, as for petmjx loads: materials of boxes, which give the "
+        "friction between them, and centres of mass",
     )
     record: Annotated[str | tuple[str, ...] | None, CliFlag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
@@ -168,8 +168,9 @@ class RunOptions(Checked):
     )
     force_intervals: Annotated[bool, CliFlag("--force-intervals")] = Field(
         False,
-        description="also the least and the most force on top of each box at rest that balance and friction allow: a "
-        "tenth of a second or more for each world; needs SciPy (extra packers); changes no other result",
+        description="also compute the least and the most force on top of each box at rest that balance and friction "
+        "allow; takes a tenth of a second or more per world; needs SciPy (extra packers); changes no "
+        "other result",
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
@@ -180,18 +181,18 @@ class RunOptions(Checked):
         False, description="stop at the first unusable plan instead of skipping it"
     )
     allow_large: Annotated[bool, CliFlag("--yes", short="-y")] = Field(
-        False, description="run more than a million worlds too"
+        False, description="allow more than a million worlds"
     )
     out: Annotated[File | None, CliFlag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
-        description="folder for the results; in Python by default none, and they go with what is returned",
+        description="folder for the results; in Python, without one, results stay in memory",
     )
     overwrite: Annotated[bool, CliFlag("--overwrite")] = Field(
         False, description="replace the results that the folder holds"
     )
     resume: Annotated[bool, CliFlag("--resume")] = Field(
         False,
-        description="go on with the run that the folder holds: simulate what is missing of it; begin if it holds none",
+        description="continue the run in the folder: simulate only what is missing; begin a new run if there is none",
     )
     shard: Annotated[str | None, AfterValidator(_share), CliFlag("--shard", "I/N")] = Field(
         None, description="take only the I-th of N shares of the plans, I from 1; petmjx merge joins the results"
@@ -200,7 +201,7 @@ class RunOptions(Checked):
     @model_validator(mode="after")
     def _folder_is_named(self) -> Self:
         if self.resume and self.out is None:
-            raise complaint("needs out: which run is to go on?", "resume")
+            raise complaint("needs out, the folder of the run to continue", "resume")
         if self.resume and self.overwrite:
             raise complaint("contradicts overwrite: drop one of them", "resume")
         return self
@@ -208,7 +209,7 @@ class RunOptions(Checked):
     @model_validator(mode="after")
     def _details_of_something(self) -> Self:
         if self.record_details and self.record is None:
-            raise complaint("needs record: of which plans?", "record_details")
+            raise complaint("needs record, which says what to record", "record_details")
         return self
 
     @property

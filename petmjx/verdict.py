@@ -181,6 +181,33 @@ def judge(
     return placement
 
 
+def judge_all(
+    flags: NDArray[np.int64],
+    dropped: NDArray[np.bool_],
+    tilt_deg: FloatArray,
+    shift_m: FloatArray,
+    thresholds: Thresholds,
+) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
+    """The verdicts and reasons of many worlds, each as ``judge`` says it of one.
+
+    Args:
+        flags: (m,).
+        dropped, tilt_deg: (m, k), ``shift_m``: (m, k, 3) of their placed boxes, NaN beyond.
+    """
+    with np.errstate(invalid="ignore"):
+        failed = {
+            Reason.DROP: dropped.any(axis=1),
+            Reason.TILT: (tilt_deg > thresholds.tilt_deg).any(axis=1),
+            Reason.SHIFT: (np.abs(shift_m) > thresholds.shift_m).any(axis=(1, 2)),
+        }
+    invalid = {reason: (flags & int(bits)) != 0 for bits, reason in INVALID_FLAGS}
+    names = [*invalid, *failed]
+    verdicts = [Verdict.INVALID] * len(invalid) + [Verdict.UNSTABLE] * len(failed)
+    where = [*invalid.values(), *failed.values()]
+    verdict = np.select(where, [str(each) for each in verdicts], str(Verdict.STABLE))
+    return verdict, np.select(where, [str(each) for each in names], str(Reason.NONE))
+
+
 DROPPED_EXCESS: Final = 2.0
 """Least excess of a box that dropped, so that its margin is -1 at most: where it lies in the end may be near its place,
 but a drop is always beyond."""

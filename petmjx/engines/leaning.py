@@ -16,6 +16,7 @@ this may have decided is simulated again in stiffer contacts (petmjx/engines/ret
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,8 +24,8 @@ import numpy as np
 from petmjx.config import Physics, Simulation
 from petmjx.history import CARRIER
 from petmjx.units import FloatArray
-from petmjx.verdict import Outcome, Verdict
-from petmjx.world.bearing import Bearing, bearing_of
+from petmjx.verdict import Outcome
+from petmjx.world.bearing import Bearing, bearing_of, together
 from petmjx.world.contact import MOST_IMPEDANCE, depth_m
 from petmjx.world.scene import Scene
 
@@ -72,59 +73,77 @@ def leaning_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: 
     Args:
         load: (n, 4) as of ``Bearing.loads``.
     """
-    scene, width = bearing.scene, bearing.widths_m
-    bottom = scene.target[:, 2] - scene.half_size[:, 2]
+    boxes, width = bearing.boxes, bearing.widths_m
     with np.errstate(divide="ignore", invalid="ignore"):
-        height = load[:, 3] / load[:, 0] - bottom
-    inverse = np.append(1 / scene.mass, 1 / scene.carrier.mass)  # CARRIER is the last
-    inverse_below = np.zeros(scene.n_boxes)
-    np.maximum.at(inverse_below, bearing.upper, inverse[bearing.lower])
-    pull = (1 / scene.mass + inverse_below) * load[:, 0] * physics.gravity_m_s2 / CONTACTS_PER_SIDE
+        height = load[:, 3] / load[:, 0] - boxes.bottom
+    of_carrier = bearing.lower == CARRIER
+    mass_below = np.where(of_carrier, boxes.carrier_mass[bearing.upper], boxes.mass[bearing.lower])
+    inverse_below = np.zeros(len(boxes.mass))
+    np.maximum.at(inverse_below, bearing.upper, 1 / mass_below)
+    pull = (1 / boxes.mass + inverse_below) * load[:, 0] * physics.gravity_m_s2 / CONTACTS_PER_SIDE
 
-    def angle(share: FloatArray | float) -> FloatArray:
+    def angle(share: FloatArray) -> FloatArray:
         turned: FloatArray = (depth_m(physics, pull * (1 - share)) - depth_m(physics, pull * share)) / width
         return turned
 
     own = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    below, shift = np.zeros(scene.n_boxes), np.zeros(scene.n_boxes)
-    for box in np.argsort(bottom, kind="stable"):
-        lower = bearing.lower[bearing.upper == box]
-        lower = lower[lower != CARRIER]
-        if len(lower):
-            below[box] = (below + own)[lower].max()
-            rise = bottom[box] - scene.target[lower, 2]
-            shift[box] = (shift[lower] + (below + own)[lower] * rise).max()
-        shift[box] += (below[box] + own[box]) * scene.half_size[box, 2]
-    loss = np.min([share * width + angle(share) * height for share in SHARES], axis=0)
+    below, shift = _passed_on(bearing, own)
+    loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return Leaning(loss + below * height, below + own, shift)
 
 
-def leans(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
-    """Whether an unstable world may be so by soft contacts: its boxes lean too far, or a load that the plan has inside
+def _passed_on(bearing: Bearing, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) each: by which angle boxes lean because those below them do, and how far their centres move sideways."""
+    bottom, angle = bearing.boxes.bottom.tolist(), own.tolist()
+    half, middle = bearing.boxes.half_size[:, 2].tolist(), bearing.boxes.target[:, 2].tolist()
+    below, shift, under = [0.0] * len(angle), [0.0] * len(angle), _supports(bearing)
+    for box in np.argsort(bottom, kind="stable").tolist():
+        if under[box]:
+            below[box] = max(below[lower] + angle[lower] for lower in under[box])
+            shift[box] = max(shift[k] + (below[k] + angle[k]) * (bottom[box] - middle[k]) for k in under[box])
+        shift[box] += (below[box] + angle[box]) * half[box]
+    return np.array(below), np.array(shift)
+
+
+def leaning(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
+    """Of which unstable worlds soft contacts may be the reason: boxes lean too far, or a load that the plan has inside
     the edge may have gone beyond it."""
-    if outcome.verdict is not Verdict.UNSTABLE:
-        return False
-    placed = outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed
-    bearing = bearing_of(scene)
+    if not outcomes:
+        return []
+    placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
+    bearing = together([bearing_of(scene) for scene in scenes])
     load = bearing.loads(placed)
     edge = bearing.edges_m(load)
-    found = leaning_of(bearing, load, edge, sim.physics)
-    limits = sim.thresholds
-    far = found.shift_m[:placed].max(initial=0.0) > BOUND_SHARE * limits.shift_m
-    if far or np.degrees(found.angle_rad[:placed].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
-        return True
-    pile = _pile_of(bearing, outcome.culprit) if outcome.culprit >= 0 else list(range(placed))
-    safety = STIFF_SAFETY if sim.physics.solimp[0] >= MOST_IMPEDANCE else SAFETY
-    if (edge[pile] < -KNIFE_EDGE_M).any():
-        safety = SURE
-    return bool(((edge[pile] > KNIFE_EDGE_M) & (edge[pile] <= safety * found.loss_m[pile])).any())
+    found, under = leaning_of(bearing, load, edge, sim.physics), _supports(bearing)
+    limits, first = sim.thresholds, bearing.boxes.first.tolist()
+    most_safety = STIFF_SAFETY if sim.physics.solimp[0] >= MOST_IMPEDANCE else SAFETY
+
+    def leans(outcome: Outcome, first: int, end: int) -> bool:
+        far = found.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
+        if far or np.degrees(found.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
+            return True
+        pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
+        edges, losses = edge[pile], found.loss_m[pile]
+        safety = SURE if (edges < -KNIFE_EDGE_M).any() else most_safety
+        return bool(((edges > KNIFE_EDGE_M) & (edges <= safety * losses)).any())
+
+    return [leans(outcome, k, k + n) for outcome, k, n in zip(outcomes, first, placed, strict=False)]
 
 
-def _pile_of(bearing: Bearing, box: int) -> list[int]:
+def _supports(bearing: Bearing) -> list[list[int]]:
+    """The boxes that bear each box."""
+    under: list[list[int]] = [[] for _ in bearing.boxes.mass]
+    for upper, lower in zip(bearing.upper.tolist(), bearing.lower.tolist(), strict=True):
+        if lower != CARRIER:
+            under[upper].append(lower)
+    return under
+
+
+def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
     """A box and all below it that bear it."""
-    found, new = {box}, {box}
+    found, new = {box}, [box]
     while new:
-        below = bearing.lower[np.isin(bearing.upper, list(new))].tolist()
-        new = set(below) - found - {CARRIER}
-        found |= new
+        below = [lower for lower in under[new.pop()] if lower not in found]
+        found.update(below)
+        new += below
     return sorted(found)

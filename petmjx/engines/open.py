@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Sequence, Sized
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.config import Schedule, Simulation
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive
+from petmjx.world.next_boxes import Blank, NextBoxes
 from petmjx.world.pairs import filled_up
 from petmjx.world.scene import OF_BOXES, Scene
 
@@ -22,14 +24,16 @@ MOST_BOXES: Final = 96
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """An open world as it is now.
+    """An open world as it is now, with its k placed boxes.
 
     Attributes:
         time_s: since its soft start.
         ended: it has failed and does not go on: a box has dropped, or the simulation was given up.
         pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
-        culprit: the first box that has crossed a threshold; -1: none has.
+        culprit: the first box that has crossed a threshold at a sample; -1: none has.
+        max_tilt_deg, max_top_force_n: (k,) largest ones at samples.
+        dropped: (k,) whether a box had dropped at a sample.
     """
 
     time_s: float
@@ -39,6 +43,86 @@ class Reading:
     quat: FloatArray
     top_force_n: FloatArray
     culprit: int
+    max_tilt_deg: FloatArray
+    max_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """m open worlds as they are now: a ``Reading`` each, in arrays of k boxes, as many as the fullest world has.
+
+    Beyond a world's placed boxes numbers are NaN, and nothing has dropped.
+
+    Attributes:
+        placed: (m,) boxes.
+        target, half_size: (m, k, 3) planned middles and half extents, m.
+    """
+
+    placed: NDArray[np.int64]
+    time_s: FloatArray
+    ended: NDArray[np.bool_]
+    flags: NDArray[np.int64]
+    culprit: NDArray[np.int64]
+    pos: FloatArray
+    quat: FloatArray
+    target: FloatArray
+    half_size: FloatArray
+    top_force_n: FloatArray
+    max_tilt_deg: FloatArray
+    max_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Readings:
+        """From readings of worlds with these scenes."""
+        placed = np.array([len(each.pos) for each in readings], np.int64)
+        width = int(placed.max(initial=0))
+
+        def padded(
+            rows: Sequence[NDArray[Any]], fill: float | bool = np.nan, more: tuple[int, ...] = ()
+        ) -> NDArray[Any]:
+            shape = rows[0].shape[1:] if rows else more
+            table = np.full((len(rows), width, *shape), fill)
+            for row, values in enumerate(rows):
+                table[row, : placed[row]] = values[: placed[row]]
+            return table
+
+        return cls(
+            placed=placed,
+            time_s=np.array([each.time_s for each in readings]),
+            ended=np.array([each.ended for each in readings], bool),
+            flags=np.array([each.flags for each in readings], np.int64),
+            culprit=np.array([each.culprit for each in readings], np.int64),
+            pos=padded([each.pos for each in readings], more=(3,)),
+            quat=padded([each.quat for each in readings], more=(4,)),
+            target=padded([scene.target for scene in scenes], more=(3,)),
+            half_size=padded([scene.half_size for scene in scenes], more=(3,)),
+            top_force_n=padded([each.top_force_n for each in readings]),
+            max_tilt_deg=padded([each.max_tilt_deg for each in readings]),
+            max_top_force_n=padded([each.max_top_force_n for each in readings]),
+            dropped=padded([each.dropped for each in readings], False),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Readings]) -> Readings:
+        """The worlds of all parts, one part after the other."""
+        return cls(**joined(parts, max(part.pos.shape[1] for part in parts)))
+
+
+def joined(parts: Sequence[Any], width: int) -> dict[str, NDArray[Any]]:
+    """The fields of records of worlds, one record after the other, with room for so many boxes."""
+    names = [each.name for each in fields(parts[0])]
+    return {name: np.concatenate([widened(getattr(part, name), width) for part in parts]) for name in names}
+
+
+def widened(values: NDArray[Any], width: int) -> NDArray[Any]:
+    """An array of worlds' boxes with room for so many."""
+    if values.ndim == 1 or values.shape[1] == width:
+        return values
+    fill = False if values.dtype == bool else np.nan
+    more = np.full((len(values), width - values.shape[1], *values.shape[2:]), fill)
+    return np.concatenate([values, more], axis=1)
 
 
 def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -> None:
@@ -54,7 +138,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
         raise ValueError(f"a world is named twice: {list(worlds)}")
 
 
-def _check_as_many(worlds: Sequence[int], others: Sequence[object], what: str) -> None:
+def _check_as_many(worlds: Sequence[int], others: Sized, what: str) -> None:
     """Raises ValueError unless there is one of these for each world."""
     if len(worlds) != len(others):
         raise ValueError(f"{len(worlds)} worlds need as many {what}, and there are {len(others)}")
@@ -103,6 +187,7 @@ class OpenWorlds(ABC):
         if not scenes:
             raise ValueError("there must be a world at least")
         self._scenes = list(scenes)
+        self._blank = Blank(sim)
 
     def __len__(self) -> int:
         return len(self._scenes)
@@ -123,13 +208,64 @@ class OpenWorlds(ABC):
         """
         _check_worlds(worlds, len(self))
         _check_as_many(worlds, scenes, "scenes")
-        for world, scene, ended in zip(worlds, scenes, self._ended(worlds), strict=True):
-            if ended:
-                raise ValueError("the world has ended: nothing can be put into it")
+        self._check_open(worlds)
+        for world, scene in zip(worlds, scenes, strict=True):
             _check_grown(self._scenes[world], scene)
         if len(worlds):
             self._put(worlds, scenes)
             self._keep(worlds, scenes)
+
+    def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
+        """Put one box into each of these worlds, of which nothing is said but its extents, its place and its mass.
+
+        Raises:
+            ValueError: a world has ended.
+        """
+        _check_worlds(worlds, len(self))
+        _check_as_many(worlds, boxes, "boxes")
+        self._check_open(worlds)
+        if len(worlds):
+            scenes = self.with_next(worlds, boxes)
+            self._put_next(worlds, boxes, scenes)
+            self._keep(worlds, scenes)
+
+    def try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+        """How worlds would be if one box were put into each and they went on until it rests: forks of them, which are
+        gone afterwards. A world may be named more than once, and must have paused.
+
+        Raises:
+            ValueError: a world has ended.
+        """
+        _check_worlds(worlds, len(self), distinct=False)
+        _check_as_many(worlds, boxes, "boxes")
+        self._check_open(worlds)
+        return self._try_next(worlds, boxes)
+
+    def try_scenes(
+        self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
+    ) -> list[Outcome]:
+        """What becomes of forks of worlds with these scenes, which may also differ in friction, and in how their new
+        boxes are placed; as of ``finish``.
+
+        Raises:
+            ValueError: a world has ended.
+        """
+        _check_worlds(worlds, len(self), distinct=False)
+        _check_as_many(worlds, scenes, "scenes")
+        self._check_open(worlds)
+        return self._try_scenes(worlds, scenes, drives or [None] * len(worlds)) if len(worlds) else []
+
+    def with_next(self, worlds: Sequence[int], boxes: NextBoxes) -> list[Scene]:
+        """The scenes of worlds with one box more each."""
+        return [self._blank.with_box(self._scenes[world], boxes, row) for row, world in enumerate(worlds)]
+
+    def scene(self, world: int) -> Scene:
+        """Of a world."""
+        return self._scenes[world]
+
+    def _check_open(self, worlds: Sequence[int]) -> None:
+        if any(self._ended(worlds)):
+            raise ValueError("the world has ended: nothing can be put into it")
 
     @abstractmethod
     def go_on(self) -> None:
@@ -148,6 +284,11 @@ class OpenWorlds(ABC):
         """How worlds are now."""
         _check_worlds(worlds, len(self), distinct=False)
         return self._read(worlds)
+
+    def readings(self, worlds: Sequence[int]) -> Readings:
+        """How worlds are now, in arrays."""
+        _check_worlds(worlds, len(self), distinct=False)
+        return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
         """What becomes of worlds when nothing more is put into them, by all the rules, with or without a drive. The
@@ -180,6 +321,21 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...
+
+    def _put_next(self, worlds: Sequence[int], boxes: NextBoxes, scenes: Sequence[Scene]) -> None:
+        """As ``_put``; ``scenes`` have the boxes."""
+        self._put(worlds, scenes)
+
+    def _readings(self, worlds: Sequence[int]) -> Readings:
+        return Readings.of(self._read(worlds), [self._scenes[world] for world in worlds])
+
+    @abstractmethod
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings: ...
+
+    @abstractmethod
+    def _try_scenes(
+        self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
+    ) -> list[Outcome]: ...
 
     @abstractmethod
     def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None: ...

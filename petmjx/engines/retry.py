@@ -8,10 +8,12 @@ up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps i
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -145,6 +147,10 @@ class WorldResult(Generic[AnyWorld]):
     attempts: tuple[Attempt, ...]
 
 
+MOST_TOGETHER: Final = 64
+MOST_DELAY_S: Final = 0.1
+"""Answers that come within so many seconds are looked at together, up to so many."""
+
 _Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts: with the outcome of the last one, and the records of all before."""
 
@@ -248,9 +254,8 @@ class _Making(Generic[AnyWorld]):
         if (left or others) and self.engines.stand_in is not None:
             maker = self.engines.stand_in
             left = yield from self._run_on(maker, left + others)
-        for pending in left:
-            failed = failed_outcome(0, pending[0].job, self.sim, self._message)
-            yield self._made(pending, failed, maker)
+        failed = [failed_outcome(0, pending[0].job, self.sim, self._message) for pending in left]
+        yield from self._made(list(zip(left, failed, strict=True)), maker)
 
     def _engine_for(self, world: AnyWorld) -> Engine:
         return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles)
@@ -265,10 +270,15 @@ class _Making(Generic[AnyWorld]):
             jobs = GrowingJobs(jobs)
         unanswered = set(range(len(batch)))
         answers = iter(engine.run(jobs, self.sim, self.engines.progress))
+        came: list[tuple[_Pending[AnyWorld], Outcome]] = []
+        looked_s = -math.inf
         while True:
             try:
                 answer = next(answers, None)
-            except Exception as error:
+            except BaseException as error:  # ctrl-C, too, loses nothing that has come
+                yield from self._made(came, engine)
+                if not isinstance(error, Exception):
+                    raise
                 refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
                 if self.attempt.number == 1 and refused:
                     raise  # the user's to change: what the engine refuses, or the user's own engine
@@ -280,11 +290,15 @@ class _Making(Generic[AnyWorld]):
             if answer.job not in unanswered:
                 raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
             unanswered.remove(answer.job)
-            yield self._made(batch[answer.job], answer, engine)
+            came.append((batch[answer.job], answer))
+            if takes_more or len(came) == MOST_TOGETHER or time.monotonic() - looked_s > MOST_DELAY_S:
+                yield from self._made(came, engine)
+                came, looked_s = [], time.monotonic()
             for world in self._following(engine) if takes_more else ():
                 unanswered.add(len(batch))
                 batch.append((world, None, ()))
                 jobs.append(ready_for(engine, world.job))
+        yield from self._made(came, engine)
         if unanswered:
             raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")
         return []
@@ -299,20 +313,23 @@ class _Making(Generic[AnyWorld]):
                 self.aside.append(world)
 
     def _made(
-        self, pending: _Pending[AnyWorld], answer: Outcome, engine: Engine
-    ) -> tuple[AnyWorld, Outcome, tuple[Attempt, ...]]:
-        world, before, records = pending
-        outcome = note_softness(answer, world.job.scene, self.sim)
-        outcome.attempt, outcome.engine = self.attempt.number, engine.name
-        outcome.solver = self.sim.solver.value
-        outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, self.sim.thresholds)
-        note_edges(outcome, world.job)
-        if outcome.state is not None and not isinstance(outcome.state, KeptState):
-            outcome.state = KeptState(engine.name, outcome.state)
-        records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
-        if self.attempt.checks and before is not None:
-            outcome = self._checked(world, before, outcome)
-        return world, outcome, records
+        self, came: Sequence[tuple[_Pending[AnyWorld], Outcome]], engine: Engine
+    ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+        """What becomes of answers, for all of them together: one by one that took longer than a GPU's simulation."""
+        worlds = [pending[0] for pending, _ in came]
+        outcomes = note_softness([answer for _, answer in came], [world.job.scene for world in worlds], self.sim)
+        for outcome in outcomes:
+            outcome.attempt, outcome.engine = self.attempt.number, engine.name
+            outcome.solver = self.sim.solver.value
+            outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, self.sim.thresholds)
+            if outcome.state is not None and not isinstance(outcome.state, KeptState):
+                outcome.state = KeptState(engine.name, outcome.state)
+        note_edges(outcomes, [world.job for world in worlds])
+        for (_, before, records), world, outcome in zip((each for each, _ in came), worlds, outcomes, strict=True):
+            records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
+            if self.attempt.checks and before is not None:
+                outcome = self._checked(world, before, outcome)
+            yield world, outcome, records
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
         """The outcome of a world that was checked at half the timestep: the one before, which says so if it changed."""

@@ -7,15 +7,17 @@ box which gave way may have fallen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from itertools import compress, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.config import Cone, Physics, Simulation
-from petmjx.engines.leaning import BOUND_SHARE, leans
+from petmjx.engines.leaning import BOUND_SHARE, leaning
 from petmjx.plans.overlap import shared
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
@@ -79,41 +81,51 @@ def sinking_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m:
         return np.zeros(len(mass))
     above, below = pulls(at_rest_n)
     alone = base + depth_m(physics, below)
-    through = depth_m(physics, below[stack.upper] + above[stack.lower])
+    pairs = stack.pairs
+    through = depth_m(physics, below[pairs.upper] + above[pairs.lower])
     sinking = np.zeros(len(mass))
-    for number, pairs in zip(stack.order, stack.pairs, strict=True):
-        sinking[number] = (sinking[stack.lower[pairs]] + through[pairs]).max(initial=alone[number])
+    for number, span in zip(stack.order, pairs.spans, strict=True):
+        sinking[number] = (sinking[pairs.lower[span]] + through[span]).max(initial=alone[number])
     return sinking
 
 
-class _Stack(NamedTuple):
-    """Which boxes of a plan are above which.
+class _Stack:
+    """Which boxes of a plan are above which."""
 
-    Attributes:
-        order: (n,) the boxes from the lowest to the highest.
-        upper, lower: (p,) boxes that overlap seen from above, in the order of the upper ones.
-        pairs: (n) the pairs of each upper box, in order.
-        mass_above: (n,) mass of all boxes that a box may bear, directly or through others, kg.
+    def __init__(self, scene: Scene) -> None:
+        low, high = scene.target - scene.half_size, scene.target + scene.half_size
+        over = (shared(low[:, 0], high[:, 0]) > 0) & (shared(low[:, 1], high[:, 1]) > 0)
+        self.order = np.argsort(scene.target[:, 2], kind="stable")
+        """(n,) the boxes from the lowest to the highest."""
+        self._over = over[np.ix_(self.order, self.order)]
+        self.mass_above = _mass_above(scene.mass, self._over, self.order)
+        """(n,) mass of all boxes that a box may bear, directly or through others, kg."""
+
+    @cached_property
+    def pairs(self) -> _Pairs:
+        """Boxes that overlap seen from above."""
+        under = np.tril(self._over, -1)
+        places, lower_places = np.nonzero(under)
+        ends = np.cumsum(under.sum(axis=1)).tolist()
+        spans = [slice(begin, end) for begin, end in pairwise([0, *ends])]
+        return _Pairs(self.order[places], self.order[lower_places], spans)
+
+
+class _Pairs(NamedTuple):
+    """Attributes:
+    upper, lower: (p,) boxes, in the order of the upper ones in ``_Stack.order``.
+    spans: (n) the pairs of each of these.
     """
 
-    order: NDArray[np.intp]
     upper: NDArray[np.intp]
     lower: NDArray[np.intp]
-    pairs: list[slice]
-    mass_above: FloatArray
+    spans: list[slice]
 
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
     """Kept, since in a sweep many worlds have the same scene."""
-    low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    over = (shared(low[:, 0], high[:, 0]) > 0) & (shared(low[:, 1], high[:, 1]) > 0)
-    order = np.argsort(scene.target[:, 2], kind="stable")
-    under = np.tril(over[np.ix_(order, order)], -1)
-    places, lower_places = np.nonzero(under)
-    ends = np.cumsum(under.sum(axis=1)).tolist()
-    pairs = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
-    return _Stack(order, order[places], order[lower_places], pairs, _mass_above(scene.mass, over, order))
+    return _Stack(scene)
 
 
 def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
@@ -123,16 +135,17 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
     under it, and none of it is counted twice.
 
     Args:
-        over: (n, n) whether two boxes overlap seen from above.
+        over: (n, n) whether two boxes overlap seen from above, in the order of ``order``.
         order: (n,) the boxes from the lowest to the highest.
     """
-    bears = np.zeros_like(over)
-    for place in range(len(order) - 1, -1, -1):
-        number, higher = order[place], order[place + 1 :]
-        direct = higher[over[number, higher]]
-        bears[number, direct] = True
-        bears[number] |= bears[direct].any(axis=0)
-    total: FloatArray = bears @ mass
+    above = np.triu(over, 1).astype(np.float32)
+    while True:  # matrices of ones and zeros: each product doubles the number of boxes in between
+        further = np.minimum(above + above @ above, 1.0)
+        if np.array_equal(further, above):
+            break
+        above = further
+    total = np.empty(len(mass))
+    total[order] = above.astype(float) @ mass[order]
     return total
 
 
@@ -140,19 +153,30 @@ ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
 
-def note_softness(outcome: Outcome, scene: Scene, sim: Simulation) -> Outcome:
-    """The outcome, with ``Flag.SINKING`` where contacts gave way so far that a verdict may come from it.
+def note_softness(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[Outcome]:
+    """The outcomes, with ``Flag.SINKING`` where contacts gave way so far that a verdict may come from it.
 
     A world whose boxes sank has no verdict; one that may have tipped over since contacts are soft keeps it, for the
     case that stiffer ones do not change it. With pyramidal cones, the reference's, all keep it.
     """
-    if outcome.verdict is Verdict.INVALID:
-        return outcome
-    elliptic, sinks = sim.physics.cone is Cone.ELLIPTIC, sank(outcome, scene, sim)
-    if not sinks and not (elliptic and leans(outcome, scene, sim)):
-        return outcome
+    found, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
+    may_lean: list[int] = []
+    for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
+        if outcome.verdict is Verdict.INVALID:
+            continue
+        if sank(outcome, scene, sim):
+            found[k] = _softened(outcome, sim, sank=elliptic)
+        elif elliptic and outcome.verdict is Verdict.UNSTABLE:
+            may_lean.append(k)
+    leans = leaning([outcomes[k] for k in may_lean], [scenes[k] for k in may_lean], sim)
+    for k in compress(may_lean, leans):
+        found[k] = _softened(outcomes[k], sim, sank=False)
+    return found
+
+
+def _softened(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outcome:
     flags = outcome.flags | Flag.SINKING
-    verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sinks and elliptic)
+    verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sank)
     return replace(outcome, flags=flags, verdict=verdict, reason=reason)
 
 

@@ -35,6 +35,10 @@ class Engines:
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool) -> Engine:
         """Who simulates a job; ``doubles``: at an attempt that wants double precision."""
+        cut = bool(job.scene.pieces) and self.own.name == "mjx-jax"
+        if cut and self.stand_in is not None:
+            self.note(f"worlds with interlayer sheets were simulated on {self.stand_in.name}")
+            return self.stand_in
         foreign = isinstance(job.start, KeptState) and job.start.engine != self.own.name
         if (doubles or foreign or sim.solver is Solver.CG) and self.stand_in is not None:
             if doubles:

@@ -8,9 +8,18 @@ from jaxtyping import Array, Bool, Float
 from petmjx.config import Thresholds
 
 
-def shift(pos: Float[Array, "world box 3"], target: Float[Array, "world box 3"], floor_m: float) -> Array:
-    """Displacement from the planned centre, m; components under ``floor_m`` count as 0."""
+def shift(
+    pos: Float[Array, "world box 3"],
+    target: Float[Array, "world box 3"],
+    floor_m: float,
+    sinks_m: Float[Array, "world box"] | None = None,
+) -> Float[Array, "world box 3"]:
+    """Displacement from the planned centre, m; components under ``floor_m`` count as 0, and so does what boxes are
+    meant to come down (``sinks_m``)."""
     delta = pos - target
+    if sinks_m is not None:
+        down = jnp.where(delta[..., 2] < 0, jnp.minimum(delta[..., 2] + sinks_m, 0.0), delta[..., 2])
+        delta = delta.at[..., 2].set(down)
     return jnp.where(jnp.abs(delta) < floor_m, 0.0, delta)
 
 

@@ -9,9 +9,16 @@ from petmjx.config import Thresholds
 from petmjx.units import FloatArray
 
 
-def shift(pos: FloatArray, target: FloatArray, floor_m: float) -> FloatArray:
-    """(n, 3) displacement from the planned centre, m; components under ``floor_m`` count as 0."""
+def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArray | None = None) -> FloatArray:
+    """(…, n, 3) displacement from the planned centre, m; components under ``floor_m`` count as 0.
+
+    Args:
+        sinks_m: (n,) how far boxes are meant to come down, which is no displacement; None: not at all.
+    """
     delta = pos - target
+    if sinks_m is not None:
+        down = delta[..., 2]
+        delta[..., 2] = np.where(down < 0, np.minimum(down + sinks_m, 0.0), down)
     return np.where(np.abs(delta) < floor_m, 0.0, delta)
 
 

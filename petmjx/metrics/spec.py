@@ -157,7 +157,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         {"shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
          "shift_y_m": "final centre - planned centre, y",
          "shift_z_m": "final centre - planned centre, z"},
-        When.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0",
+        When.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
+        "downwards only what goes beyond what boxes that give are meant to sink",
         of_world=OfWorld("max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"),
     ),
     _largest(
@@ -174,7 +175,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, When.SAMPLES_AND_END,
-        "time of the first look at which it had dropped", dtype=np.float64,
+        "time of the first check at which it had dropped", dtype=np.float64,
         of_world=OfWorld("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
     ),
     _largest(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.hull import convex_hull
 from petmjx.pages.palette import Rgb
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
@@ -173,26 +174,7 @@ def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | No
     points = corners(poses.pos[alone], rotations(poses.quat[alone]), story.scene.half_size[alone])[0]
     if not ((points - camera.pos) @ camera.forward > 0).all():  # behind the camera, or nowhere
         return None
-    return convex_hull(camera.project(points))
-
-
-def convex_hull(points: FloatArray) -> FloatArray:
-    """(k, 2) corners of the convex hull of (n, 2) points, in order around it (Andrew's monotone chain)."""
-    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
-
-    def half(ordered: FloatArray) -> list[FloatArray]:
-        chain: list[FloatArray] = []
-        for point in ordered:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0:
-                chain.pop()
-            chain.append(point)
-        return chain[:-1]
-
-    return np.array([*half(ordered), *half(ordered[::-1])])
-
-
-def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    return np.array(convex_hull([(x, y) for x, y in camera.project(points).tolist()]))
 
 
 @functools.cache

@@ -1,9 +1,9 @@
-"""What the boxes of an article or a product group are like: a table of the user's.
+"""What the boxes of an article, a product group or a material are like: a table of the user's.
 
-It says what boxes are made of, where their centres of mass are, and what they bear. A strength is given in newtons, or
-follows from the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for
-corrugated boxes", Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). It is that of a
-new box in a press; a safety factor makes it what a box bears in use.
+It says what boxes are made of, where their centres of mass are, how stiff they are, and what they bear. A strength is
+given in newtons, or follows from the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression
+strength formula for corrugated boxes", Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness ·
+perimeter). It is that of a new box in a press; a safety factor makes it what a box bears in use.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 from petmjx.bounded import open_regular
 from petmjx.checked import read_toml, reason
 from petmjx.errors import InputError
-from petmjx.plans.fields import COM_FIELDS, LARGEST_MM, com_along_axes, kind, listed
+from petmjx.plans.fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, kind, listed
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
 from petmjx.plans.plan import Plan
 from petmjx.plans.unpack import read_text_bytes
@@ -34,14 +34,16 @@ MCKEE: Final = 5.87
 """Of McKee's formula in its simple form; it has no unit."""
 
 _KEYS: Final = ("article", "product_group")
+_STIFFNESS: Final = "stiffness_n_mm"
 _SIMPLE: Final = "strength_n"
 _BOARD: Final = ("ect_kn_m", "thickness_mm", "safety_factor")
 _MATERIAL: Final = "material"
 _NUMBERS: Final = {
-    _SIMPLE: (0.0, 1e9),
+    _SIMPLE: SPARSE[_SIMPLE][:2],
     "ect_kn_m": (0.0, 1e3),
     "thickness_mm": (0.0, 100.0),
     "safety_factor": (1.0, 1e3),
+    _STIFFNESS: SPARSE[_STIFFNESS][:2],
     **dict.fromkeys(COM_FIELDS, (-LARGEST_MM / 2, LARGEST_MM / 2)),
 }
 """Fields and the limits between which they make sense; a lower one of 0 is not allowed itself."""
@@ -49,7 +51,7 @@ _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 
 _LONGEST_MATERIAL: Final = 100
 
-_TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group"}
+_TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
 
 
 @dataclass(frozen=True)
@@ -80,38 +82,48 @@ class Strength:
 
 @dataclass(frozen=True)
 class Article:
-    """What is said of an article or a product group.
+    """What is said of an article, a product group or a material.
 
     Attributes:
         strength: what boxes bear; None: it is not said.
         material: what they are made of, for friction (petmjx.materials); None: it is not said.
         com_mm: centre of mass, seen from the box's middle along its length, width and height, mm; None: it is not said.
+        stiffness_n_mm: as of ``Plan``; None: it is not said.
     """
 
     strength: Strength | None = None
     material: str | None = None
     com_mm: tuple[float, float, float] | None = None
+    stiffness_n_mm: float | None = None
+
+    def filled_up(self, other: Article) -> Article:
+        """With what another one says where this one says nothing."""
+        own = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
+        return replace(other, **own)
 
 
 @dataclass(frozen=True)
 class Articles:
-    """What is said by article and by product group; field by field the article's counts where there are both."""
+    """What is said by article, by product group and by material; field by field the first of these counts that says
+    something."""
 
     by_article: Mapping[str, Article]
     by_group: Mapping[str, Article]
+    by_material: Mapping[str, Article] = field(default_factory=dict)
 
-    def find(self, article: str, group: str) -> Article:
-        """All that is said of a box."""
+    def find(self, article: str, group: str, material: str = "") -> Article:
+        """All that is said of a box, whose plan says this material."""
         own = self.by_article.get(article, _NOTHING)
-        others = self.by_group.get(group, _NOTHING) if group else _NOTHING
-        return Article(
-            own.strength or others.strength,
-            own.material if own.material is not None else others.material,
-            own.com_mm if own.com_mm is not None else others.com_mm,
-        )
+        found = own.filled_up(self.by_group.get(group, _NOTHING) if group else _NOTHING)
+        return found.filled_up(self.by_material.get(material_key(material or found.material or ""), _NOTHING))
 
 
 _NOTHING: Final = Article()
+
+
+def material_key(name: str) -> str:
+    """A material's name as pairs of materials compare it."""
+    return name.strip().lower()
 
 
 def read_articles(path: str | Path) -> Articles:
@@ -136,13 +148,13 @@ def read_articles(path: str | Path) -> Articles:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from None
     if not rows:
         raise InputError(f"{name}: holds no article")
-    found: dict[str, dict[str, Article]] = {key: {} for key in _KEYS}
+    found: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
     for where, row in rows:
         key, value, article = _article(f"{name}: {where}", row)
         if value in found[key]:
             raise InputError(f"{name}: {where}: {key} {shown(value)} is there twice")
         found[key][value] = article
-    return Articles(found["article"], found["product_group"])
+    return Articles(found["article"], found["product_group"], found[_MATERIAL])
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
@@ -152,9 +164,10 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     if unknown:
         raise InputError(f"{where}: unknown field {shown(unknown[0])}; there are {', '.join(_FIELDS)}")
     keys = [key for key in _KEYS if key in known]
-    if len(keys) != 1:
-        raise InputError(f"{where}: must name either an article or a product_group")
+    if len(keys) == 2 or (not keys and _MATERIAL not in known):
+        raise InputError(f"{where}: must name either an article, a product_group, or a material alone")
     numbers = {field: _number(where, field, known[field]) for field in _NUMBERS if field in known}
+    stiffness = numbers.pop(_STIFFNESS, None)
     com = [numbers.pop(field) if field in numbers else None for field in COM_FIELDS]
     com_mm = None if com == [None] * 3 else (com[0] or 0.0, com[1] or 0.0, com[2] or 0.0)
     material = known.get(_MATERIAL)
@@ -162,8 +175,11 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
         raise InputError(
             f"{where}: {_MATERIAL} must be text of at most {_LONGEST_MATERIAL} characters, got {_got(material)}"
         )
-    bears = None if not numbers and (material is not None or com_mm is not None) else _strength(where, numbers)
-    return keys[0], str(known[keys[0]]), Article(bears, material, com_mm)
+    said = bool(keys and material) or com_mm is not None or stiffness is not None
+    bears = None if not numbers and said else _strength(where, numbers)
+    if not keys and material is not None:
+        return _MATERIAL, material_key(material), Article(bears, None, com_mm, stiffness)
+    return keys[0], str(known[keys[0]]), Article(bears, material, com_mm, stiffness)
 
 
 def _strength(where: str, numbers: Mapping[str, float]) -> Strength:
@@ -200,7 +216,8 @@ def _toml_rows(tables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
     for table, rows in tables.items():
         if table not in _TOML_TABLES or not isinstance(rows, Mapping):
             raise InputError(
-                f"{name}: must have the tables [articles.NAME] and [product_groups.NAME], got {shown(table)}"
+                f"{name}: must have the tables [articles.NAME], [product_groups.NAME] and [materials.NAME], got "
+                f"{shown(table)}"
             )
         for value, row in rows.items():
             where = f"{table}.{shown(value)}"
@@ -229,7 +246,7 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield f"row {number}", _cells(name, number, names, row, delimiter)
     except csv.Error as error:
         unclosed = "unexpected end of data" in str(error)
-        why = "has a quotation mark that nothing closes" if unclosed else f"not CSV: {reason(error)}"
+        why = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
         raise InputError(f"{name}: row {number + 1}: {why}") from None
 
 
@@ -237,6 +254,9 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], del
     if len(row) != len(names):
         raise InputError(f"{name}: row {number}: has {len(row)} fields instead of {len(names)}")
     values = dict(zip(names, row, strict=True))
+    known = [field.strip().lower() for field in names]
+    if twice := next((field for field in known if known.count(field) > 1), None):
+        raise InputError(f"{name}: row 1: the column {shown(twice)} is there twice")
     if delimiter == ";":
         values = {
             field: value.replace(",", ".") if field.strip().lower() in _NUMBERS else value
@@ -259,7 +279,8 @@ def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def with_articles(plan: Plan, articles: Articles) -> Plan:
-    """The plan with materials and centres of mass of its boxes; the same object if nothing is said of them.
+    """The plan with materials, centres of mass, stiffness and strength of its boxes; the same object if nothing is said
+    of them.
 
     What the plan says of a box itself comes before what the table says.
 
@@ -267,10 +288,22 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
         InputError: ", placement 3: …": a centre of mass is not inside its box.
     """
     groups = plan.product_groups or ("",) * plan.n_boxes
-    said = [articles.find(*names) for names in zip(plan.articles, groups, strict=True)]
+    own_materials = plan.materials or ("",) * plan.n_boxes
+    said = [articles.find(*names) for names in zip(plan.articles, groups, own_materials, strict=True)]
     changes: dict[str, Any] = {}
+    numbers = {
+        _STIFFNESS: [each.stiffness_n_mm for each in said],
+        _SIMPLE: [
+            None if each.strength is None else each.strength.of_box(*base)
+            for each, base in zip(said, plan.size_mm[:, :2].tolist(), strict=True)
+        ],
+    }
+    for name, values in numbers.items():
+        if any(value is not None for value in values):
+            own_values = getattr(plan, name)
+            found = np.array([np.nan if value is None else value for value in values])
+            changes[name] = found if own_values is None else np.where(np.isnan(own_values), found, own_values)
     if any(each.material for each in said):
-        own_materials = plan.materials or ("",) * plan.n_boxes
         changes["materials"] = tuple(own or each.material or "" for own, each in zip(own_materials, said, strict=True))
     if any(each.com_mm for each in said):
         offset = np.array([each.com_mm or (0.0, 0.0, 0.0) for each in said])

@@ -31,6 +31,15 @@ COM_FIELDS_JSON: Final = tuple(name.replace("_mm", "/mm") for name in COM_FIELDS
 
 LARGEST_DEG: Final = 360.0
 """Approaches, both ways."""
+SPARSE: Final = {
+    "approach_deg": (-LARGEST_DEG, LARGEST_DEG, "degrees"),
+    "stiffness_n_mm": (0.01, 1e6, "N/mm"),
+    "strength_n": (0.01, 1e9, "N"),
+}
+"""Numbers that few placements have: limits and unit. Corrugated boxes have 100 to 500 N/mm."""
+SHEET: Final = "sheet"
+KINDS: Final = ("box", SHEET)
+"""What an item may be; where nothing is said it is a box."""
 LONGEST_NAME: Final = 1000
 """Characters of a plan id, an item id, an article or a product group."""
 
@@ -134,9 +143,16 @@ def orientation_fault(value: object) -> str | None:
     return None if known else f"orientation must be 0 or 1, got {kind(value)}"
 
 
-def approach_fault(value: object) -> str | None:
-    """What is wrong with an approach that is given; None if nothing is."""
-    return None if value is None else coordinate_fault("approach_deg", value, -LARGEST_DEG, LARGEST_DEG, "degrees")
+def sparse_fault(field: str, value: object) -> str | None:
+    """What is wrong with one of the numbers that may be missing; None if nothing is."""
+    return None if value is None else coordinate_fault(field, value, *SPARSE[field])
+
+
+def kind_fault(value: object) -> str | None:
+    """What is wrong with what an item is said to be; None if nothing is."""
+    if value is None or value == "" or (isinstance(value, str) and value in KINDS):
+        return None
+    return f"kind must be {' or '.join(KINDS)}, got {kind(value)}"
 
 
 def missing_fault(fields: Sequence[str]) -> str:

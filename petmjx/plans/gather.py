@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import count
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from petmjx.plans.samples import bundled_path
 from petmjx.run_options import RunOptions
 from petmjx.text import counted, first_names, printable, shown
 from petmjx.units import MM_PER_M
+
+if TYPE_CHECKING:
+    from petmjx.plans.articles import Articles
 
 PathArgument = str | PathLike[str]
 PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet | SupportsArrow
@@ -88,8 +91,25 @@ def _with_articles(found: PlanSet, file: Path, strict: bool) -> PlanSet:
             skipped.append(replace(why, number=found.numbers.get(plan.plan_id)))
         else:
             changed += kept[-1] is not plan
-    notes = [] if changed else [f"{printable(str(file))}: says nothing of how the boxes of these plans are"]
+    name = printable(str(file))
+    idle = [f"{name}: says nothing of how the boxes of these plans are"]
+    notes = _idle_rows(articles, found.plans, name) if changed else idle
     return replace(found, plans=kept, skipped=skipped, notes=[*found.notes, *notes])
+
+
+def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
+    """A line on the rows of a table of articles that match no box."""
+    there = {
+        "article": {each for plan in plans for each in plan.articles},
+        "product group": {each for plan in plans for each in plan.product_groups},
+    }
+    asked = {"article": articles.by_article, "product group": articles.by_group}
+    idle = [f"{kind} {shown(each)}" for kind, rows in asked.items() for each in rows if each not in there[kind]]
+    total = sum(map(len, asked.values()))
+    if not idle:
+        return []
+    verb = "matches" if len(idle) == 1 else "match"
+    return [f"{name}: {len(idle):,} of {counted(total, 'row')} {verb} no box: {first_names(idle)}"]
 
 
 def _gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from petmjx.arguments import array_of, list_of, text_of
 from petmjx.errors import InputError
-from petmjx.plans.fields import LARGEST_DEG
+from petmjx.plans.fields import KINDS, SHEET, SPARSE
 from petmjx.plans.given import Given
 from petmjx.run_options import Anchor
 from petmjx.text import counted, shown
@@ -37,6 +37,9 @@ class Plan:
         mass_center_mm: (n, 3) centres of mass, seen from the boxes' middles along x, y and z; None: in the middles.
         approach_deg: (n,) level direction in which each box goes to its place, from +x to +y; NaN where nobody said;
             None: nobody said of any. Used where boxes are carried (``petmjx.placing``).
+        stiffness_n_mm: (n,) force on each box's top per compression, as in a press; NaN: it is rigid; None: all are.
+        strength_n: (n,) what each box bears on its top; NaN: nobody said; None: of none.
+        kinds: n times "box" or "sheet", an interlayer sheet; empty: all are boxes.
     """
 
     plan_id: str
@@ -52,6 +55,9 @@ class Plan:
     materials: tuple[str, ...] = ()
     mass_center_mm: NDArray[np.float64] | None = None
     approach_deg: NDArray[np.float64] | None = None
+    stiffness_n_mm: NDArray[np.float64] | None = None
+    strength_n: NDArray[np.float64] | None = None
+    kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Take lists for arrays, and refuse what no engine could use; from_boxes says which box it is.
@@ -72,10 +78,16 @@ class Plan:
             fields["orientation"] = _whole_numbers(self.orientation, "orientation")
             if not ((fields["orientation"] == 0) | (fields["orientation"] == 1)).all():
                 raise InputError("orientation must be 0 or 1 for each box")
-        if self.approach_deg is not None:
-            fields["approach_deg"] = array_of(self.approach_deg, "approach_deg", (), may_lack=True)
-            if (np.abs(fields["approach_deg"]) > LARGEST_DEG).any():
-                raise InputError(f"approach_deg must be from {-LARGEST_DEG:g} to {LARGEST_DEG:g}")
+        for name, (low, high, _) in SPARSE.items():
+            if (values := getattr(self, name)) is not None:
+                fields[name] = array_of(values, name, (), may_lack=True)
+                if ((fields[name] < low) | (fields[name] > high)).any():
+                    raise InputError(f"{name} must be from {low:g} to {high:g}")
+        kinds = tuple(list_of(self.kinds, "kinds", str, "text"))
+        if not set(kinds) <= {"", *KINDS}:
+            raise InputError(f"kinds must be {' or '.join(KINDS)} for each box")
+        if kinds:
+            fields["kinds"] = kinds
         groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
         if groups:
             fields["product_groups"] = groups
@@ -98,6 +110,7 @@ class Plan:
             raise InputError("mass_center_mm must be inside the boxes, less than half of size_mm from their middles")
         object.__setattr__(self, "product_groups", groups)
         object.__setattr__(self, "materials", materials)
+        object.__setattr__(self, "kinds", kinds if SHEET in kinds else ())
 
     @classmethod
     def from_boxes(
@@ -121,8 +134,9 @@ class Plan:
             boxes: a dictionary for each box, in packing order, or one that has a list of n values for each field; also
                 a data frame. Fields are the columns of the table form: ``length_mm``, ``width_mm``, ``height_mm``,
                 ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and where known ``article``, ``item_id``,
-                ``product_group``, ``orientation``, ``order_sequence``, ``approach_deg``, ``material`` and
-                ``com_length_mm``, ``com_width_mm``, ``com_height_mm``. ``sequence`` gives another packing order.
+                ``product_group``, ``orientation``, ``order_sequence``, ``approach_deg``, ``material``,
+                ``com_length_mm``, ``com_width_mm``, ``com_height_mm``, ``stiffness_n_mm``, ``strength_n`` and ``kind``.
+                ``sequence`` gives another packing order.
             size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm; with ``orientation`` the item's own
                 length, width and height.
             corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
@@ -143,6 +157,11 @@ class Plan:
     @property
     def n_boxes(self) -> int:
         return len(self.mass_kg)
+
+    @property
+    def sheets(self) -> NDArray[np.bool_]:
+        """(n,) which items are interlayer sheets."""
+        return np.array([name == SHEET for name in self.kinds] or [False] * self.n_boxes, bool)
 
     @property
     def turned(self) -> NDArray[np.bool_]:

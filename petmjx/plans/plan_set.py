@@ -52,10 +52,10 @@ class Skipped:
 class PlanSet:
     """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
 
-    ``numbers`` says of each plan id which of the plans that were read it is, from 0, also counting those that were
-    skipped; empty: they are as in ``plans``. ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a
-    box outside or a floating box; ``conventions`` a line for each convention that plans seem to follow instead of
-    petmjx's; ``notes`` lines about all that was read, such as which fields nobody reads.
+    ``numbers`` maps each plan id to the plan's number among those that were read, from 0, counting skipped plans, too;
+    empty: the order of ``plans``. ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a
+    box outside or a floating box; ``conventions`` a line for each other convention that plans seem to follow; ``notes``
+    has lines about everything that was read, such as ignored fields.
     """
 
     plans: list[Plan] = field(default_factory=list)

@@ -54,7 +54,7 @@ def load_plans(
 ) -> PlanSet:
     """Read and validate packing plans.
 
-    What looks like another convention than petmjx's, such as coordinates of centres, is told as a ``PlanWarning``.
+    If plans seem to follow another convention, such as coordinates of centres, there is a ``PlanWarning``.
 
     Args:
         paths: a file, a folder, or several of them; or a table of placements as a pandas data frame, or as anything
@@ -66,7 +66,7 @@ def load_plans(
         max_boxes: plans with more boxes are skipped.
         carrier_extent_mm: x–y extent within which boxes are not reported as outside; None: the plan's footprint.
         units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) as the plans have them, such as "cm,g".
-        anchor: the point of a box whose coordinates the plans have: ``corner``, the front-left-bottom one, ``centre``,
+        anchor: which point of a box the plans give: ``corner``, the front-left-bottom one, ``centre``,
             ``base-centre`` or ``far-corner``, the one with the largest x, y and z.
 
     Returns:

@@ -19,16 +19,17 @@ from petmjx.errors import InputError
 from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
     COM_FIELDS,
-    LARGEST_DEG,
-    approach_fault,
+    SPARSE,
     com_along_axes,
     com_fault,
     coordinate_fault,
+    kind_fault,
     missing_anywhere,
     missing_fault,
     number_fault,
     orientation_fault,
     positive_fault,
+    sparse_fault,
     text_fault,
     too_many_boxes,
     whole_fault,
@@ -41,12 +42,13 @@ _SIZE: Final = ("length_mm", "width_mm", "height_mm")
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")
 NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
 """Columns that every table has."""
-OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", "material", *COM_FIELDS, "approach_deg")
+_SELDOM: Final = ("material", "kind", *COM_FIELDS, *SPARSE)
+OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", *_SELDOM)
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
 there is none, ``sequence`` is taken for it."""
-_TEXTS: Final = ("article", "item_id", "product_group", "material")
+_TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 _NAMES: Final = ("plan_id", *_TEXTS)
-_MAY_LACK: Final = ("item_id", "product_group", "material", *COM_FIELDS, "approach_deg")
+_MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
 """Columns that may have no value in a row."""
 _ALIASES: Final = {own.replace("_mm", "/mm").replace("_kg", "/kg"): own for own in (*_SIZE, "weight_kg", *COM_FIELDS)}
 """BED-BPP's own spelling of sizes and weights."""
@@ -223,17 +225,21 @@ class _Reading:
                 bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
         for numbers in (*self._numbers.values(), *self._com.values()):
             bad |= np.isnan(numbers)
-        if self._approach is not None:
-            bad |= np.isnan(self._approach) & ~self._missing["approach_deg"]
+        for name, sparse in self._sparse.items():
+            bad |= np.isnan(sparse) & ~self._missing[name]
+        if "kind" in self._texts:
+            bad |= np.array([kind_fault(name) is not None for name in self._texts["kind"][0]], bool)
         return bad
 
     @cached_property
-    def _approach(self) -> FloatArray | None:
-        """(n,) approaches, degrees; NaN where a value cannot be used or is not given. None: there is no column."""
-        if "approach_deg" not in self.table.columns:
-            return None
-        numbers, usable = self.table.columns["approach_deg"].numbers()
-        return np.where(usable & (np.abs(numbers) <= LARGEST_DEG), numbers, np.nan)
+    def _sparse(self) -> dict[str, FloatArray]:
+        """Numbers that few placements have; NaN where a value cannot be used or is not given."""
+        found = {}
+        for name, (low, high, _) in SPARSE.items():
+            if name in self.table.columns:
+                numbers, usable = self.table.columns[name].numbers()
+                found[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers, np.nan)
+        return found
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
@@ -280,8 +286,7 @@ class _Reading:
             along = np.stack([self._com.get(name, np.zeros(len(order)))[order] for name in COM_FIELDS], axis=1)
             turned = found.get("orientation", np.zeros(len(order), np.int64)) == 1
             found["com"] = com_along_axes(along, turned)
-        if self._approach is not None:
-            found["approach"] = self._approach[order]
+        found |= {name: numbers[order] for name, numbers in self._sparse.items()}
         point = np.stack([number[name][order] for name in _CORNER], axis=1)
         return {"size": size, "corner": self.given.corner_mm(point, size), **found}
 
@@ -295,7 +300,7 @@ class _Reading:
         names = {name: tuple(sorted_[name][rows].tolist()) for name in _TEXTS if name in sorted_}
         groups, materials = (names.get(name, ()) for name in ("product_group", "material"))
         com = sorted_["com"][rows].copy() if "com" in sorted_ else None
-        approach = sorted_["approach"][rows] if "approach" in sorted_ else np.full(len(numbers), np.nan)
+        sparse = {name: sorted_[name][rows] for name in SPARSE if name in sorted_}
         return {
             "plan_id": plan_id,
             "source": self.source,
@@ -309,7 +314,8 @@ class _Reading:
             "product_groups": groups if any(groups) else (),
             "materials": materials if any(materials) else (),
             "mass_center_mm": com if com is not None and com.any() else None,
-            "approach_deg": None if np.isnan(approach).all() else approach.copy(),
+            **{name: values.copy() for name, values in sparse.items() if not np.isnan(values).all()},
+            "kinds": names.get("kind", ()),
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
@@ -329,17 +335,12 @@ class _Reading:
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
         """Why rows are bad: all that is missing, or else the first fault."""
         numbers = self.table.numbers
-        missing = {
-            name: numbers[rows[empty[rows]]].tolist()
-            for name, empty in self._missing.items()
-            if name not in _MAY_LACK and empty[rows].any()
-        }
+        needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
+        missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}
         everywhere = missing_anywhere(missing, "row")
         if everywhere is not None:
             return everywhere
-        faults = (
-            f", row {self.table.numbers[row]}: {fault}" for row in rows if (fault := self._fault_of(row)) is not None
-        )
+        faults = (f", row {numbers[row]}: {fault}" for row in rows if (fault := self._fault_of(row)) is not None)
         return next(faults, "is unusable")
 
     def _fault_of(self, row: np.int64) -> str | None:
@@ -361,7 +362,8 @@ class _Reading:
             ),
             orientation_fault(_whole_value(raw["orientation"])) if "orientation" in raw else None,
             *(coordinate_fault(name, raw[name], *self._limits[name]) for name in _CORNER),
-            approach_fault(raw.get("approach_deg")),
+            *(sparse_fault(name, raw.get(name)) for name in SPARSE),
+            kind_fault(raw.get("kind")),
         )
         return next(filter(None, faults), None)
 
@@ -373,9 +375,8 @@ class _Reading:
     def _rows_of_no_plan(self) -> Iterator[Refused]:
         for row in np.flatnonzero(self._codes < 0):
             value = self.table.columns["plan_id"].raw(int(row))
-            fault = (
-                "plan_id is missing" if value in (None, "") else text_fault("plan_id", value) or "plan_id is unusable"
-            )
+            missing = value in (None, "")
+            fault = "plan_id is missing" if missing else text_fault("plan_id", value) or "plan_id is unusable"
             yield Refused(None, f"{self.source}: row {self.table.numbers[row]}: {fault}")
         known = set(self._plan_ids)
         for lost in self.table.lost:

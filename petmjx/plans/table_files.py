@@ -161,7 +161,7 @@ def _line_fault(line: bytearray) -> str | None:
     """Why a line cannot be a row of its own; None: it may be one."""
     if not _is_utf8(line):
         return "is not UTF-8 text"
-    return "has a quotation mark that nothing closes" if line.count(b'"') % 2 else None
+    return "has an unclosed quotation mark" if line.count(b'"') % 2 else None
 
 
 def read_parquet(path: Path) -> Table:

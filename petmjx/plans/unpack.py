@@ -60,7 +60,7 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
                 _inflate_bytewise(before, chunk, plain)
                 return plain, f"the gzip data is damaged ({error}); plans up to there are read"
             if len(plain) > most:
-                return bytearray(), f"the gzip data unpacks to more than {size(most)}, which no plan file does"
+                return bytearray(), f"the gzip data unpacks to more than {size(most)}, too much for a plan file"
             position += len(chunk) - len(inflate.unused_data)
         if not any(view[position : position + _GZIP_CHUNK]):
             break  # gzip members may be followed by padding

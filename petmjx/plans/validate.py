@@ -16,17 +16,19 @@ from petmjx.plans.fields import (
     LONGEST_NAME,
     SMALLEST_KG,
     SMALLEST_MM,
+    SPARSE,
     Unread,
-    approach_fault,
     com_along_axes,
     com_fault,
     coordinate_fault,
     kind,
+    kind_fault,
     missing_anywhere,
     missing_fault,
     orientation_fault,
     plan_id_fault,
     positive_fault,
+    sparse_fault,
     text_fault,
     too_many_boxes,
     whole_fault,
@@ -39,7 +41,8 @@ from petmjx.text import is_text, shown
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _NUMBERS_OF_ITEM: Final = (*_SIZES, "weight/kg")
 _NEEDED: Final = ("article", "id", *_NUMBERS_OF_ITEM, "sequence")
-_MORE: Final = frozenset({"material", *COM_FIELDS_JSON})
+_SPARSE_OF_ITEM: Final = tuple(name for name in SPARSE if name != "approach_deg")
+_MORE: Final = frozenset({"material", "kind", *COM_FIELDS_JSON, *_SPARSE_OF_ITEM})
 """Fields that few plans have."""
 _ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group", *_MORE})
 _OF_PLACEMENT: Final = ("item", "orientation", "flb_coordinates")
@@ -124,7 +127,10 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         corner_lengths = set(map(len, corners))
         more = not all(map(_MORE.isdisjoint, items))
         materials = [_said(item, "material", "") for item in items] if more else []
+        kinds = [_said(item, "kind", "") for item in items] if more else []
         offsets = [[_said(item, field, 0.0) for field in COM_FIELDS_JSON] for item in items] if more else []
+        sparse = {name: [item.get(name) for item in items] for name in _SPARSE_OF_ITEM} if more else {}
+        sparse["approach_deg"] = approaches
     except (AttributeError, KeyError, TypeError, IndexError):
         return None
     coordinates = list(chain.from_iterable(corners))
@@ -135,8 +141,8 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         and set(map(type, chain(coordinates, *columns, *offsets))) <= _NUMBERS
         and set(map(type, chain(orientations, sequences))) == {int}
         and set(orientations) <= {0, 1}
-        and set(map(type, approaches)) <= {*_NUMBERS, type(None)}
-        and set(map(type, chain(ids, articles, groups, materials))) == {str}
+        and set(map(type, chain(*sparse.values()))) <= {*_NUMBERS, type(None)}
+        and set(map(type, chain(ids, articles, groups, materials, kinds))) == {str}
         and max(map(len, chain(ids, articles, groups, materials))) <= LONGEST_NAME
         and is_text("".join(chain(ids, articles, groups, materials)))
     )
@@ -147,7 +153,11 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
         sequence = np.array(sequences, dtype=np.int64)
         com = np.array(offsets, dtype=np.float64) * given.length_mm if more else None
-        approach = np.array([np.nan if degrees is None else degrees for degrees in approaches], dtype=np.float64)
+        numbers_of = {
+            name: np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+            for name, values in sparse.items()
+            if values.count(None) < len(values)
+        }
     except OverflowError:
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
@@ -158,7 +168,8 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
         and (np.abs(point) <= FARTHEST_MM).all()
         and (com is None or (2 * np.abs(com) < size).all())
-        and all(approach_fault(degrees) is None for degrees in approaches if degrees is not None)
+        and all(sparse_fault(name, value) is None for name in numbers_of for value in sparse[name])
+        and all(kind_fault(name) is None for name in kinds)
     )
     if not in_range:
         return None
@@ -178,7 +189,8 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
         product_groups=tuple([names.setdefault(name, name) for name in groups]) if any(groups) else (),
         materials=tuple([names.setdefault(name, name) for name in materials]) if any(materials) else (),
         mass_center_mm=com_along_axes(com, swapped) if com is not None and com.any() else None,
-        approach_deg=None if np.isnan(approach).all() else approach,
+        kinds=tuple(kinds),
+        **numbers_of,
     )
 
 
@@ -218,7 +230,9 @@ def find_fault(placement: object, given: Given = USUAL) -> str | None:
         or whole_fault("sequence", item["sequence"])
         or orientation_fault(placement["orientation"])
         or _corner_fault(placement["flb_coordinates"], given)
-        or approach_fault(placement.get("approach_deg"))
+        or sparse_fault("approach_deg", placement.get("approach_deg"))
+        or next(filter(None, (sparse_fault(field, item.get(field)) for field in _SPARSE_OF_ITEM)), None)
+        or kind_fault(item.get("kind"))
     )
 
 

@@ -16,10 +16,11 @@ import pyarrow.parquet as pq
 
 from petmjx.arguments import list_of, path_of
 from petmjx.errors import InputError
-from petmjx.plans.fields import COM_FIELDS, COM_FIELDS_JSON
+from petmjx.plans.fields import COM_FIELDS, COM_FIELDS_JSON, SPARSE
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.text import printable, shown
+from petmjx.units import FloatArray
 from petmjx.whole import gzipped, whole_file
 
 _PLANS_AT_A_TIME: Final = 1_000
@@ -33,11 +34,14 @@ _UNITS: Final = {
     "weight_kg": "kg",
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
     "approach_deg": "deg",
+    "stiffness_n_mm": "N/mm",
+    "strength_n": "N",
 }
 
 
 def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> None:
-    """Write plans to one file, whose name says in which form: ``.json``, ``.csv`` (both also ``.gz``) or ``.parquet``.
+    """Write plans to one file in the form that its name ends in: ``.json``, ``.csv`` (both also ``.gz``) or
+    ``.parquet``.
 
     The file appears whole or not at all. Numbers are written so that they are read again to the last bit.
 
@@ -76,7 +80,8 @@ def as_placements(plan: Plan) -> list[Placement]:
     size, corner, mass = plan.item_size_mm.tolist(), plan.corner_mm.tolist(), plan.mass_kg.tolist()
     groups = plan.product_groups
     com = None if plan.mass_center_mm is None else plan.item_com_mm.tolist()
-    approach = np.full(plan.n_boxes, np.nan) if plan.approach_deg is None else plan.approach_deg
+    sparse = {name: _sparse(plan, name) for name in SPARSE}
+    approach = sparse.pop("approach_deg")
     return [
         {
             "item": {
@@ -90,6 +95,8 @@ def as_placements(plan: Plan) -> list[Placement]:
                 "sequence": int(plan.sequence[box]),
                 **({"material": plan.materials[box]} if plan.materials and plan.materials[box] else {}),
                 **({} if com is None else dict(zip(COM_FIELDS_JSON, map(_exact, com[box]), strict=True))),
+                **{name: _exact(float(each[box])) for name, each in sparse.items() if not np.isnan(each[box])},
+                **({"kind": plan.kinds[box]} if plan.kinds and plan.kinds[box] else {}),
             },
             "orientation": int(plan.turned[box]),
             "flb_coordinates": [_exact(value) for value in corner[box]],
@@ -97,6 +104,12 @@ def as_placements(plan: Plan) -> list[Placement]:
         }
         for box in range(plan.n_boxes)
     ]
+
+
+def _sparse(plan: Plan, name: str) -> FloatArray:
+    """(n,) numbers that few placements have, NaN where there is none."""
+    values: FloatArray | None = getattr(plan, name)
+    return np.full(plan.n_boxes, np.nan) if values is None else values
 
 
 def _exact(value: float) -> int | float:
@@ -139,7 +152,8 @@ class _Columns:
     order_sequence: bool
     material: bool
     com: bool
-    approach: bool
+    kind: bool
+    sparse: tuple[str, ...]
 
     @classmethod
     def of(cls, plans: Sequence[Plan]) -> _Columns:
@@ -150,7 +164,8 @@ class _Columns:
             order_sequence=any((plan.sequence != np.arange(1, plan.n_boxes + 1)).any() for plan in plans),
             material=any(plan.materials for plan in plans),
             com=any(plan.mass_center_mm is not None for plan in plans),
-            approach=any(plan.approach_deg is not None for plan in plans),
+            kind=any(plan.kinds for plan in plans),
+            sparse=tuple(name for name in SPARSE if any(getattr(plan, name) is not None for plan in plans)),
         )
 
     @property
@@ -167,7 +182,8 @@ class _Columns:
             **({"order_sequence": pa.int64()} if self.order_sequence else {}),
             **({"material": pa.string()} if self.material else {}),
             **(dict.fromkeys(COM_FIELDS, pa.float64()) if self.com else {}),
-            **({"approach_deg": pa.float64()} if self.approach else {}),
+            **({"kind": pa.string()} if self.kind else {}),
+            **dict.fromkeys(self.sparse, pa.float64()),
         }
         return pa.schema(
             [pa.field(name, kind, metadata={"unit": _UNITS.get(name, "")}) for name, kind in kinds.items()]
@@ -193,9 +209,8 @@ class _Columns:
             "order_sequence": np.concatenate([plan.sequence for plan in plans]),
             "material": [name for plan in plans for name in plan.materials or ("",) * plan.n_boxes],
             **dict(zip(COM_FIELDS, np.concatenate([plan.item_com_mm for plan in plans]).T, strict=True)),
-            "approach_deg": np.concatenate(
-                [np.full(plan.n_boxes, np.nan) if plan.approach_deg is None else plan.approach_deg for plan in plans]
-            ),
+            "kind": [name for plan in plans for name in plan.kinds or ("",) * plan.n_boxes],
+            **{name: np.concatenate([_sparse(plan, name) for plan in plans]) for name in SPARSE},
         }
         schema = self.schema
         columns = [pa.array(values[name], schema.field(name).type, from_pandas=True) for name in schema.names]

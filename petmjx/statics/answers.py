@@ -16,11 +16,12 @@ from petmjx.statics.contacts import IntArray, PlanContacts, find_contacts
 from petmjx.statics.friction import Friction
 from petmjx.statics.hulls import ON_EDGE_MM, Hulls, contact_hulls
 from petmjx.statics.load_polygon import load_polygon_slack
-from petmjx.statics.loads import even_bedding, lever_rule, load_slack
+from petmjx.statics.loads import even_bedding, lever_rule, load_slack, strength_slack
 from petmjx.statics.named import (
     CORNER_AREA_CODE,
     CORNER_AREA_PAPER,
     LEAST_CORNERS,
+    STRENGTH,
     SUPPORT_SHARES,
     Criterion,
 )
@@ -69,7 +70,7 @@ def answer(
     contacts = find_contacts(plan, tolerance_mm, deck_mm)
     share, corners = support_share(contacts), corners_supported(contacts)
     wanted = {criterion.name for criterion in criteria}
-    found = _base_slacks(share, corners) | _stack_slacks(contacts, wanted, friction)
+    found = _base_slacks(share, corners) | _stack_slacks(contacts, wanted, friction, plan.strength_n)
     slack = np.stack([found[criterion.name] for criterion in criteria], axis=1)
     stable = np.stack([_stable(found[criterion.name], criterion) for criterion in criteria], axis=1)
     return Answers(contacts.n_supports, share, corners, slack, stable)
@@ -84,7 +85,9 @@ def _base_slacks(share: FloatArray, corners: IntArray) -> dict[str, FloatArray]:
     return slacks
 
 
-def _stack_slacks(contacts: PlanContacts, wanted: set[str], friction: Friction) -> dict[str, FloatArray]:
+def _stack_slacks(
+    contacts: PlanContacts, wanted: set[str], friction: Friction, strength_n: FloatArray | None
+) -> dict[str, FloatArray]:
     """Slacks of those other criteria that are wanted."""
     hulls = contact_hulls(contacts)
     slacks = {}
@@ -99,6 +102,8 @@ def _stack_slacks(contacts: PlanContacts, wanted: set[str], friction: Friction) 
     if wanted & {"force_balance", "force_balance_leaning"}:
         lean = "force_balance_leaning" in wanted
         slacks["force_balance"], slacks["force_balance_leaning"] = balance_slack(contacts, hulls, friction, lean)
+    if STRENGTH in wanted:
+        slacks[STRENGTH] = strength_slack(contacts, strength_n, even_bedding)
     return slacks
 
 

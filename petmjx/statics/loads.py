@@ -26,7 +26,7 @@ import numpy as np
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.statics.hulls import Hulls
-from petmjx.units import FloatArray
+from petmjx.units import STANDARD_GRAVITY, FloatArray
 
 Sharing = Callable[[PlanContacts], FloatArray]
 """From contacts to (c, 3, 3) matrices: load of the upper box (mass, mass × x, mass × y) → that on the lower body, kg
@@ -50,6 +50,25 @@ def load_slack(contacts: PlanContacts, hulls: Hulls, sharing: Sharing) -> FloatA
     slack = np.full(contacts.n_boxes, np.inf)
     with np.errstate(invalid="ignore"):
         np.minimum.at(slack, placed, distance)  # NaN wins
+    return slack
+
+
+def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
+    """(n,) the least 1 − load / strength after each box's placement, of it and of all boxes that bear part of it; NaN
+    where it lies on nothing.
+
+    Args:
+        strength_n: (n,) what a box bears on its top, N; NaN, or None for all: it is not known, and nothing is too much.
+    """
+    slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
+    if strength_n is None:
+        return slack
+    on_box = _passed_down(contacts, sharing)[..., 0]
+    bears, boxes = on_box != 0, np.arange(contacts.n_boxes)
+    on_box[boxes, boxes] = 0.0  # its own weight is none of what it bears on its top
+    left = 1.0 - STANDARD_GRAVITY * on_box.cumsum(axis=1) / strength_n[:, None]
+    below, placed = np.nonzero(bears & ~np.isnan(strength_n)[:, None])
+    np.minimum.at(slack, placed, left[below, placed])
     return slack
 
 

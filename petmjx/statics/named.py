@@ -23,6 +23,8 @@ CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
 
 _MM: Final = "mm"
 
+STRENGTH: Final = "strength"
+
 
 @dataclass(frozen=True)
 class Criterion:
@@ -129,19 +131,28 @@ CRITERIA: Final = (
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         number="even load on every corner",
     ),
+    Criterion(
+        STRENGTH,
+        "neither it nor a box that bears part of it carries more than its strength, by loads passed down in balance",
+        "1 - load / strength, the least of these boxes that have a strength; 1 where none has",
+        DIMENSIONLESS,
+        "McKee, Gander, Wachuta 1963, or strengths of the user's",
+    ),
 )
 """In the order of tables, from what is asked of the base to what is asked of the stack."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
+_UNNAMED: Final = tuple(name for name in NAMES if name != STRENGTH)
+"""Those that are asked if none is named: where no strength is known that of strength accepts everything."""
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria of these names in the order of ``CRITERIA``; all if none is named.
+    """The criteria of these names in the order of ``CRITERIA``; if none is named all but ``STRENGTH``.
 
     Raises:
         InputError: there is no such criterion.
     """
-    wanted = tuple(names or ()) or NAMES
+    wanted = tuple(names or ()) or _UNNAMED
     for name in wanted:
         if name not in NAMES:
             raise InputError(f"criteria: there is no {shown(name)}; {hint(name, NAMES)}")

@@ -29,14 +29,15 @@ INFO_FILE: Final = "criteria.json"
 
 @dataclass(frozen=True, eq=False)
 class CriteriaResults:
-    """What the criteria say, and what physics says to it.
+    """Answers of closed-form criteria, and how they compare with a run.
 
     Attributes:
         boxes: a row a box: for each criterion its answer and its slack (``<criterion>_slack``).
         plans: a row a plan: for each criterion whether all boxes are stable, the first that is not (``_first``), and
             the least slack.
-        judged: a row a criterion, beside the verdicts of a run; None without one.
-        thresholds: a row a criterion with a number: the threshold that says best what physics says; None without a run.
+        judged: a row for each criterion, compared with the verdicts of a run; None without one.
+        thresholds: a row for each criterion with a number: the threshold that agrees best with the simulation; None
+        without a run.
         info: options, counts, skipped plans and times.
     """
 
@@ -52,7 +53,7 @@ class CriteriaResults:
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """The criteria that were asked."""
+        """The criteria that were evaluated."""
         return chosen_criteria(self.info["criteria"])
 
     def units(self, table: str) -> dict[str, str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.arguments import flag_of, path_of
+from petmjx.carrier import Carrier, OwnCarrier
 from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.plans.conventions import warn
@@ -46,14 +47,14 @@ def criteria(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> CriteriaResults:
-    """Ask closed-form criteria of static stability of each plan, and physics about them.
+    """Evaluate closed-form criteria of static stability, and compare them with a simulation.
 
     ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
 
     Args:
         plans: as for ``petmjx.score``; None: the bundled samples.
-        run: results of the same plans, or their folder: its verdicts judge the criteria. Of several worlds a plan the
-            nominal one counts.
+        run: results of the same plans, or their folder, with whose verdicts the criteria are compared. If a plan has
+            several worlds, the nominal one counts.
         out: a folder for the tables, as Parquet and CSV.
         overwrite: whether tables that are there are replaced.
         limit: at most so many plans.
@@ -78,6 +79,7 @@ def criteria(
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
     if physics is not None and "carrier" not in options:
         chosen = chosen.changed(carrier=physics.carrier)
+    doubts = [] if physics is None else [*physics.doubts("the run"), *_other_carrier(chosen.carrier, physics)]
     if physics is not None:
         read = read.changed(articles=how_read(physics.info).articles)
     found = gather_plans(plans, Simulation(), read)
@@ -98,7 +100,7 @@ def criteria(
         "criteria": [criterion.name for criterion in asked],
         "options": chosen.model_dump(mode="json", exclude={"only"}),
         "run": None if physics is None else str(physics.path),
-        "doubts": [] if physics is None else physics.doubts("the run"),
+        "doubts": doubts,
         "n_plans": len(found.plans),
         "n_boxes": sum(plan.n_boxes for plan in found.plans),
         "skipped": [skipped.message for skipped in found.skipped],
@@ -108,6 +110,14 @@ def criteria(
     if out is not None:
         results.write(out, overwrite)
     return results
+
+
+def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
+    """A line where the criteria are asked on another carrier than that on which boxes stood."""
+    if carrier == run.carrier:
+        return []
+    here, there = (shown(each if isinstance(each, Carrier) else each.name) for each in (carrier, run.carrier))
+    return [f"the criteria are asked on the carrier {here}, and the run's boxes stood on {there}"]
 
 
 def _need_packers() -> None:

@@ -1,4 +1,4 @@
-"""Which boxes of a scene bear which, as planned, and how far the loads of boxes are from the edges of what bears them.
+"""Which boxes of scenes bear which, as planned, and how far the loads of boxes are from the edges of what bears them.
 
 The load of a box is its own weight and all that rests on it. It acts at a point of the box's base, its centre of
 pressure, and the box is in balance if that lies within the convex hull of what bears it. Where a box has several
@@ -8,7 +8,8 @@ der Elasticität und Festigkeit"): the pressure is a plane over all areas that t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Final
 
@@ -20,6 +21,7 @@ from petmjx.plans.overlap import meets
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.units import MM_PER_M, FloatArray
 from petmjx.world.body import Body
+from petmjx.world.hull import Edge, hull_edges
 from petmjx.world.scene import Scene
 
 IntArray = NDArray[np.intp]
@@ -28,31 +30,80 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Faces that are no further apart touch, as in the warnings about a plan."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
-_ON_EDGE_M: Final = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """The boxes of scenes, one scene after the other, n in all.
+
+    Attributes:
+        first: (s + 1,) where each scene's begin; the last one is n.
+        target: (n, 3) planned middles, m.
+        half_size: (n, 3) m.
+        mass: (n,) kg.
+        mass_center: (n, 3) from the middle, m.
+        carrier_mass: (n,) of what the scene's boxes stand on, kg.
+    """
+
+    first: IntArray
+    target: FloatArray
+    half_size: FloatArray
+    mass: FloatArray
+    mass_center: FloatArray
+    carrier_mass: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene) -> Boxes:
+        """Those of one scene."""
+        n = scene.n_boxes
+        mass_center = np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
+        carrier_mass = np.full(n, scene.carrier.mass)
+        return cls(np.array([0, n]), scene.target, scene.half_size, scene.mass, mass_center, carrier_mass)
+
+    @classmethod
+    def together(cls, scenes: Sequence[Boxes]) -> Boxes:
+        """Those of several."""
+        counts = [np.diff(boxes.first) for boxes in scenes]
+        first = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+        names = [field.name for field in fields(cls) if field.name != "first"]
+        return cls(first, *(np.concatenate([getattr(boxes, name) for boxes in scenes]) for name in names))
+
+    @cached_property
+    def bottom(self) -> FloatArray:
+        """(n,) heights of the planned bottoms, m."""
+        low: FloatArray = (self.target - self.half_size)[:, 2]
+        return low
+
+    def among(self, placed: int | Sequence[int]) -> NDArray[np.bool_]:
+        """(n,) which boxes are among the first so many of their scene."""
+        counts = np.diff(self.first)
+        number = np.arange(self.first[-1]) - np.repeat(self.first[:-1], counts)
+        among: NDArray[np.bool_] = number < np.repeat(np.broadcast_to(placed, len(counts)), counts)
+        return among
 
 
 @dataclass(frozen=True, eq=False)
 class Bearing:
-    """Who bears whom in a scene of n boxes: c rectangles on which a box lies, in the order of the boxes above.
+    """Who bears whom in scenes of n boxes together: c rectangles on which a box lies, in the order of the boxes above.
 
     Attributes:
-        scene: whose planned places count, not where boxes are released.
+        boxes: whose planned places count, not where boxes are released.
         upper: (c,) the box above.
         lower: (c,) the box below, whenever it is placed, or ``CARRIER``.
         low, high: (c, 2) corners of the rectangles along x and y, m.
     """
 
-    scene: Scene
+    boxes: Boxes
     upper: IntArray
     lower: IntArray
     low: FloatArray
     high: FloatArray
 
-    def loads(self, placed: int) -> FloatArray:
-        """(n, 4) loads once the first ``placed`` boxes are placed: mass, kg, and its first moments along x, y and z,
-        kg·m. 0 for the other boxes."""
+    def loads(self, placed: int | Sequence[int]) -> FloatArray:
+        """(n, 4) loads once the first ``placed`` boxes of each scene are placed: mass, kg, and its first moments along
+        x, y and z, kg·m. 0 for the other boxes."""
         load = self.weights
-        load[placed:] = 0.0
+        load[~self.boxes.among(placed)] = 0.0
         share = self._shares
         for contacts in self._levels:
             upper, lower = self.upper[contacts], self.lower[contacts]
@@ -64,9 +115,8 @@ class Bearing:
     @property
     def weights(self) -> FloatArray:
         """(n, 4) the boxes' own weights, as ``loads`` has them."""
-        scene = self.scene
-        center = scene.target if scene.mass_center is None else scene.target + scene.mass_center
-        own: FloatArray = scene.mass[:, None] * np.c_[np.ones(scene.n_boxes), center]
+        boxes = self.boxes
+        own: FloatArray = boxes.mass[:, None] * np.c_[np.ones(len(boxes.mass)), boxes.target + boxes.mass_center]
         return own
 
     def edges_m(self, load: FloatArray) -> FloatArray:
@@ -78,23 +128,24 @@ class Bearing:
         single = np.flatnonzero(self._n_supports[self.upper] == 1)
         alone = self.upper[single]
         found[alone] = np.minimum(point[alone] - self.low[single], self.high[single] - point[alone]).min(axis=1)
-        for box, (normal, offset) in self._hulls.items():
-            found[box] = (normal @ point[box] - offset).min()
+        points = point.tolist()
+        for box, edges in self._hulls.items():
+            x, y = points[box]
+            found[box] = min(normal_x * x + normal_y * y - offset for normal_x, normal_y, offset in edges)
         return found
 
     @cached_property
-    def _hulls(self) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """The hulls of the supports of boxes that have several (``_hull_edges``)."""
-        begin = np.searchsorted(self.upper, np.arange(self.scene.n_boxes + 1)).tolist()
-        return {
-            box: _hull_edges(self.low[begin[box] : begin[box + 1]], self.high[begin[box] : begin[box + 1]])
-            for box in np.flatnonzero(self._n_supports > 1).tolist()
-        }
+    def _hulls(self) -> dict[int, list[Edge]]:
+        """The hulls of the supports of boxes that have several."""
+        low, high, end = self.low.tolist(), self.high.tolist(), np.cumsum(self._n_supports)
+        several = np.flatnonzero(self._n_supports > 1)
+        spans = zip(several.tolist(), (end - self._n_supports)[several].tolist(), end[several].tolist(), strict=True)
+        return {box: hull_edges(low[begin:end], high[begin:end]) for box, begin, end in spans}
 
     @cached_property
     def widths_m(self) -> FloatArray:
         """(n,) extent of what bears each box, along x or y, where it is shorter, m; NaN where nothing does."""
-        low, high = np.full((self.scene.n_boxes, 2), np.inf), np.full((self.scene.n_boxes, 2), -np.inf)
+        low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
         np.minimum.at(low, self.upper, self.low)
         np.maximum.at(high, self.upper, self.high)
         width: FloatArray = (high - low).min(axis=1)
@@ -102,21 +153,20 @@ class Bearing:
 
     @cached_property
     def _n_supports(self) -> IntArray:
-        return np.bincount(self.upper, minlength=self.scene.n_boxes)
+        return np.bincount(self.upper, minlength=len(self.boxes.mass))
 
     @cached_property
     def _levels(self) -> list[IntArray]:
         """The contacts between boxes, in groups: once all before are done, nothing is added to the upper boxes."""
-        level = [0] * self.scene.n_boxes
-        at: list[int] = []
         between = np.flatnonzero(self.lower != CARRIER)
-        bottom = self.scene.target[:, 2] - self.scene.half_size[:, 2]
-        between = between[np.argsort(-bottom[self.upper[between]], kind="stable")]  # from the highest box down
-        for upper, lower in zip(self.upper[between].tolist(), self.lower[between].tolist(), strict=True):
-            level[lower] = max(level[lower], level[upper] + 1)
-            at.append(level[upper])
-        order = np.argsort(at, kind="stable")
-        return np.split(between[order], np.flatnonzero(np.diff(np.array(at)[order])) + 1) if at else []
+        downwards = np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")
+        between = between[downwards]
+        upper, lower = self.upper[between], self.lower[between]
+        level = np.zeros(len(self.boxes.mass), int)
+        while (level[lower] <= level[upper]).any():
+            np.maximum.at(level, lower, level[upper] + 1)
+        order = np.argsort(level[upper], kind="stable")
+        return np.split(between[order], np.flatnonzero(np.diff(level[upper][order])) + 1) if len(order) else []
 
     @cached_property
     def _shares(self) -> FloatArray:
@@ -125,15 +175,15 @@ class Bearing:
         several = self._n_supports[self.upper] > 1
         if not several.any():
             return share
-        scene, upper = self.scene, self.upper[several]
+        boxes, upper = self.boxes, self.upper[several]
         # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
-        origin, scale = scene.target[upper, :2], scene.half_size[upper, :2]
+        origin, scale = boxes.target[upper, :2], boxes.half_size[upper, :2]
         low, high = (self.low[several] - origin) / scale, (self.high[several] - origin) / scale
         middle, length = np.c_[np.ones(len(upper)), (low + high) / 2], high - low
         area = length.prod(axis=1)
         moments = area[:, None, None] * middle[:, :, None] * middle[:, None, :]
         moments[:, [1, 2], [1, 2]] += area[:, None] * length**2 / 12
-        whole = np.zeros((scene.n_boxes, 3, 3))
+        whole = np.zeros((len(boxes.mass), 3, 3))
         np.add.at(whole, upper, moments)
         to_global = np.zeros_like(moments)
         to_global[:, 0, 0] = 1.0
@@ -160,17 +210,37 @@ def find_bearing(scene: Scene) -> Bearing:
     touching = meets(low[:, 2], high[:, 2], TOUCH_M)
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
+    cut_below, cut_low, cut_high = _cut(scene, low, high)
+    # each box above a sheet lies on its pieces, each box above another one on its whole top
+    row, pieces = np.nonzero(below[:, None] == cut_below)
+    below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))
     lying = low[on_deck, 2] <= TOUCH_M
     on_deck, board = on_deck[lying], board[lying]
     upper = np.concatenate([on_deck, above])
     lower = np.concatenate([np.full(len(on_deck), CARRIER), below])
-    under_low = np.concatenate([deck_low[board], low[below, :2]])
-    under_high = np.concatenate([deck_high[board], high[below, :2]])
+    under_low = np.concatenate([deck_low[board], piece_low])
+    under_high = np.concatenate([deck_high[board], piece_high])
     area_low, area_high = np.maximum(low[upper, :2], under_low), np.minimum(high[upper, :2], under_high)
     order = np.lexsort((lower, upper))
     order = order[((area_high - area_low)[order] > _LEAST_OVERLAP_M).all(axis=1)]
-    return Bearing(scene, upper[order], lower[order], area_low[order], area_high[order])
+    return Bearing(Boxes.of(scene), upper[order], lower[order], area_low[order], area_high[order])
+
+
+def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """(t,) whose the tops of a scene's boxes are, and (t, 2) their corners: a box has one, a sheet those of its pieces.
+
+    Args:
+        low, high: (n, 3) corners of the boxes, m.
+    """
+    if not scene.pieces:
+        return np.arange(scene.n_boxes), low[:, :2], high[:, :2]
+    shapes = scene.shapes
+    of_boxes = shapes.body != CARRIER
+    box = shapes.body[of_boxes]
+    middle = (scene.target[box] + shapes.pos[of_boxes] - scene.middle[box])[:, :2]
+    half = shapes.half_size[of_boxes, :2]
+    return box, middle - half, middle + half
 
 
 def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
@@ -180,35 +250,40 @@ def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
     return (center - carrier.half_size)[deck, :2], (center + carrier.half_size)[deck, :2]
 
 
-@lru_cache(maxsize=256)
-def plan_edge_m(scene: Scene, placed: int) -> float:
-    """How far inside the nearest edge of what bears it a load acts, the least of all boxes, m: by the plan.
+def together(bearings: Sequence[Bearing]) -> Bearing:
+    """Those of several scenes as one, whose boxes come one scene after the other: numbers are found for all at once."""
+    boxes = Boxes.together([bearing.boxes for bearing in bearings])
+    first = boxes.first.tolist()
+    lower = [np.where(b.lower == CARRIER, CARRIER, b.lower + k) for b, k in zip(bearings, first, strict=False)]
+    return Bearing(
+        boxes,
+        np.concatenate([bearing.upper + k for bearing, k in zip(bearings, first, strict=False)]),
+        np.concatenate(lower),
+        np.concatenate([bearing.low for bearing in bearings]),
+        np.concatenate([bearing.high for bearing in bearings]),
+    )
 
-    Looked at are each box's own weight, which is all when it is placed, and its load once ``placed`` boxes are.
-    Negative: beyond the edge, so that the box falls. NaN: no box lies on anything. Kept, as ``bearing_of`` is.
+
+def plan_edges_m(scenes: Sequence[Scene], placed: Sequence[int]) -> list[float]:
+    """How far inside the nearest edge of what bears it a load acts, the least of all boxes of a scene, m: by the plan.
+
+    Looked at are each box's own weight, which is all when it is placed, and its load once so many are ``placed``.
+    Negative: beyond the edge, so that the box falls. NaN: no box lies on anything.
     """
-    return _least_m(bearing_of(scene), placed)
+    return _least_m([bearing_of(scene) for scene in scenes], placed)
 
 
-def rest_edge_m(scene: Scene, pos: FloatArray) -> float:
-    """The same where the boxes of a pallet that stands have come to rest: (n, 3) centres, m."""
-    return _least_m(find_bearing(replace(scene, target=pos)), scene.n_boxes)
+def rest_edges_m(scenes: Sequence[Scene], pos: Sequence[FloatArray]) -> list[float]:
+    """The same where the boxes of pallets that stand have come to rest: (n, 3) centres of each scene, m."""
+    at_rest = [find_bearing(replace(scene, target=target)) for scene, target in zip(scenes, pos, strict=True)]
+    return _least_m(at_rest, [scene.n_boxes for scene in scenes])
 
 
-def _least_m(bearing: Bearing, placed: int) -> float:
-    edges = [bearing.edges_m(load)[:placed] for load in (bearing.weights, bearing.loads(placed))]
-    return float(np.fmin.reduce(np.concatenate(edges), initial=np.nan))
-
-
-def _hull_edges(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Edges of the convex hull of rectangles: (e, 2) normals that point inwards, and (e,) their products with points of
-    the edges. They are those lines through two corners on one side of which all other corners are."""
-    x, y = np.stack([low, high], axis=-1).transpose(1, 0, 2)
-    corner = np.stack([np.repeat(x, 2, axis=1).ravel(), np.tile(y, 2).ravel()], axis=1)
-    along = corner[None] - corner[:, None]
-    length = np.hypot(along[..., 0], along[..., 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        normal = np.stack([-along[..., 1], along[..., 0]], axis=-1) / length[..., None]
-    offset = (normal * corner[:, None]).sum(axis=-1)
-    inside = (normal @ corner.T - offset[..., None] >= -_ON_EDGE_M).all(axis=-1) & (length > _ON_EDGE_M)
-    return normal[inside], offset[inside]
+def _least_m(bearings: Sequence[Bearing], placed: Sequence[int]) -> list[float]:
+    if not bearings:
+        return []
+    bearing = together(bearings)
+    edges = np.fmin(bearing.edges_m(bearing.weights), bearing.edges_m(bearing.loads(placed)))
+    edges[~bearing.boxes.among(placed)] = np.nan
+    least: list[float] = np.fmin.reduceat(edges, bearing.boxes.first[:-1]).tolist()
+    return least

@@ -87,6 +87,21 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
+class Pieces:
+    """The shapes of a box that is not one solid box.
+
+    Attributes:
+        box: whose they are.
+        half_size: (s, 3) half extents, m.
+        pos: (s, 3) their middles, seen from the box's middle, m.
+    """
+
+    box: int
+    half_size: FloatArray
+    pos: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Shapes:
     """The shapes of a scene's bodies, body after body: those of the carrier, then those of the boxes in packing order.
 

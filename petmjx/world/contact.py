@@ -31,12 +31,12 @@ DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 
 def depth_m(physics: Physics, pull_m_s2: FloatArray | float) -> FloatArray:
     """Depth of one contact at rest, m, for each A · f in m/s², ≥ 0."""
-    pulls = _pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s)
+    pulls = pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s)
     return np.asarray(np.interp(pull_m_s2, pulls, DEPTHS_M, left=0.0))
 
 
 @lru_cache(maxsize=16)
-def _pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -> FloatArray:
+def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -> FloatArray:
     """A · f, m/s², at which a contact is as deep as each of ``DEPTHS_M``."""
     time_s, damping = solref
     low, high = np.minimum(solimp[:2], MOST_IMPEDANCE)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.config import Cone, Physics, Triple
 from petmjx.history import CARRIER, FLOOR
 from petmjx.units import FloatArray
+from petmjx.world.give import Face, gives, law_between
 from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
@@ -91,15 +92,24 @@ def build_spec(
     if held_carrier is None:
         of_body = _partners(scene, physics)
         _declare_pairs(spec, physics, filled_up(scene.pair_friction), of_body[FLOOR], of_body[CARRIER])
-    add_boxes(spec, scene, physics, range(count))
+    add_boxes(spec, scene, physics, range(count), held=held_carrier is not None)
     return spec
 
 
 def add_boxes(
-    spec: mujoco.MjSpec, scene: Scene, physics: Physics, boxes: Sequence[int], before: Sequence[int] = ()
+    spec: mujoco.MjSpec,
+    scene: Scene,
+    physics: Physics,
+    boxes: Sequence[int],
+    before: Sequence[int] = (),
+    held: bool = False,
 ) -> None:
-    """Add boxes, whose bodies then have this order, to a spec that already holds those before them."""
-    frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics)
+    """Add boxes, whose bodies then have this order, to a spec that already holds those before them.
+
+    Args:
+        held: the carrier is clamped.
+    """
+    frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics, held)
     others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
     table = filled_up(scene.pair_friction)
     for box in boxes:
@@ -132,6 +142,8 @@ class _Partner:
     friction: Triple
     skin_m: float
     surface: int = 0
+    face: Face | None = None
+    """Where boxes of the scene give (petmjx/world/give.py); of the floor None."""
 
 
 def _declare_pairs(
@@ -145,37 +157,53 @@ def _declare_pairs(
     """
     if not physics.has_own_friction:
         return
-    solimp = physics.solimp + _SOLIMP_TAIL
     for one in these:
         for two in those:
             sliding, torsional, rolling = map(max, one.friction, two.friction)
             own = float(table[one.surface, two.surface])
             sliding = sliding if own == LARGER else own
+            solref, solimp = physics.solref, physics.solimp
+            if two.face is not None:
+                solref, solimp = law_between(physics, two.face, one.face)
             spec.add_pair(
                 geomname1=one.name,
                 geomname2=two.name,
                 margin=-(one.skin_m + two.skin_m),
                 friction=[sliding, sliding, torsional, rolling, rolling],
-                solref=physics.solref,
+                solref=solref,
                 solreffriction=physics.solreffriction,
-                solimp=solimp,
+                solimp=solimp + _SOLIMP_TAIL,
             )
 
 
 @lru_cache(maxsize=256)
-def _partners(scene: Scene, physics: Physics) -> dict[int, list[_Partner]]:
-    """The shapes of each body and the floor."""
+def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
+    """The shapes of each body and the floor; ``held``: the carrier is clamped."""
     found = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)]}
     shapes = scene.shapes
-    rows = zip(shapes.body.tolist(), shapes.friction.tolist(), shapes.surface.tolist(), strict=True)
-    for body, friction, surface in rows:
+    faces = _faces(scene, held)
+    rows = zip(shapes.body.tolist(), shapes.friction.tolist(), shapes.surface.tolist(), faces, strict=True)
+    for body, friction, surface, face in rows:
         skin_m = physics.carrier_skin_m if body == CARRIER else physics.skin_m
         name = CARRIER_NAME if body == CARRIER else box_name(body)
-        found.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m, surface))
+        found.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m, surface, face))
     for body, several in found.items():
         if len(several) > 1:
             found[body] = [replace(each, name=f"{each.name}_{number}") for number, each in enumerate(several)]
     return found
+
+
+def _faces(scene: Scene, held: bool) -> list[Face | None]:
+    """What laws of contacts need to know of each shape of a scene in which boxes give."""
+    if scene.stiffness is None:
+        return [None] * len(scene.shapes.body)
+    carrier, shapes = scene.carrier, scene.shapes
+    # CARRIER is the last of each
+    give = np.append(gives(scene.stiffness, scene.half_size), 0.0)[shapes.body]
+    inverse = np.append(1 / scene.mass, 0.0 if held else 1 / carrier.mass)[shapes.body]
+    frame = np.vstack([scene.target - scene.middle, carrier.pos])[shapes.body]
+    rows = zip(give.tolist(), (frame + shapes.pos).tolist(), shapes.half_size.tolist(), inverse.tolist(), strict=True)
+    return [Face(each, tuple(middle), tuple(half), lightness) for each, middle, half, lightness in rows]
 
 
 def to_mjcf(scene: Scene, physics: Physics) -> str:
@@ -232,7 +260,7 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     """Mass and moments of inertia. MuJoCo works out those of a solid box without a skin, to other last digits, which
     the physics of the reference implementation has."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
-    solid = scene.inertia_box is None and len(scene.carrier.half_size) == 1
+    solid = scene.inertia_box is None and len(scene.carrier.half_size) == 1 and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
         body.first_geom().mass = mass
         return

@@ -19,6 +19,8 @@ from petmjx.plans.overlap import meets, shared
 from petmjx.units import FloatArray
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE, cone_factor, depth_m
+from petmjx.world.give import bed_depth_m, sinks_m
+from petmjx.world.next_boxes import NextBoxes, Stacks
 from petmjx.world.scene import Scene
 
 NOTHING: Final = -2
@@ -34,10 +36,12 @@ class Release(NamedTuple):
     Attributes:
         support: (n,) the box that a box follows, ``CARRIER``, or ``NOTHING``: the one with which it shares most area.
         pos: (n, 3) centres of boxes whose support is where the plan has it, m.
+        most_followed_m: how far a box follows its support: further where supports give.
     """
 
     support: NDArray[np.intp]
     pos: FloatArray
+    most_followed_m: float = MOST_FOLLOWED_M
 
     def place_of(self, box: int, scene: Scene, boxes_z: FloatArray, carrier_z: float) -> FloatArray:
         """(3,) middle of a box that is released now, m.
@@ -50,7 +54,7 @@ class Release(NamedTuple):
         if support != NOTHING:
             on_carrier = support == CARRIER
             moved = carrier_z - scene.carrier.pos[2] if on_carrier else boxes_z[support] - scene.target[support, 2]
-            place[2] += np.clip(moved, -MOST_FOLLOWED_M, MOST_FOLLOWED_M)
+            place[2] += np.clip(moved, -self.most_followed_m, self.most_followed_m)
         return place
 
 
@@ -65,7 +69,37 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
     share = 1.0 + scene.mass / np.where(on_carrier, scene.carrier.mass, scene.mass[below])
     soft = cone_factor(physics, own, np.where(on_carrier, scene.carrier.friction[:, 0].max(), own[below]))
     pos = scene.start_pos.copy()
-    pos[:, 2] -= np.where(touches, depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE), 0.0)
+    depth = depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE)
+    sinks, most = sinks_m(scene, physics.gravity_m_s2), MOST_FOLLOWED_M
+    if sinks is not None:
+        depth = np.maximum(depth, bed_depth_m(scene, scene.mass * physics.gravity_m_s2))
+        most += float(sinks.max())
+    pos[:, 2] -= np.where(touches, depth, 0.0)
+    return Release(support, pos, most)
+
+
+def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Release:
+    """How one box more is released in each of m worlds: to the last bit the last rows that ``release_of`` has."""
+    nothing = np.full(len(boxes), NOTHING)
+    if sim.physics.falls_into_place or sim.check is Check.STATIC:
+        return Release(nothing, boxes.target)
+    low, high = boxes.target - boxes.half_size, boxes.target + boxes.half_size
+    ends = np.minimum(before.target + before.half_size, high[:, None])
+    sides = np.maximum(ends - np.maximum(before.target - before.half_size, low[:, None]), 0.0)
+    top = before.target[:, :, 2] + before.half_size[:, :, 2]
+    area = np.nan_to_num(sides[:, :, 0] * sides[:, :, 1]) * (np.abs(top - low[:, None, 2]) <= TOUCH_M)
+    found = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
+    support = np.where(low[:, 2] <= TOUCH_M, CARRIER, found)
+    on_carrier, rows = support == CARRIER, np.arange(len(boxes))
+    # where nothing bears a box its own mass and friction stand in, and count for nothing
+    masses = np.column_stack([before.mass, boxes.mass])
+    below = np.where(support >= 0, support, masses.shape[1] - 1)
+    share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
+    own = np.full(len(boxes), before.box_friction)
+    soft = cone_factor(sim.physics, own, np.where(on_carrier, before.carrier_friction, own))
+    depth = depth_m(sim.physics, soft * share * sim.physics.gravity_m_s2 / CONTACTS_PER_FACE)
+    pos = boxes.target.copy()
+    pos[:, 2] -= np.where(support != NOTHING, depth, 0.0)
     return Release(support, pos)
 
 

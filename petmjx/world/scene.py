@@ -19,12 +19,16 @@ from petmjx.history import CARRIER
 from petmjx.placing import EXACT, Placing
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
-from petmjx.world.body import Body, Shapes
+from petmjx.world.body import Body, Pieces, Shapes
 from petmjx.world.carriers import body_of, floor_z_m, pallet
+from petmjx.world.sheets import pieces_of
 from petmjx.world.surfaces import find_surfaces
 from petmjx.world.turned import turned
+from petmjx.wrap import Wrap
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
+
+UNWRAPPED: Final = Wrap()
 
 OF_BOXES: Final = (
     "half_size",
@@ -37,6 +41,7 @@ OF_BOXES: Final = (
     "inertia_box",
     "surface",
     "approach",
+    "stiffness",
 )
 """What of a scene has a row for each box, or is None."""
 
@@ -65,6 +70,9 @@ class Scene:
         placing: how boxes come to their places.
         approach: (n, 2) level directions in which they do so, of length 1; 0, or None for all: that which follows from
             what stands there.
+        stiffness: (n,) force on a box's top per compression, N/m; inf: it is rigid. None: all are.
+        wrap: film around it when it is shaken (petmjx/world/wrap.py).
+        pieces: of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py).
     """
 
     half_size: NDArray[np.float64]
@@ -82,6 +90,9 @@ class Scene:
     pair_friction: NDArray[np.float64] | None = None
     placing: Placing = EXACT
     approach: NDArray[np.float64] | None = None
+    stiffness: NDArray[np.float64] | None = None
+    pieces: tuple[Pieces, ...] = ()
+    wrap: Wrap = UNWRAPPED
 
     @property
     def n_boxes(self) -> int:
@@ -90,7 +101,7 @@ class Scene:
     def first(self, count: int) -> Scene:
         """The scene with its first boxes alone."""
         cut = {name: values[:count] for name in OF_BOXES if (values := getattr(self, name)) is not None}
-        return replace(self, **cut)
+        return replace(self, **cut, pieces=tuple(each for each in self.pieces if each.box < count))
 
     @property
     def total_mass(self) -> float:
@@ -123,17 +134,25 @@ class Scene:
 
     @cached_property
     def shapes(self) -> Shapes:
-        """The shapes of all bodies: a box has one."""
+        """The shapes of all bodies: a box has one, a sheet as many as it has pieces."""
         carrier = self.carrier
+        counts = np.ones(self.n_boxes, np.intp)
+        for each in self.pieces:
+            counts[each.box] = len(each.half_size)
+        body = np.repeat(np.arange(self.n_boxes), counts)
+        half_size, pos = self.half_size[body], self.middle[body]
+        for each in self.pieces:
+            half_size[body == each.box] = each.half_size
+            pos[body == each.box] += each.pos
         return Shapes(
-            body=np.concatenate([np.full(len(carrier.half_size), CARRIER), np.arange(self.n_boxes)]),
-            half_size=np.concatenate([carrier.half_size, self.half_size]),
-            pos=np.concatenate([carrier.shape_pos, self.middle]),
-            friction=np.concatenate([carrier.friction, self.friction]),
+            body=np.concatenate([np.full(len(carrier.half_size), CARRIER), body]),
+            half_size=np.concatenate([carrier.half_size, half_size]),
+            pos=np.concatenate([carrier.shape_pos, pos]),
+            friction=np.concatenate([carrier.friction, self.friction[body]]),
             surface=np.concatenate(
                 [
-                    np.zeros(count, np.intp) if surface is None else surface
-                    for count, surface in ((len(carrier.half_size), carrier.surface), (self.n_boxes, self.surface))
+                    np.zeros(len(carrier.half_size), np.intp) if carrier.surface is None else carrier.surface,
+                    np.zeros(len(body), np.intp) if self.surface is None else self.surface[body],
                 ]
             ),
         )
@@ -153,9 +172,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     writes them.
     """
     physics = sim.physics
-    size = plan.size_mm - sim.size_reduction_mm * np.array([1.0, 1.0, float(physics.falls_into_place)])
-    half_size = round_to_micrometre(mm_to_m(size / 2))
-    target = round_to_micrometre(mm_to_m(plan.corner_mm + size / 2))
+    half_size, target = half_size_and_target(plan.size_mm, plan.corner_mm, sim)
     boards = pallet(sim.carrier)
     carrier = _slab(plan, sim) if boards is None else body_of(boards, physics)
     surfaces = find_surfaces(plan, sim, len(carrier.half_size))
@@ -174,7 +191,25 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         pair_friction=None if surfaces is None else surfaces.friction,
         placing=sim.placing if sim.may_carry or not sim.placing.appears else EXACT,
         approach=_directions(plan),
+        stiffness=_stiffness(plan) if physics.has_own_friction else None,
+        wrap=sim.wrap,
+        pieces=pieces_of(plan.sheets, target, half_size, carrier) if plan.kinds else (),
     )
+
+
+def half_size_and_target(
+    size_mm: NDArray[np.float64], corner_mm: NDArray[np.float64], sim: Simulation
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n, 3) half extents and (n, 3) planned middles, m, of boxes of (n, 3) extents at (n, 3) corners."""
+    size = size_mm - sim.size_reduction_mm * np.array([1.0, 1.0, float(sim.physics.falls_into_place)])
+    return round_to_micrometre(mm_to_m(size / 2)), round_to_micrometre(mm_to_m(corner_mm + size / 2))
+
+
+def _stiffness(plan: Plan) -> NDArray[np.float64] | None:
+    """(n,) stiffness of boxes, N/m."""
+    if plan.stiffness_n_mm is None:
+        return None
+    return np.where(np.isnan(plan.stiffness_n_mm), np.inf, plan.stiffness_n_mm * MM_PER_M)
 
 
 def _directions(plan: Plan) -> NDArray[np.float64] | None:

@@ -78,20 +78,24 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
 
 
 def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
-    """Whether friction between all materials of all plans is known; a line where materials do not count.
+    """Whether friction between all materials of all plans is known; a line where materials or stiffness do not count.
 
     Raises:
         InputError: as ``find_surfaces``.
     """
+    plans = list(plans)
     with_materials = [plan for plan in plans if plan.materials]
+    notes = []
+    if not sim.physics.has_own_friction and any(plan.stiffness_n_mm is not None for plan in plans):
+        notes.append("stiffness does not count: with pyramidal cones all contacts are those of physics")
     if not with_materials:
-        return []
+        return notes
     if not sim.physics.has_own_friction:
-        return ["materials do not count: with pyramidal cones friction is that of boxes and carrier alone"]
+        return [*notes, "materials do not count: with pyramidal cones friction is that of boxes and carrier alone"]
     found = pallet(sim.carrier)
     for plan in with_materials:
         find_surfaces(plan, sim, 1 if found is None else len(found.boards))
-    return []
+    return notes
 
 
 def _boards(sim: Simulation, count: int) -> list[_Board]:

@@ -108,6 +108,7 @@ class PlacementChange:
         drop_height_mm: height above its place at which a box is released; negative draws count as 0.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: instead of those of
             ``petmjx.placing.Placing``; None: those.
+        wrap_turns: of film, instead of those of ``petmjx.wrap.Wrap``; None: those.
         shifts_from_release: shifts are measured from where a box was released instead of from the plan.
     """
 
@@ -127,6 +128,7 @@ class PlacementChange:
     placing_speed_m_s: float | None = None
     placing_force_n: float | None = None
     tines_height_mm: float | None = None
+    wrap_turns: float | None = None
     shifts_from_release: bool = False
 
     def placing(self, placing: Placing, *, errors: bool) -> Placing:
@@ -187,7 +189,7 @@ class Variant:
         return (self.placement, self.replicate if self.placement.random else 0)
 
 
-def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
+def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: int = 0) -> Scene:
     """The scene of a plan under a variant's placement change; its drive is not used here.
 
     When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways and push
@@ -196,6 +198,9 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     box starts inside another one vertically. ``target``, from which shifts are measured, stays at the planned x and y;
     its z is the height at which the box really stands, so that a tolerance in height is no shift. With errors of places
     or sizes boxes are placed as for errors (``Placing.for_errors``).
+
+    Args:
+        standing: so many first boxes stand already: they keep their sizes, places and masses.
 
     Returns:
         The same object where nothing changes.
@@ -206,32 +211,38 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int) -> Scene:
     key = WorldKey(seed, plan_id, variant.replicate)
     n_boxes = scene.n_boxes
     half_size = _changed_half_size(scene, change, key)
+    if standing:
+        half_size = np.concatenate([scene.half_size[:standing], half_size[standing:]])
     start_pos = scene.start_pos.copy()
     start_pos[:, 0] += mm_to_m(change.x_mm.draw(key.rng("x"), (n_boxes,)))
     start_pos[:, 1] += mm_to_m(change.y_mm.draw(key.rng("y"), (n_boxes,)))
     yaw = np.radians(change.yaw_deg.draw(key.rng("yaw"), (n_boxes,)))
+    start_pos[:standing], yaw[:standing] = scene.start_pos[:standing], 0.0
     target = scene.target.copy()
     moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
     has_errors = not all(error.zero for error in moved)
     if has_errors:
-        start_pos[:, 2] = _set_down(scene, half_size, start_pos, yaw)
-        target[:, 2] = start_pos[:, 2]
+        start_pos[standing:, 2] = _set_down(scene, half_size, start_pos, yaw)[standing:]
+        target[standing:, 2] = start_pos[standing:, 2]
     if change.shifts_from_release:
         target = start_pos.copy()
     drop_height_mm = change.drop_height_mm.draw(key.rng("drop"), (n_boxes,))
     start_pos[:, 2] += mm_to_m(np.maximum(drop_height_mm, 0.0))
     mass_share = 1.0 + change.mass_rel.draw(key.rng("mass-rel"), (n_boxes,))
+    mass = scene.mass * change.mass_factor * np.maximum(mass_share, MIN_MASS_FRACTION)
+    mass[:standing] = scene.mass[:standing]
     (friction_share,) = 1.0 + change.friction_rel.draw(key.rng("friction-rel"), (1,))
     friction = max(float(friction_share), MIN_FRICTION_FRACTION)
     of_boxes, of_carrier = change.box_friction_factor * friction, change.carrier_friction_factor * friction
     return replace(
         scene,
         half_size=half_size,
-        mass=scene.mass * change.mass_factor * np.maximum(mass_share, MIN_MASS_FRACTION),
+        mass=mass,
         target=target,
         start_pos=start_pos,
         start_quat=_turned(scene.start_quat, yaw),
         placing=change.placing(scene.placing, errors=has_errors),
+        wrap=scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns),
         friction=scene.friction * of_boxes,
         carrier=replace(scene.carrier, friction=scene.carrier.friction * of_carrier),
         pair_friction=scaled_pairs(scene.pair_friction, scene.carrier.surface, of_boxes, of_carrier),
@@ -263,9 +274,10 @@ def _footprint_half(half_size: FloatArray, yaw: FloatArray) -> FloatArray:
     return np.stack([cos * x + sin * y, sin * x + cos * y], axis=1)
 
 
-def _overlapping(centre: FloatArray, half: FloatArray, box: int) -> NDArray[np.bool_]:
-    """(n,) which footprints overlap that of one box."""
-    overlaps: NDArray[np.bool_] = (np.abs(centre - centre[box]) < half + half[box]).all(axis=1)
+def _overlapping(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
+    """(n, n) which footprints overlap."""
+    along = np.abs(centre[:, None] - centre) < half[:, None] + half
+    overlaps: NDArray[np.bool_] = along[..., 0] & along[..., 1]
     return overlaps
 
 
@@ -279,25 +291,20 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
-    planned_half = scene.half_size[:, :2]
-    actual_half = _footprint_half(half_size, yaw)
+    order = np.argsort(planned_bottom, kind="stable")
+    rank = np.argsort(order)
+    lower = (planned_top <= planned_bottom[:, None] + STEP_TOLERANCE_M) & (rank < rank[:, None])
+    supports = lower & _overlapping(scene.target[:, :2], scene.half_size[:, :2])
+    below: NDArray[np.bool_] = supports | (lower & _overlapping(start_pos[:, :2], _footprint_half(half_size, yaw)))
+    # A box that overlaps no other in the plan stands on the carrier, or floats above it.
+    support_top = np.where(supports, planned_top, -math.inf).max(axis=1, initial=-math.inf)
+    stands = supports.any(axis=1)
+    gap = np.where(stands, np.maximum(planned_bottom - support_top, 0.0), 0.0)
+    least_bottom = np.where(stands, -math.inf, planned_bottom)
     centre_z = planned_bottom + half_size[:, 2]
-    done = np.zeros(scene.n_boxes, dtype=bool)
-    for box in np.argsort(planned_bottom, kind="stable"):
-        planned_over = _overlapping(scene.target[:, :2], planned_half, box)
-        placed_over = _overlapping(start_pos[:, :2], actual_half, box)
-        lower = done & (planned_top <= planned_bottom[box] + STEP_TOLERANCE_M)
-        below = lower & (planned_over | placed_over)
-        done[box] = True
-        if not below.any():
-            continue
-        supports = lower & planned_over
-        # A box that overlaps no other in the plan stands on the carrier, or floats above it.
-        support_top = planned_top[supports].max() if supports.any() else 0.0
-        gap = max(planned_bottom[box] - support_top, 0.0)
-        actual_top = float((centre_z + half_size[:, 2])[below].max())
-        on_carrier = planned_bottom[box] if not supports.any() else -math.inf
-        bottom = max(actual_top + gap if supports.any() else actual_top, on_carrier)
+    for box in order[np.any(below[order], axis=1)]:
+        actual_top = (centre_z + half_size[:, 2])[below[box]].max()
+        bottom = max(actual_top + gap[box], least_bottom[box])
         if abs(bottom - planned_bottom[box]) > _SAME_HEIGHT_M:
             centre_z[box] = bottom + half_size[box, 2]
     return centre_z

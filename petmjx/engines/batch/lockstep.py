@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petmjx.config import SOFT_START_STEPS
-from petmjx.engines.batch import hand
+from petmjx.engines.batch import film, hand
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
@@ -23,10 +23,10 @@ CHUNK_STEPS = 25
 
 class Lockstep:
     """A chunk of steps of a batch: of placements, or of drives (``rules.driven``). Worlds that have ended stay as they
-    are until all have."""
+    are until all have. ``gives``: there are boxes that do; ``wraps``: film holds boxes in drives."""
 
-    def __init__(self, rules: Rules, model: PaddedModel) -> None:
-        self.rules, self.model = rules, model
+    def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
+        self.rules, self.model, self.gives, self.wraps = rules, model, gives, wraps
 
     def compiled(
         self,
@@ -48,7 +48,8 @@ class Lockstep:
     ) -> tuple[State, Float[Array, "world constraint"], Trail]:
         """States and constraint forces after a chunk, and what worlds went through. That is always kept: with and
         without a recorder it must be the same program, since another one might round differently."""
-        fields = override_fields(worlds, self.model.model, held=self.model.held, physics=self.rules.sim.physics)
+        held, physics = self.model.held, self.rules.sim.physics
+        fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
         if self.rules.driven:
             state = self.rules.begin_drives(state, worlds)
 
@@ -97,6 +98,15 @@ class Lockstep:
         if rules.carries and not rules.driven:
             inputs["xfrc_applied"] = (
                 inputs["xfrc_applied"].at[:, FIRST_BOX_BODY:].set(hand.wrenches(state, worlds, rules.sim))
+            )
+        if self.wraps and rules.driven:
+            forces_n, state = film.hold(state, worlds, rules.sim.physics.timestep_s)
+            inputs["xfrc_applied"] = (
+                inputs["xfrc_applied"]
+                .at[:, FIRST_BOX_BODY:, :3]
+                .set(forces_n)
+                .at[:, self.model.carrier, :3]
+                .add(-forces_n.sum(1))
             )
         if held:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]

@@ -42,6 +42,8 @@ class ProgramKey:
         drive: kind of the excitation; None: placement.
         profiles: shape of the table of profiles.
         carries: whether there are boxes that do not appear at their places.
+        gives: whether there are boxes that give.
+        wraps: whether film holds boxes.
     """
 
     sim: Simulation
@@ -51,6 +53,8 @@ class ProgramKey:
     drive: str | None
     profiles: tuple[int, ...]
     carries: bool
+    gives: bool
+    wraps: bool
 
 
 @dataclass(frozen=True)
@@ -162,14 +166,18 @@ class MjxJaxEngine(Engine):
         self, batch: Batch, sim: Simulation, drive: str | None, profiles: jax.Array, progress: Progress
     ) -> Program:
         worlds, capacity, _ = batch.worlds.half.shape
-        carries = drive is None and not batch.jobs[0].scene.placing.appears
-        key = ProgramKey(sim, capacity, worlds, batch.boards, drive, profiles.shape, carries)
+        scene = batch.jobs[0].scene
+        carries = drive is None and not scene.placing.appears
+        gives, wraps = scene.stiffness is not None, drive is not None and scene.wrap.holds
+        key = ProgramKey(sim, capacity, worlds, batch.boards, drive, profiles.shape, carries, gives, wraps)
         if key not in self.programs:
             progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
             begin = time.perf_counter()
             model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION)
             rules = Rules(sim, build_timetable(sim, capacity), capacity, drive is not None, carries)
-            chunk = Lockstep(rules, model).compiled(batch.table, model.no_forces(worlds), batch.worlds, profiles)
+            chunk = Lockstep(rules, model, gives, wraps).compiled(
+                batch.table, model.no_forces(worlds), batch.worlds, profiles
+            )
             self.programs[key] = Program(model, chunk)
             progress.compile_s += time.perf_counter() - begin
         return self.programs[key]
@@ -178,13 +186,15 @@ class MjxJaxEngine(Engine):
 def alike_jobs(jobs: Sequence[Job]) -> list[list[int]]:
     """Jobs that may share a batch, by index, those with the largest plans first: with the same kind of drive, all from
     their beginning or all from a settled state, all with boxes that appear at their places or none, on carriers of as
-    many boards, and of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, …."""
-    found: dict[tuple[int, int, str | None, bool, bool], list[int]] = {}
+    many boards, all with boxes that give or none, all wrapped or none, and of similar size: 1 to 4 boxes, 5 to 8, 9 to
+    16, …."""
+    found: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):
         size = ((job.scene.n_boxes - 1) // GRANULE).bit_length()
         drive = job.drive.excitation.kind if job.drive is not None else None
         boards, begun = len(job.scene.carrier.half_size), isinstance(job.start, State)
-        key = (size, boards, drive, begun, job.scene.placing.appears)
+        scene = job.scene
+        key = (size, boards, drive, begun, scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
         found.setdefault(key, []).append(index)
     return [found[key] for key in sorted(found, key=lambda key: -key[0])]
 

@@ -36,7 +36,7 @@ def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Reduced:
     m = state.metrics
     placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
     middles = motion.middles(state.qpos, worlds.middle)
-    shift = motion.shift(middles, worlds.target, sim.thresholds.shift_floor_m)
+    shift = motion.shift(middles, worlds.target, sim.thresholds.shift_floor_m, worlds.sinks)
     rested = (m.rest_samples > 0) & (state.step >= state.end)
     mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
     tilt = jnp.where(placed, motion.tilt_deg(state.qpos[..., 3:]), 0.0)

@@ -21,7 +21,7 @@ from petmjx.engines.batch.timetable import Timetable
 from petmjx.history import CARRIER
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import Flag
-from petmjx.world.release import MOST_FOLLOWED_M, NOTHING
+from petmjx.world.release import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
 
 UNBELIEVABLE = 1e10
@@ -108,7 +108,8 @@ class Rules:
         carrier = state.carrier_qpos[:, 2] - worlds.carrier_pos[:, 2]
         moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
         moved = jnp.where(worlds.support == CARRIER, carrier[:, None], moved)
-        return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -MOST_FOLLOWED_M, MOST_FOLLOWED_M))
+        most = worlds.most_followed[:, None]
+        return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -most, most))
 
     def begin_drives(self, state: State, worlds: Worlds) -> State:
         """Begin the drives of worlds whose placement has settled."""
@@ -145,7 +146,8 @@ class Rules:
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
         """Whether a box is over a threshold now, or has dropped."""
         limits = self.sim.thresholds
-        shift = motion.shift(motion.middles(state.qpos, worlds.middle), worlds.target, limits.shift_floor_m)
+        middles = motion.middles(state.qpos, worlds.middle)
+        shift = motion.shift(middles, worlds.target, limits.shift_floor_m, worlds.sinks)
         tilt = motion.tilt_deg(state.qpos[..., 3:])
         excess = motion.excess(shift, tilt, state.metrics.drop_step >= 0, limits)
         placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
@@ -200,7 +202,8 @@ class Rules:
         pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
-        excess = motion.excess(motion.shift(pos, worlds.target, limits.shift_floor_m), tilt, dropped, limits)
+        shift = motion.shift(pos, worlds.target, limits.shift_floor_m, worlds.sinks)
+        excess = motion.excess(shift, tilt, dropped, limits)
         excess = jnp.where(looked, excess, 0.0)
         signs = (m.culprit < 0) & (excess.max(-1) > 1)
         culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)

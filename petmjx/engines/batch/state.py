@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from petmjx.config import SOFT_START_STEPS, Simulation
 from petmjx.history import CARRIER
 from petmjx.units import seconds_to_steps
+from petmjx.world.give import gives, sinks_m
 from petmjx.world.job import Job
 from petmjx.world.pairs import filled_up
 from petmjx.world.placing import course_of, most_aside_m
 from petmjx.world.release import NOTHING, release_of
 from petmjx.world.scene import IDENTITY_QUAT
+from petmjx.world.wrap import film_of
 
 NEVER = np.iinfo(np.int32).max
 """A step that is never reached: an end that is not known yet."""
@@ -51,14 +53,17 @@ class Worlds(NamedTuple):
     Body 0 is the carrier, and box k is body k + 1. The shapes of body b are from ``first_shape[b]`` on, in the order of
     bodies, and ``shape_body`` says whose each is. ``half`` and ``middle`` are the boxes' half extents and their middles
     in their frames; ``inertia_box`` is as in ``petmjx.world.body.Body``. ``floor_friction`` and ``friction``: sliding,
-    torsional and rolling coefficients; ``shape_surface`` and ``pair_friction``: petmjx/world/pairs.py. ``drive_yaw`` is
+    torsional and rolling coefficients; ``shape_surface`` and ``pair_friction``: petmjx/world/pairs.py; ``shape_give``,
+    m³/N, and ``sinks``, how far boxes are meant to come down: petmjx/world/give.py. ``drive_yaw`` is
     (cos, sin); ``drive_steps`` counts from the drive's first step to the world's end. ``driven``: a drive follows;
     ``held``: it holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
     ``pauses``: when its boxes rest the world waits for more (petmjx/engines/open.py). ``start`` is where a box is
-    released if its ``support`` is where the plan has it (petmjx/world/release.py). ``appears``: all boxes begin there.
+    released if its ``support``, which it follows by ``most_followed``, m, is where the plan has it
+    (petmjx/world/release.py). ``appears``: all boxes begin there.
     Else they begin by ``way_offset`` from there, for a way of ``way_steps``, or 0 if they fall; at its end those that
     are not let go to fall are set down (petmjx/world/placing.py). ``hand_force``, N, ``hand_speed``, m/s, and
-    ``hand_aside``, m, are what a hand may do.
+    ``hand_aside``, m, are what a hand may do; ``wrap_press`` and ``wrap_hold``, N, what film does
+    (petmjx/world/wrap.py).
     """
 
     n_boxes: Int[Array, " world"]
@@ -67,6 +72,8 @@ class Worlds(NamedTuple):
     target: Float[Array, "world box 3"]
     start: Float[Array, "world box 7"]
     support: Int[Array, "world box"]
+    sinks: Float[Array, "world box"]
+    most_followed: Float[Array, " world"]
     carrier_pos: Float[Array, "world 3"]
     mass: Float[Array, "world body"]
     inertia_box: Float[Array, "world body 3"]
@@ -77,6 +84,7 @@ class Worlds(NamedTuple):
     friction: Float[Array, "world shape 3"]
     floor_friction: Float[Array, "world 3"]
     shape_surface: Int[Array, "world shape"]
+    shape_give: Float[Array, "world shape"]
     pair_friction: Float[Array, "world surface surface"]
     floor_z: Float[Array, " world"]
     profile: Int[Array, " world"]
@@ -94,6 +102,8 @@ class Worlds(NamedTuple):
     hand_force: Float[Array, " world"]
     hand_speed: Float[Array, " world"]
     hand_aside: Float[Array, " world"]
+    wrap_press: Float[Array, "world box 3"]
+    wrap_hold: Float[Array, "world box"]
 
 
 class Metrics(NamedTuple):
@@ -144,6 +154,10 @@ class State(NamedTuple):
     carried_steps: Int[Array, " world"]
     way_begin: Float[Array, "world 3"]
     way_end: Float[Array, "world 3"]
+
+    # Film: where boxes were when it was put around them, and from where it holds them, less the carrier's place.
+    film_home: Float[Array, "world box 3"]
+    film_anchor: Float[Array, "world box 3"]
 
     # For the rules: the step after which the wait for the next event began, steps for which all boxes have been quiet,
     # their speed at the first of these, and the first of consecutive violent samples.
@@ -226,16 +240,19 @@ def upload_worlds(
     """
     scenes = list({id(job.scene): job.scene for job in jobs}.values())
     row_of = {id(scene): row for row, scene in enumerate(scenes)}
-    n, boards = len(scenes), max(boards, *(len(scene.carrier.half_size) for scene in scenes))
+    n, boards = len(scenes), max(boards, *(len(scene.shapes.body) - scene.n_boxes for scene in scenes))
     half, middle = np.full((n, width, 3), 0.1, np.float32), np.zeros((n, width, 3), np.float32)
     target, start = np.zeros((n, width, 3), np.float32), np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
-    support = np.full((n, width), NOTHING, np.int32)
+    support, sinks = np.full((n, width), NOTHING, np.int32), np.zeros((n, width), np.float32)
+    most_followed = np.zeros(n, np.float32)
     way_offset, way_steps = np.zeros((n, width, 3), np.float32), np.zeros((n, width), np.int32)
     falls, appears = np.zeros((n, width), np.bool_), np.ones(n, np.bool_)
+    wrap_press, wrap_hold = np.zeros((n, width, 3), np.float32), np.zeros((n, width), np.float32)
     mass, inertia_box = np.ones((n, width + 1), np.float32), np.full((n, width + 1, 3), 0.1, np.float32)
     first_shape = np.tile(np.arange(width + 2, dtype=np.int32), (n, 1))
     shape_body, shape_surface = (np.zeros((n, boards + width), np.int32) for _ in range(2))
+    shape_give = np.zeros((n, boards + width), np.float32)
     shape_half, shape_pos, friction = (np.full((n, boards + width, 3), fill, np.float32) for fill in (0.1, 0.0, 1.0))
     for row, scene in enumerate(scenes):
         k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
@@ -245,14 +262,21 @@ def upload_worlds(
             place, quat, appears[row] = place + course.lift, course.quat, False
             way_offset[row, :k], way_steps[row, :k], falls[row, :k] = course.offset, course.steps, course.falls
         start[row, :k, :3], start[row, :k, 3:] = scene.frames(place, quat), quat
-        support[row, :k] = release.support
+        if scene.wrap.holds:
+            wrap_press[row, :k], wrap_hold[row, :k] = film_of(scene)
+        support[row, :k], most_followed[row] = release.support, release.most_followed_m
         mass[row, : k + 1] = np.append(scene.carrier.mass, scene.mass)
         inertia_box[row, : k + 1] = scene.inertia_boxes
         s = len(shapes.body)
-        first_shape[row, 1:] += len(scene.carrier.half_size) - 1
+        more_shapes = np.bincount(shapes.body - CARRIER, minlength=width + 1) - 1
+        first_shape[row, 1 : k + 2] += np.cumsum(more_shapes[: k + 1])
+        first_shape[row, k + 2 :] += more_shapes[: k + 1].sum()
         shape_body[row, :s], shape_half[row, :s] = shapes.body - CARRIER, shapes.half_size
         shape_pos[row, :s], friction[row, :s] = shapes.pos, shapes.friction
         shape_surface[row, :s] = shapes.surface
+        if scene.stiffness is not None:
+            sinks[row, :k] = sinks_m(scene, sim.physics.gravity_m_s2)
+            shape_give[row, :s] = np.append(gives(scene.stiffness, scene.half_size), 0.0)[shapes.body]
     spare = rows - len(jobs)
     fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
 
@@ -275,6 +299,8 @@ def upload_worlds(
         target=spread(target),
         start=spread(start),
         support=spread(support, np.int32),
+        sinks=spread(sinks),
+        most_followed=spread(most_followed),
         carrier_pos=spread([scene.carrier.pos for scene in scenes]),
         mass=spread(mass),
         inertia_box=spread(inertia_box),
@@ -285,6 +311,7 @@ def upload_worlds(
         friction=spread(friction),
         floor_friction=spread([scene.floor_friction for scene in scenes]),
         shape_surface=spread(shape_surface, np.int32),
+        shape_give=spread(shape_give),
         pair_friction=spread([filled_up(scene.pair_friction) for scene in scenes]),
         floor_z=spread([scene.floor_z for scene in scenes]),
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
@@ -302,6 +329,8 @@ def upload_worlds(
         hand_force=spread([scene.placing.force_n for scene in scenes]),
         hand_speed=spread([scene.placing.speed_m_s for scene in scenes]),
         hand_aside=spread([most_aside_m(scene.placing) for scene in scenes]),
+        wrap_press=spread(wrap_press),
+        wrap_hold=spread(wrap_hold),
     )
 
 
@@ -360,6 +389,8 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         carried_steps=ints,
         way_begin=jnp.zeros((n, 3)),
         way_end=jnp.zeros((n, 3)),
+        film_home=jnp.zeros_like(worlds.half),
+        film_anchor=jnp.zeros_like(worlds.half),
         waits_since=ints,
         quiet_steps=ints,
         quiet_speed=zeros,

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from petmjx.config import Physics, Solver
+from petmjx.engines.batch.give import laws
 from petmjx.engines.batch.state import Worlds
 from petmjx.world.body import Body
 from petmjx.world.model import HeldCarrier, build_spec
@@ -101,12 +102,14 @@ def _box_inertia(half: Float[Array, "world body 3"], mass: Float[Array, "world b
 
 
 def override_fields(
-    worlds: Worlds, model: Any, *, held: bool, physics: Physics
+    worlds: Worlds, model: Any, *, held: bool, physics: Physics, gives: bool = False
 ) -> dict[str, Float[Array, "world ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
     ``physics`` says by how much geoms are larger than boxes. ``model`` is the template's MJX model, whose values stand
-    for what no world changes (the world body, the floor). Derived fields follow MuJoCo's compiler: ``body_invweight0``
+    for what no world changes (the world body, the floor). With ``gives`` contacts have laws of their own.
+
+    Derived fields follow MuJoCo's compiler: ``body_invweight0``
     and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I; ``geom_rbound`` is the half diagonal; all are
     checked against it in tests.
     """
@@ -153,4 +156,6 @@ def override_fields(
         ]
         sliding = jnp.where(own == LARGER, partners[..., 0], own)
         fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])].at[..., :2].set(sliding[..., None])
+        if gives:
+            fields |= laws(worlds, model, inv_translation, physics)
     return fields

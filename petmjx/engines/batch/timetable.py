@@ -7,7 +7,9 @@ float64 comparisons over.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float64, Int32
@@ -15,6 +17,9 @@ from jaxtyping import Float64, Int32
 from petmjx.config import Check, Simulation
 from petmjx.units import seconds_to_steps
 from petmjx.world.placing import MOST_STUCK_S, MOST_WAY_S
+
+KEPT: Final = 8
+"""Timetables that are kept: each has up to 20 bytes a step, 25 MB for 250 boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +53,9 @@ class Timetable:
     static_end: int
 
 
+@functools.lru_cache(KEPT)
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
-    """Tables long enough for the placement of ``max_boxes`` boxes, settling included."""
+    """Tables long enough for the placement of ``max_boxes`` boxes, settling included. Kept: do not change them."""
     dt = sim.physics.timestep_s
     wait_s = max(sim.interval_s, sim.longest_wait_s)
     # a wait takes whole steps, and the clock's rounding may make it one more

@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, Simulation, Solver
+from petmjx.config import Cone, Simulation
 from petmjx.engines.cpu.hand import Hand
+from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
 from petmjx.metrics.force_np import top_forces
 from petmjx.units import FloatArray
@@ -42,8 +43,6 @@ _FLOOR_STIFFNESS = 396.0
 
 _NO_CONTACTS = np.zeros((0, 2), dtype=np.intp)
 
-_SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
-
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
@@ -70,6 +69,9 @@ class LiveWorld:
     packing order, and all with pyramidal cones, as in the reference implementation, to the last bit. All that this
     class gives and takes has rows in packing order.
 
+    Args:
+        templates: for worlds that stay open, whose models are filled in instead of compiled.
+
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
         hand: carries the last of the placed boxes; None: all are let go.
@@ -77,26 +79,41 @@ class LiveWorld:
         pyramidal: whether friction cones are.
     """
 
-    def __init__(self, scene: Scene, sim: Simulation, n_boxes: int = 0, shaken: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        sim: Simulation,
+        n_boxes: int = 0,
+        shaken: bool = False,
+        templates: Templates | None = None,
+    ) -> None:
         self.scene = scene
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._sim = sim
         self._shaken = shaken
-        self._ordered = sim.physics.cone is Cone.ELLIPTIC and scene.n_boxes >= ORDERED_FROM
+        self._templates = templates
         self._held: HeldCarrier | None = None
         self.n_placed = n_boxes
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._build(n_boxes)
 
+    @property
+    def _ordered(self) -> bool:
+        return not self.pyramidal and self.scene.n_boxes >= ORDERED_FROM
+
     def _build(self, capacity: int, contacts: NDArray[np.integer] = _NO_CONTACTS) -> None:
         """Make model and data. ``contacts``: (m, 2) pairs of boxes that touch now."""
         self.order = body_order(self.scene, capacity, contacts, self._shaken) if self._ordered else np.arange(capacity)
+        if self._templates is not None and self._templates.fits(self.scene):
+            self._take(self._templates.filled(self.scene, self.order))
+            return
         self._spec = build_spec(self.scene, self._sim.physics, held_carrier=self._held, n_boxes=0)
         if self._has_waiting:
             self._add_waiting()
-        add_boxes(self._spec, self.scene, self._sim.physics, self.order.tolist())
-        self._compile(capacity)
+        held = self._held is not None
+        add_boxes(self._spec, self.scene, self._sim.physics, self.order.tolist(), held=held)
+        self._compile()
 
     def _add_waiting(self) -> None:
         body = self._spec.worldbody.add_body(name=_WAITING_NAME, pos=[0.0, 0.0, -_PARKING_M])
@@ -108,22 +125,16 @@ class LiveWorld:
         stop.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         stop.solimp_limit[:3] = self._sim.physics.solimp
 
-    def _compile(self, capacity: int) -> None:
-        self.capacity = capacity
+    def _compile(self) -> None:
+        model = self._spec.compile()
+        set_options(model, self._sim)
+        self._take(Filled(model, mujoco.MjData(model)))
+
+    def _take(self, made: Filled) -> None:
+        """Use this model and data, which have the boxes in their order."""
+        self.model, self.data = made
+        self.capacity = len(self.order)
         self._row = np.argsort(self.order)
-        self.model = self._spec.compile()
-        self.model.opt.solver = _SOLVER[self._sim.solver]
-        if self._sim.solver_iterations is not None:
-            self.model.opt.iterations = self._sim.solver_iterations
-        if self._sim.solver_tolerance is not None:
-            self.model.opt.tolerance = self._sim.solver_tolerance
-        # MuJoCo would silently reset a world that diverges; petmjx must see it.
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        if self._sim.physics.cone is Cone.ELLIPTIC:
-            # A pallet is one island, and the search for islands costs 10 % of the time. With pyramidal cones the search
-            # stays on: the solver's tolerance is relative to the island, and the reference's creep depends on it.
-            self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-        self.data = mujoco.MjData(self.model)
         self.geom_bodies = geom_bodies(self.model, self.order)
         self._look_into_data()
 
@@ -176,12 +187,12 @@ class LiveWorld:
         old, count = self.data, self.capacity
         boxes = self._poses[self._row], self._velocities[self._row], self._warmstarts[self._row]
         capacity = min(self.scene.n_boxes, count + GROWTH_BLOCK)
-        if self._ordered:
-            self._build(capacity, self._contacts())
+        if self._ordered or self._templates is not None:
+            self._build(capacity, self._contacts() if self._ordered else _NO_CONTACTS)
         else:
             add_boxes(self._spec, self.scene, self._sim.physics, range(count, capacity), before=range(count))
             self.order = np.arange(capacity)
-            self._compile(capacity)
+            self._compile()
         new, kept = self.data, self._row[:count]
         for name, first in (("qpos", self._first_q), ("qvel", self._first_v), ("qacc_warmstart", self._first_v)):
             getattr(new, name)[:first] = getattr(old, name)[:first]
@@ -197,12 +208,26 @@ class LiveWorld:
         for name in ("release", "course"):  # are worked out anew
             vars(self).pop(name, None)
 
-    def fork(self) -> LiveWorld:
-        """A world of its own in the same state, to the last bit."""
+    def fork(self, *, grows: bool = False) -> LiveWorld:
+        """A world of its own in the same state, to the last bit.
+
+        Args:
+            grows: a box is placed in it before anything else. Where that makes a new model, the old one's data are only
+                read, and are not copied.
+        """
         twin = copy.copy(self)
-        twin._spec, twin.model, twin.data = self._spec.copy(), copy.copy(self.model), copy.copy(self.data)
+        if self._templates is None:
+            twin._spec, twin.model = self._spec.copy(), copy.copy(self.model)
+        elif grows and self.n_placed == self.capacity:
+            return twin
+        twin.data = copy.copy(self.data)  # a filled model does not change any more, and is shared
         twin._look_into_data()
         return twin
+
+    def give_back(self) -> None:
+        """Lend model and data to other worlds. This one is not used any more."""
+        if self._templates is not None and self._templates.fits(self.scene):
+            self._templates.give_back(Filled(self.model, self.data), self.scene, self.capacity)
 
     def _contacts(self) -> NDArray[np.integer]:
         """(m, 2) pairs of boxes that touched in the last step."""
@@ -294,6 +319,15 @@ class LiveWorld:
         """(3,) N on the carrier's centre of mass, from the next step on."""
         self.data.xfrc_applied[self._carrier, :3] = force_n
 
+    def from_carrier(self) -> tuple[FloatArray, FloatArray]:
+        """(capacity, 3) centres of mass of the boxes, m, and their velocities, m/s, less those of the carrier."""
+        speed = np.zeros(3) if self._held is not None else self.data.qvel[:3]
+        return self._poses[self._row, :3] - self.carrier_pose[:3], self.velocity[:, :3] - speed
+
+    def set_box_forces(self, force_n: FloatArray) -> None:
+        """(capacity, 3) N on the centres of mass of the boxes, from the next step on."""
+        self.data.xfrc_applied[self._first_body + self._row, :3] = force_n
+
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) middles and (k, 4) orientations of the placed boxes at the beginning of the last step.
 
@@ -328,6 +362,7 @@ class LiveWorld:
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
+        self._templates = None  # a carrier that is held stands elsewhere in each world
         self._build(self.capacity)
         self._restore(state, time_s)
 

@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from petmjx.config import Simulation
+from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.world import WorldRun
 from petmjx.engines.open import Reading
 from petmjx.verdict import Outcome
@@ -27,8 +28,11 @@ class OpenWorld(WorldRun):
         ended: whether it has failed, so that it does not go on.
     """
 
-    def __init__(self, scene: Scene, sim: Simulation, cancelled: Callable[[], bool]) -> None:
+    def __init__(
+        self, scene: Scene, sim: Simulation, cancelled: Callable[[], bool], templates: Templates | None = None
+    ) -> None:
         super().__init__(0, Job(scene), sim, cancelled)
+        self._templates = templates
         self._pauses = True
         self.ended = not self._start()
 
@@ -54,13 +58,27 @@ class OpenWorld(WorldRun):
         self._still_pose = np.vstack((self._still_pose, np.zeros((scene.n_boxes - len(self._still_pose), 7))))
         self._leave_pause()
 
-    def fork(self) -> Self:
-        """A twin in the same state, which goes on by itself."""
+    def fork(self, *, grows: bool = False) -> Self:
+        """A twin in the same state, which goes on by itself.
+
+        Args:
+            grows: a box is put into it before anything else.
+        """
         twin = copy.copy(self)
-        twin._live, twin._metrics, twin._quiet = self._live.fork(), self._metrics.fork(), copy.copy(self._quiet)
+        twin._live, twin._metrics = self._live.fork(grows=grows), self._metrics.fork()
+        twin._quiet = copy.copy(self._quiet)
         twin._waits, twin._still_pose = copy.copy(self._waits), self._still_pose.copy()
         twin._explosion = copy.copy(self._explosion)
         return twin
+
+    def tried(self, scene: Scene) -> Reading:
+        """How a twin is, once the boxes that this scene has more have been put into it and rest."""
+        twin = self.fork(grows=self.paused)
+        twin.put(scene)
+        twin.go_on()
+        found = twin.read()
+        twin._live.give_back()
+        return found
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
         """Go on to the end of a world that has boxes: the rest window and, if there is one, the drive.
@@ -96,4 +114,7 @@ class OpenWorld(WorldRun):
             quat=pose[:, 3:],
             top_force_n=live.top_forces(),
             culprit=self._metrics.culprit,
+            max_tilt_deg=self._metrics.max_tilt_deg[:k].copy(),
+            max_top_force_n=self._metrics.max_top_force_n[:k].copy(),
+            dropped=np.isfinite(self._metrics.drop_s[:k]),
         )

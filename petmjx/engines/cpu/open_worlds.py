@@ -9,10 +9,12 @@ from typing import TypeVar
 
 from petmjx.config import Simulation
 from petmjx.engines.cpu.log import QUIET_MUJOCO
+from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.open_world import OpenWorld
-from petmjx.engines.open import OpenWorlds, Reading
+from petmjx.engines.open import OpenWorlds, Reading, Readings
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive
+from petmjx.world.next_boxes import NextBoxes
 from petmjx.world.scene import Scene
 
 Given = TypeVar("Given")
@@ -30,12 +32,12 @@ class MujocoWorlds(OpenWorlds):
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, threads: int) -> None:
         super().__init__(scenes, sim)
         self._sim, self._threads = sim, threads
-        self._stop = threading.Event()
+        self._stop, self._templates = threading.Event(), Templates.of(sim)
         self._worlds = self._each(self._begin, scenes)
 
     def go_on(self) -> None:
         """As for all engines."""
-        self._each(OpenWorld.go_on, self._worlds)
+        self._each(OpenWorld.go_on, [world for world in self._worlds if not (world.paused or world.ended)])
 
     def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         for world, begun in zip(worlds, self._each(self._begin, scenes), strict=True):
@@ -56,6 +58,25 @@ class MujocoWorlds(OpenWorlds):
     def _read(self, worlds: Sequence[int]) -> list[Reading]:
         return [self._worlds[world].read() for world in worlds]
 
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+        def tried(row: int, world: int) -> tuple[Reading, Scene]:
+            scene = self._blank.with_box(self._scenes[world], boxes, row)
+            return self._worlds[world].tried(scene), scene
+
+        found = self._each(lambda each: tried(*each), enumerate(worlds))
+        return Readings.of([reading for reading, _ in found], [scene for _, scene in found])
+
+    def _try_scenes(
+        self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
+    ) -> list[Outcome]:
+        def end(number: int, world: int, scene: Scene, drive: Drive | None) -> Outcome:
+            twin = self._worlds[world].fork()
+            twin.put(scene)
+            return twin.finish(number, drive)
+
+        numbered = zip(range(len(worlds)), worlds, scenes, drives, strict=True)
+        return self._each(lambda each: end(*each), numbered)
+
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         def end(number: int, world: int, drive: Drive | None) -> Outcome:
             return self._worlds[world].fork().finish(number, drive)
@@ -64,7 +85,7 @@ class MujocoWorlds(OpenWorlds):
         return self._each(lambda each: end(*each), numbered)
 
     def _begin(self, scene: Scene) -> OpenWorld:
-        return OpenWorld(scene, self._sim, self._stop.is_set)
+        return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
 
     def _each(self, work: Callable[[Given], Made], of: Iterable[Given]) -> list[Made]:
         """The work on each, on threads. An interruption stops worlds within a few dozen steps; they can go on later."""

@@ -12,17 +12,19 @@ from numpy.typing import NDArray
 
 from petmjx.config import Thresholds
 from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
-from petmjx.units import FloatArray
+from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.verdict import BoxMetrics
+from petmjx.world.give import sinks_m
 from petmjx.world.scene import Scene
 
 
 class OracleMetrics:
     """Running maxima, first sign and resting force of one world."""
 
-    def __init__(self, scene: Scene, thresholds: Thresholds) -> None:
+    def __init__(self, scene: Scene, thresholds: Thresholds, gravity_m_s2: float = STANDARD_GRAVITY) -> None:
         n = scene.n_boxes
-        self._scene = scene
+        self._scene, self._gravity_m_s2 = scene, gravity_m_s2
+        self._sinks_m = sinks_m(scene, gravity_m_s2)
         self._thresholds = thresholds
         self.max_tilt_deg = np.zeros(n)
         self.max_lin_acc = np.zeros(n)
@@ -46,12 +48,12 @@ class OracleMetrics:
 
     def extend(self, scene: Scene) -> None:
         """The world's scene has more boxes, of which nothing is known yet."""
-        larger = OracleMetrics(scene, self._thresholds)
+        larger = OracleMetrics(scene, self._thresholds, self._gravity_m_s2)
         for name, value in vars(larger).items():
-            if isinstance(value, np.ndarray):
+            if isinstance(value, np.ndarray) and name != "_sinks_m":
                 value[: self._scene.n_boxes] = getattr(self, name)
                 setattr(self, name, value)
-        self._scene = scene
+        self._scene, self._sinks_m = scene, larger._sinks_m
 
     @property
     def any_dropped(self) -> bool:
@@ -138,7 +140,7 @@ class OracleMetrics:
         rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics.measured(
             n,
-            shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m),
+            shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m, self._sinks_m),
             max_tilt_deg=self.max_tilt_deg,
             max_lin_acc=self.max_lin_acc,
             max_ang_acc=self.max_ang_acc,
@@ -162,6 +164,8 @@ class OracleMetrics:
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """(k,) excess of each box, and (k,) whether it is over a threshold or has dropped."""
         limits = self._thresholds
-        shift_m = shift(pos, self._scene.target[: len(pos)], limits.shift_floor_m)
+        k = len(pos)
+        sinks = None if self._sinks_m is None else self._sinks_m[:k]
+        shift_m = shift(pos, self._scene.target[:k], limits.shift_floor_m, sinks)
         over = excess(shift_m, tilt, dropped, limits)
         return over, (over > 1) | dropped

@@ -14,6 +14,7 @@ from petmjx.engines.cpu.drive import ActingDrive
 from petmjx.engines.cpu.explosion import Explosion
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.live import BodyState, LiveWorld
+from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.recorder import WorldRecorder
 from petmjx.engines.cpu.running import OracleMetrics
@@ -78,6 +79,7 @@ class WorldRun:
         self._flags = Flag.NONE
         self._kept: SettledState | None = None
         self._recorder = WorldRecorder(job.record, job, dt) if job.record is not None else None
+        self._templates: Templates | None = None
 
     # ------------------------------------------------------------------ life of a world
 
@@ -100,8 +102,8 @@ class WorldRun:
 
     def _start(self) -> bool:
         """Take the world through the soft start. Returns False where its time is up before."""
-        self._live = LiveWorld(self._scene, self._sim, n_boxes=self._scene.n_boxes if self._static else 0)
-        self._metrics = OracleMetrics(self._scene, self._sim.thresholds)
+        self._live = LiveWorld(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
+        self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
         begun = self._soft_start()
         self._set_end(self._waits.end_of_fixed(self._scene.n_boxes))
         self._wait()
@@ -356,6 +358,7 @@ class WorldRun:
         self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
         if self._drive.holds_carrier:
             self._live.hold_carrier()
+        self._drive.wrap(self._scene, self._dt, self._live)
         self._drive.act(self._step, self._live)
 
     # ------------------------------------------------------------------ result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import takewhile
 
 import numpy as np
@@ -50,19 +50,19 @@ def _none_waiting(most: int) -> Sequence[Job]:
     return ()
 
 
-@dataclass(frozen=True)
-class RolloutKey:
-    """What compiled programs and buffers depend on."""
-
-    sim: Simulation
-    fleets: tuple[Fleet, ...]
-    table_steps: int
-    table_boxes: int
-
-
 def _wants_hands(job: Job) -> bool:
     """Whether a job's boxes do not just appear at their places."""
     return not job.scene.placing.appears
+
+
+def _gives(job: Job) -> bool:
+    """Whether a job has boxes that give."""
+    return job.scene.stiffness is not None
+
+
+def _is_wrapped(job: Job) -> bool:
+    """Whether a job's boxes are shaken with film around them."""
+    return job.drive is not None and job.scene.wrap.holds
 
 
 def _size(job: Job) -> int:
@@ -134,7 +134,8 @@ class MjxWarpEngine(Engine):
         set_up_jax()
         self.lanes, self.group_size, self.slice_ns = lanes, group_size, slice_ns
         self._running = RunLock(self.name)
-        self._kept: dict[tuple[Launch, ...], tuple[RolloutKey, Rollout]] = {}
+        self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
+        """The last rollout for each kind of launches, and what it depends on."""
         self._room: dict[tuple[Cone, int], int] = {}
         """How much larger than usual buffers have to be, by size of worlds."""
 
@@ -143,7 +144,7 @@ class MjxWarpEngine(Engine):
         return WarpWorlds(scenes, sim, most_boxes)
 
     def _drop(self) -> None:
-        """Free the memory of the programs that are kept."""
+        """Free the memory of the rollouts that are kept."""
         while self._kept:
             _, (_, rollout) = self._kept.popitem()
             rollout.close()
@@ -161,8 +162,9 @@ class MjxWarpEngine(Engine):
         with self._running:
             while first < len(jobs):  # more may have been appended
                 rest = jobs[first:]
-                timetable = build_timetable(sim, max(job.scene.n_boxes for job in rest))
-                run = Run(sim, timetable, _widths(rest), progress, jobs, any(map(_wants_hands, rest)))
+                timetable = build_timetable(sim, round_up(max(job.scene.n_boxes for job in rest)))
+                traits = (any(map(trait, rest)) for trait in (_wants_hands, _gives, _is_wrapped))
+                run = Run(sim, timetable, _widths(rest), progress, jobs, *traits)
                 size = math.ceil(len(rest) / math.ceil(len(rest) / self.group_size))
                 end = len(jobs)
                 while first < end:
@@ -184,7 +186,12 @@ class MjxWarpEngine(Engine):
                 return ()
             begin = first_job + len(jobs)
             more = run.jobs[begin : begin + most]
-            return more if run.hands else list(takewhile(lambda job: not _wants_hands(job), more))
+
+            def is_known(job: Job) -> bool:
+                wrapped = run.wraps or not _is_wrapped(job)
+                return wrapped and (run.hands or not _wants_hands(job)) and (run.gives or not _gives(job))
+
+            return list(takewhile(is_known, more))
 
         for outcome in self._run_worlds(run, jobs, waiting):
             outcome.job += first_job
@@ -309,7 +316,7 @@ class MjxWarpEngine(Engine):
         run = group.run
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
         launches = tuple(fleet.launch for fleet in fleets)
-        key = RolloutKey(run.sim, fleets, len(run.timetable.clock), len(run.timetable.settled_nominally))
+        key = run.sim, run.timetable, fleets
         if launches in self._kept and self._kept[launches][0] == key:
             return self._kept[launches][1]
         if launches in self._kept:
@@ -341,7 +348,7 @@ class MjxWarpEngine(Engine):
     def _fleet(self, run: Run, size: int, boards: int) -> Fleet:
         """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
         n_boxes = run.widths[size]
-        launch = Launch.here(n_boxes, run.hands)
+        launch = Launch.here(n_boxes, run.hands, run.gives, run.wraps)
         shapes = self._boxes_of_room(run, size) + boards - 1
         blocks = min(self.lanes or launch.blocks, launch.blocks)
         return Fleet(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)

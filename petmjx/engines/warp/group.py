@@ -34,6 +34,7 @@ class Run:
         widths: most boxes of a size (``launch.Size``) → boxes for which blocks of that size have room in this run.
         jobs: all of the run, to which more may be appended: ``GrowingJobs``.
         hands: whether its kernels let a hand carry boxes, or drop them.
+        gives, wraps: whether its kernels know boxes that give, and film that holds them.
     """
 
     sim: Simulation
@@ -42,6 +43,8 @@ class Run:
     progress: Progress
     jobs: Sequence[Job] = ()
     hands: bool = False
+    gives: bool = False
+    wraps: bool = False
 
 
 @dataclass

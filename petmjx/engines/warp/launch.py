@@ -66,6 +66,7 @@ class Launch:
         shared_words: shared memory for rows of a block's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
         hands: whether a hand may carry boxes. Without it a kernel has fewer registers to spill.
+        gives, wraps: whether boxes may give, and film may hold them; as for hands.
     """
 
     blocks: int
@@ -74,24 +75,28 @@ class Launch:
     shared_words: int
     panels: int
     hands: bool
+    gives: bool = False
+    wraps: bool = False
 
     @classmethod
-    def here(cls, n_boxes: int, hands: bool = False) -> Launch:
+    def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
         """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread: Warp runs the
         threads of a block one after the other, so a barrier cannot work."""
         device = wp.get_device()
         size = size_for(n_boxes)
         panels = most_panels(size.most_boxes)
         if not device.is_cuda:
-            return cls(1, 1, 1, PANEL**2, panels, hands)
+            return cls(1, 1, 1, PANEL**2, panels, hands, gives, wraps)
         shared = min(size.shared_bytes, device.max_shared_memory_per_block // size.per_sm - newton.own_bytes(panels))
-        return cls(size.per_sm * device.sm_count, size.threads, size.per_sm, shared // 4, panels, hands)
+        blocks = size.per_sm * device.sm_count
+        return cls(blocks, size.threads, size.per_sm, shared // 4, panels, hands, gives, wraps)
 
 
 @functools.cache
 def kernel(launch: Launch) -> Any:
     """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
-    shared_words, hands = launch.shared_words, int(launch.hands)
+    shared_words = launch.shared_words
+    hands, gives, wraps = int(launch.hands), int(launch.gives), int(launch.wraps)
 
     def march(
         # Model:
@@ -111,7 +116,7 @@ def kernel(launch: Launch) -> Any:
         shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
         run_worlds(
             model, worlds,
-            block, thread, threads, n_blocks, slice_ns, hands, shared, shared_words,
+            block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, shared, shared_words,
             state, work, frames, counts,
         )  # fmt: skip
 

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,17 +31,22 @@ from petmjx.engines.batch.state import (
     uploaded,
 )
 from petmjx.engines.batch.timetable import Timetable, build_timetable
-from petmjx.engines.batch.upload import load, round_up
+from petmjx.engines.batch.upload import Batch, load, round_up
 from petmjx.engines.clock import Clock
-from petmjx.engines.open import OpenWorlds, Reading
+from petmjx.engines.open import OpenWorlds, Reading, Readings
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
-from petmjx.engines.warp.rollout import constants
+from petmjx.engines.warp.next_box import NewBox, new_box, readings_of, with_new_box
+from petmjx.engines.warp.programs import constants
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Job
+from petmjx.world.next_boxes import NextBoxes, Stacks
 from petmjx.world.scene import Scene
+
+MOST_TRIED: Final = 16_384
+"""Candidates that are simulated side by side. With 80 boxes each takes 27 kB."""
 
 
 class Open(NamedTuple):
@@ -61,7 +66,7 @@ class Simulator:
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, most_boxes: int, boards: int, room: int = 1) -> None:
-        launch = Launch.here(most_boxes, hands=True)
+        launch = Launch.here(most_boxes, hands=True, gives=True, wraps=True)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
         fleet = Fleet(launch, launch.blocks, most_boxes, boards, pairs, contacts)
@@ -93,6 +98,10 @@ class Simulator:
         goes = (state.status == Status.PAUSED) & (state.placed < after.n_boxes)
         state = self._placing.place_next(self._noting_motion(state, goes), after, goes)
         return Open(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
+
+    def put_next(self, open_: Open, rows: Int[Array, " row"], box: NewBox) -> Open:
+        """As ``put``, one box each, which appears at its place."""
+        return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: Open) -> State:
         """Paused worlds begin their rest window, or their drive, as their constants say."""
@@ -167,6 +176,7 @@ class WarpWorlds(OpenWorlds):
     Attributes:
         open: the worlds.
         simulator: its pure functions go on with them in a jitted program.
+        width: boxes for which a world has room; ``boards``: shapes for which its carrier has.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int) -> None:
@@ -174,9 +184,9 @@ class WarpWorlds(OpenWorlds):
         if not 1 <= most_boxes <= records.MAX_BOXES:
             raise ValueError(f"most_boxes must be from 1 to {records.MAX_BOXES}, got {most_boxes!r}")
         self._sim = sim
-        self._width = round_up(most_boxes)
-        self._boards = max(len(scene.carrier.half_size) for scene in scenes)
-        self._timetable = build_timetable(sim, self._width)
+        self.width = round_up(most_boxes)
+        self.boards = max(len(scene.carrier.half_size) for scene in scenes)
+        self._timetable = build_timetable(sim, self.width)
         self._room = 1
         self._make_simulator()
         worlds = self._constants(scenes)
@@ -201,6 +211,69 @@ class WarpWorlds(OpenWorlds):
         more = self._constants(scenes)
         self.open = self._jitted_put(self.open, self._rows(worlds, len(more.n_boxes)), more)
 
+    def _put_next(self, worlds: Sequence[int], boxes: NextBoxes, scenes: Sequence[Scene]) -> None:
+        if not self._appears:
+            self._put(worlds, scenes)
+            return
+        rows = self._rows(worlds, _padded(len(worlds)))
+        box = self._new_box(worlds, boxes, len(rows))
+        self.open = self._jitted_put_next(self.open, rows, box)
+
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+        if len(worlds) <= MOST_TRIED:
+            return self._tried(worlds, boxes)
+        parts = []
+        for first in range(0, len(worlds), MOST_TRIED):
+            some = slice(first, first + MOST_TRIED)
+            parts.append(self._tried(worlds[some], boxes.take(np.arange(len(boxes))[some])))
+        return Readings.joined(parts)
+
+    def _tried(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+        count, distinct = len(worlds), sorted(set(worlds))
+        stacks = Stacks.of([self._scenes[world] for world in distinct], float(self._blank.friction[0]))
+        before = stacks.take(np.searchsorted(distinct, worlds))
+        padded = _coarsely_padded(count)
+        forks = _take(self.open, self._rows(worlds, padded), count)
+        if self._appears:
+            begun = self._jitted_put_next(forks, jnp.arange(padded), self._new_box(worlds, boxes, padded, before))
+        else:
+            more = self._constants([self._blank.with_box(self._scenes[w], boxes, row) for row, w in enumerate(worlds)])
+            rows = jnp.where(jnp.arange(len(more.n_boxes)) < count, jnp.arange(len(more.n_boxes)), padded)
+            begun = self._jitted_put(forks, rows, more)
+        state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
+        host = jax.tree.map(lambda values: np.asarray(values)[:count], state)
+        return readings_of(host, *before.with_next(boxes), self._sim)
+
+    def _new_box(self, worlds: Sequence[int], boxes: NextBoxes, rows: int, before: Stacks | None = None) -> NewBox:
+        friction = float(self._blank.friction[0])
+        before = before or Stacks.of([self._scenes[world] for world in worlds], friction)
+        if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
+            raise ValueError(f"there is room for {self.width} boxes in a world, and one is full")
+        return new_box(before, boxes, self._blank, self._sim, rows)
+
+    def _try_scenes(
+        self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
+    ) -> list[Outcome]:
+        count = len(worlds)
+        jobs = [Job(scene, drive) for scene, drive in zip(scenes, drives, strict=True)]
+        batch = load(jobs, _padded(count), self.width, self._sim, self._timetable)
+        forks = _take(self.open, self._rows(worlds, _padded(count)), count)
+        more = self._constants(scenes)  # without drives, which begin when the boxes rest
+        rows = jnp.where(jnp.arange(_padded(count)) < count, jnp.arange(_padded(count)), _padded(count))
+        settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
+        return self._ended_outcomes(settled.state, jobs, batch)
+
+    def _readings(self, worlds: Sequence[int]) -> Readings:
+        rows = np.asarray(worlds)
+        host = jax.tree.map(lambda values: np.asarray(values)[rows], self.open.state)
+        stacks = Stacks.of([self._scenes[world] for world in worlds], 0.0)
+        return readings_of(host, stacks.half_size, stacks.target, self._sim)
+
+    @property
+    def _appears(self) -> bool:
+        """Whether boxes appear at their places."""
+        return self._blank.scene.placing.appears
+
     def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
         rows = _padded(len(sources))
         self.open = _jitted_fork(self.open, self._rows(sources, rows), self._rows(into, rows))
@@ -220,6 +293,9 @@ class WarpWorlds(OpenWorlds):
                     quat=pose[:, 3:],
                     top_force_n=np.asarray(state.top_force[world, :k], np.float64),
                     culprit=int(state.metrics.culprit[world]),
+                    max_tilt_deg=np.asarray(state.metrics.max_tilt[world, :k], np.float64),
+                    max_top_force_n=np.asarray(state.metrics.max_top_force[world, :k], np.float64),
+                    dropped=np.asarray(state.metrics.drop_step[world, :k]) >= 0,
                 )
             )
         return found
@@ -227,8 +303,12 @@ class WarpWorlds(OpenWorlds):
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         self.go_on()
         jobs = [Job(self._scenes[world], drive) for world, drive in zip(worlds, drives, strict=True)]
-        batch = load(jobs, _padded(len(jobs)), self._width, self._sim, self._timetable)
+        batch = load(jobs, _padded(len(jobs)), self.width, self._sim, self._timetable)
         state = _without_padding(take_rows(self.open.state, self._rows(worlds, _padded(len(jobs)))), len(jobs))
+        return self._ended_outcomes(state, jobs, batch)
+
+    def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
+        """Outcomes of worlds that have paused, when nothing more is put in."""
         begun = Open(batch.worlds, self._jitted_finish(Open(batch.worlds, state)))
         ended, rows = self._to_the_end(begun, batch.profiles), np.arange(len(jobs))
         picked = pick(rows, ended.state, ended.worlds, self._sim)
@@ -254,23 +334,33 @@ class WarpWorlds(OpenWorlds):
         return open_
 
     def _make_simulator(self) -> None:
-        self.simulator = Simulator(self._sim, self._timetable, self._width, self._boards, self._room)
+        self.simulator = Simulator(self._sim, self._timetable, self.width, self.boards, self._room)
         self.simulator.load()
-        self._jitted_slice, self._jitted_put, self._jitted_finish = (
-            jax.jit(function) for function in (self.simulator.time_slice, self.simulator.put, self.simulator.finish)
+        self._jitted_slice, self._jitted_put, self._jitted_finish, self._jitted_put_next = (
+            jax.jit(function)
+            for function in (
+                self.simulator.time_slice,
+                self.simulator.put,
+                self.simulator.finish,
+                self.simulator.put_next,
+            )
         )
+
+    def roomier(self, times: int) -> Simulator:
+        """The pure functions with buffers that are so many times as large: programs of others cannot enlarge them."""
+        return Simulator(self._sim, self._timetable, self.width, self.boards, times)
 
     def _constants(self, scenes: Sequence[Scene]) -> Worlds:
         """Constants of open worlds."""
         most = max(scene.n_boxes for scene in scenes)
-        if most > self._width:
-            raise ValueError(f"there is room for {self._width} boxes in a world, and one has {most}")
+        if most > self.width:
+            raise ValueError(f"there is room for {self.width} boxes in a world, and one has {most}")
         boards = max(len(scene.carrier.half_size) for scene in scenes)
-        if boards > self._boards:
-            raise ValueError(f"there is room for carriers of {self._boards} boards, and one has {boards}")
+        if boards > self.boards:
+            raise ValueError(f"there is room for carriers of {self.boards} boards, and one has {boards}")
         rows = _padded(len(scenes))
         jobs = [Job(scene) for scene in scenes]
-        worlds = upload_worlds(jobs, rows, self._width, {}, self._sim, self._boards)
+        worlds = upload_worlds(jobs, rows, self.width, {}, self._sim, self.boards)
         return worlds._replace(pauses=uploaded(np.ones(rows, np.bool_)))
 
     def _rows(self, worlds: Sequence[int], length: int) -> Int[Array, " row"]:
@@ -283,9 +373,25 @@ class WarpWorlds(OpenWorlds):
 _jitted_fork = jax.jit(fork)
 
 
+@jax.jit
+def _take(open_: Open, rows: Int[Array, " row"], count: Int[Array, ""]) -> Open:
+    """Forks of these worlds as worlds of their own. Of those behind the first ones none goes on."""
+    state = take_rows(open_.state, rows)
+    padding = jnp.arange(len(rows)) >= count
+    return Open(
+        take_rows(open_.worlds, rows),
+        state._replace(status=jnp.where(padding, Status.FINISHED, state.status)),
+    )
+
+
 def _padded(count: int) -> int:
     """Rows for so many worlds: a power of two, so that few programs are compiled."""
     return 1 << (count - 1).bit_length()
+
+
+def _coarsely_padded(count: int) -> int:
+    """Rows for so many candidates: a power of four, so that fewer programs still are compiled."""
+    return int(4 ** ((count - 1).bit_length() + 1 >> 1)) if count > 1 else 1
 
 
 def _without_padding(state: State, count: int) -> State:

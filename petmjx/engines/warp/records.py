@@ -88,13 +88,13 @@ class Model:
     slow_speed: float
     slowing: float
     still_speed: float
-    most_followed: float  # how far a box follows its support
     quiet_steps: int
     min_steps: int
     poll_steps: int
     hand_rate: float  # of the hand's spring, 1/s
     lowering_rate: float  # of the damper by which it sets boxes down, 1/s
     stuck_steps: int  # for which a hand waits at most
+    film_rate: float  # of a box's spring on its film, 1/s
 
     due: wp.array[int]  # by step; as in Timetable
     longest: wp.array[int]
@@ -112,6 +112,8 @@ class Worlds:
     target: Annotated[wp.array3d[float], "world box 3"]
     start: Annotated[wp.array3d[float], "world box 7"]
     support: Annotated[wp.array2d[int], "world box"]
+    sinks: Annotated[wp.array2d[float], "world box"]
+    most_followed: Annotated[wp.array[float], "world"]
     carrier_pos: Annotated[wp.array2d[float], "world 3"]
     mass: Annotated[wp.array2d[float], "world body"]
     inertia_box: Annotated[wp.array3d[float], "world body 3"]
@@ -122,6 +124,7 @@ class Worlds:
     friction: Annotated[wp.array3d[float], "world shape 3"]
     floor_friction: Annotated[wp.array2d[float], "world 3"]
     shape_surface: Annotated[wp.array2d[int], "world shape"]
+    shape_give: Annotated[wp.array2d[float], "world shape"]
     pair_friction: Annotated[wp.array3d[float], "world surface surface"]
     floor_z: Annotated[wp.array[float], "world"]
     profile: Annotated[wp.array[int], "world"]
@@ -138,6 +141,8 @@ class Worlds:
     hand_force: Annotated[wp.array[float], "world"]
     hand_speed: Annotated[wp.array[float], "world"]
     hand_aside: Annotated[wp.array[float], "world"]
+    wrap_press: Annotated[wp.array3d[float], "world box 3"]
+    wrap_hold: Annotated[wp.array2d[float], "world box"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
     order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
 
@@ -164,6 +169,8 @@ class State:
     carried_steps: Annotated[wp.array[int], "world"]
     way_begin: Annotated[wp.array2d[float], "world 3"]
     way_end: Annotated[wp.array2d[float], "world 3"]
+    film_home: Annotated[wp.array3d[float], "world box 3"]
+    film_anchor: Annotated[wp.array3d[float], "world box 3"]
     waits_since: Annotated[wp.array[int], "world"]
     quiet_steps: Annotated[wp.array[int], "world"]
     quiet_speed: Annotated[wp.array2d[float], "world box"]
@@ -276,6 +283,8 @@ class Thread:
     geoms: int  # the floor and the shapes of the carrier and of these boxes
     held: int  # 1 if the carrier is held fast: it is then no free body
     hands: int  # 1 if a hand may carry boxes; 0 is known to the compiler, which then leaves hands out
+    gives: int  # the same where boxes may give
+    wraps: int  # the same where film may hold boxes
     carried: int  # 1 if a hand has the last of these boxes
 
 

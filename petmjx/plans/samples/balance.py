@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.hull import convex_hull
 from petmjx.units import MM_PER_M, FloatArray
 
 TOUCH_MM: Final = 1e-6
@@ -32,6 +33,9 @@ least support of 0.6 all of 60 plans stood as well; the margin is for what a rob
 _SAME_PLACE_DECIMALS: Final = 9
 """Corners are the same where they are as near as a nanometre. The hull takes points from left to right, and would lose
 one that is to the left of others by less than its products resolve."""
+
+_LEAST_TURN_M2: Final = 1e-12
+"""A corner at which the hull turns by less lies on an edge: rounding errors of its coordinates' products."""
 
 _SLACK_KG_M: Final = 1e-9
 
@@ -135,29 +139,10 @@ def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
     """
     lows, highs = np.round(low, _SAME_PLACE_DECIMALS).tolist(), np.round(high, _SAME_PLACE_DECIMALS).tolist()
     corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]
-    ring = _convex_hull(corners)
+    ring = convex_hull(corners, _LEAST_TURN_M2)
     planes = []
     for (ax, ay), (bx, by) in zip(ring, ring[1:] + ring[:1], strict=True):
         length = ((bx - ax) ** 2 + (by - ay) ** 2) ** 0.5
         nx, ny = (by - ay) / length, (ax - bx) / length
         planes.append((margin - nx * ax - ny * ay, nx, ny))
     return np.array(planes).reshape(-1, 3)
-
-
-def _convex_hull(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The corners of the hull, anticlockwise (Andrew 1979, "Another efficient algorithm for convex hulls in two
-    dimensions", Information Processing Letters 9(5), 216–219)."""
-    ordered = sorted(set(points))
-    chains = []
-    for side in (ordered, ordered[::-1]):
-        chain: list[tuple[float, float]] = []
-        for x, y in side:
-            while len(chain) > 1 and not _turns_left(chain[-2], chain[-1], (x, y)):
-                chain.pop()
-            chain.append((x, y))
-        chains.append(chain[:-1])
-    return chains[0] + chains[1]
-
-
-def _turns_left(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
-    return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]) > 1e-12

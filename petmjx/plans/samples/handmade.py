@@ -28,7 +28,7 @@ class HandmadePlan:
         plan_id: starts with "hand-".
         why: one sentence.
         placements: as in a BED-BPP file.
-        culprit: index of the box that goes first (packing order, from 0); −1 where the plan is stable.
+        culprit: index of the box that fails first (packing order, from 0); −1 where the plan is stable.
         rest_top_force_n: box index → force on top of the box at rest, N, where known.
     """
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernel.block import any_of_all, prefix_sums, wait_for_all, warp_by_warp
+from petmjx.engines.warp.kernel.give import spring_law, spring_of_pair
 from petmjx.engines.warp.kernel.motion import (
     ROOM,
     angular_velocity,
@@ -300,6 +301,10 @@ def make_constraint(
             along = axes * linear_velocity(state, world, body_two)
             velocity += along + arms_two * angular_velocity(state, world, body_two)
         kbi = _reference(model, point[3])
+        if at.gives != 0:
+            spring = spring_of_pair(worlds, world, first, second)
+            if spring > 0.0:
+                kbi = spring_law(model, spring, weight)
         damping = wp.where(model.friction_damping > 0.0, model.friction_damping, kbi[1])
         for r in range(3):
             for i in range(3):

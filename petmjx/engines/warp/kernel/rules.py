@@ -165,7 +165,7 @@ def place_next(
         place = center(state, world, support + 1)
         middle = middle_of(worlds, world, support, place, orientation(state, world, support + 1))
         come_down = middle[2] - worlds.target[world, support, 2]
-    come_down = wp.clamp(come_down, -model.most_followed, model.most_followed)
+    come_down = wp.clamp(come_down, -worlds.most_followed[world], worlds.most_followed[world])
     for i in range(7):
         start = worlds.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
         state.qpos[world, box, i] = start

@@ -38,6 +38,8 @@ def excess_of(model: Model, worlds: Worlds, world: int, box: int, place: wp.vec3
     shift = float(0.0)
     for i in range(3):
         moved = wp.abs(place[i] - worlds.target[world, box, i])
+        if i == 2 and place[i] < worlds.target[world, box, i]:
+            moved = wp.max(moved - worlds.sinks[world, box], 0.0)
         if moved >= model.shift_floor:
             shift = wp.max(shift, moved)
     excess = wp.max(shift / model.shift, tilt / model.tilt)

@@ -9,6 +9,7 @@ import warp as wp
 from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_constraint
+from petmjx.engines.warp.kernel.film import hold
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.hand import carry
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
@@ -93,6 +94,8 @@ def advance(
     left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
     if at.hands != 0:
         carry(model, worlds, state, at, work)
+    if at.wraps != 0 and state.driven_from[at.world] <= state.step[at.world]:
+        hold(model, worlds, at, state, work)
     npair = listed
     anew = left or npair < 0
     if anew:
@@ -141,6 +144,8 @@ def run_worlds(
     n_blocks: int,
     slice_ns: wp.int64,
     hands: int,
+    gives: int,
+    wraps: int,
     shared: Any,
     shared_words: int,
     # Data out:
@@ -154,6 +159,8 @@ def run_worlds(
     Args:
         n_blocks: of the call, of all sizes.
         hands: 1 if a hand may carry boxes.
+        gives: 1 if boxes may give.
+        wraps: 1 if film may hold boxes.
         slice_ns: time slice, from the call's first step on, ns. If it is over a block takes one step more.
         shared: a tile in shared memory for ``shared_words`` numbers.
     """
@@ -175,6 +182,8 @@ def run_worlds(
         at.threads = threads
         at.world = world
         at.hands = hands
+        at.gives = gives
+        at.wraps = wraps
         steps = int(0)
         iterations = int(0)
         stood = int(-1)  # boxes for which pairs are listed

@@ -1,0 +1,113 @@
+"""One box more for each of many open worlds, in arrays: no scene is made of a candidate."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.config import Simulation
+from petmjx.engines.batch.state import State, Status, Worlds, uploaded
+from petmjx.engines.clock import Clock
+from petmjx.engines.open import Readings
+from petmjx.units import FloatArray
+from petmjx.world.next_boxes import Blank, NextBoxes, Stacks
+from petmjx.world.release import release_of_next
+from petmjx.world.scene import IDENTITY_QUAT
+
+
+class NewBox(NamedTuple):
+    """The constants of one box for each world, as in ``Worlds``, without their axis of boxes."""
+
+    half: Float[Array, "world 3"]
+    target: Float[Array, "world 3"]
+    start: Float[Array, "world 7"]
+    support: Int[Array, " world"]
+    mass: Float[Array, " world"]
+    friction: Float[Array, "world 3"]
+    surface: Int[Array, " world"]
+
+
+def new_box(before: Stacks, boxes: NextBoxes, blank: Blank, sim: Simulation, rows: int) -> NewBox:
+    """Boxes that appear at their places, for worlds with these stacks.
+
+    Args:
+        rows: at least one a box; those beyond have the first one, and are not used.
+    """
+    release = release_of_next(before, boxes, sim)
+    start = np.hstack([release.pos, np.tile(IDENTITY_QUAT, (len(boxes), 1))])
+    spread = np.concatenate([np.arange(len(boxes)), np.zeros(rows - len(boxes), np.intp)])
+
+    def up(values: NDArray[np.generic], kind: type[np.generic] = np.float32) -> Array:
+        return uploaded(values.astype(kind)[spread])
+
+    return NewBox(
+        half=up(boxes.half_size),
+        target=up(boxes.target),
+        start=up(start),
+        support=up(release.support, np.int32),
+        mass=up(boxes.mass),
+        friction=up(np.tile(blank.friction, (len(boxes), 1))),
+        surface=up(np.full(len(boxes), blank.surface), np.int32),
+    )
+
+
+def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
+    """The constants of worlds with one box more each, that is as ``upload_worlds`` has them, to the last bit.
+
+    Worlds that have no column left for it stay as they are.
+    """
+    k, row = worlds.n_boxes, jnp.arange(len(worlds.n_boxes))
+    shape = worlds.first_shape[row, jnp.minimum(k + 1, worlds.first_shape.shape[1] - 1)]
+    return worlds._replace(
+        n_boxes=jnp.minimum(k + 1, worlds.half.shape[1]),
+        half=worlds.half.at[row, k].set(box.half, mode="drop"),
+        middle=worlds.middle.at[row, k].set(0.0, mode="drop"),
+        target=worlds.target.at[row, k].set(box.target, mode="drop"),
+        start=worlds.start.at[row, k].set(box.start, mode="drop"),
+        support=worlds.support.at[row, k].set(box.support, mode="drop"),
+        mass=worlds.mass.at[row, k + 1].set(box.mass, mode="drop"),
+        inertia_box=worlds.inertia_box.at[row, k + 1].set(box.half, mode="drop"),
+        shape_body=worlds.shape_body.at[row, shape].set(k + 1, mode="drop"),
+        shape_half=worlds.shape_half.at[row, shape].set(box.half, mode="drop"),
+        shape_pos=worlds.shape_pos.at[row, shape].set(0.0, mode="drop"),
+        friction=worlds.friction.at[row, shape].set(box.friction, mode="drop"),
+        shape_surface=worlds.shape_surface.at[row, shape].set(box.surface, mode="drop"),
+    )
+
+
+def readings_of(state: State, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
+    """Of worlds whose states are on the host, one a row.
+
+    Args:
+        half_size, target: (m, k, 3) of their boxes, m.
+    """
+    width = half_size.shape[1]
+    placed = np.asarray(state.placed, np.int64)
+    beyond = np.arange(width) >= placed[:, None]
+
+    def doubles(values: NDArray[np.generic]) -> FloatArray:
+        table = np.asarray(values)[:, :width].astype(np.float64)
+        table[beyond] = np.nan
+        return table
+
+    clock, pose = Clock(sim.physics.timestep_s), doubles(np.asarray(state.qpos))
+    steps, which = np.unique(np.maximum(np.asarray(state.step), 0), return_inverse=True)
+    return Readings(
+        placed=placed,
+        time_s=np.array([clock.time_s(int(step)) for step in steps])[which],
+        ended=np.asarray(state.status) == Status.FINISHED,
+        flags=np.asarray(state.flags, np.int64),
+        culprit=np.asarray(state.metrics.culprit, np.int64),
+        pos=pose[:, :, :3],
+        quat=pose[:, :, 3:],
+        target=target,
+        half_size=half_size,
+        top_force_n=doubles(np.asarray(state.top_force)),
+        max_tilt_deg=doubles(np.asarray(state.metrics.max_tilt)),
+        max_top_force_n=doubles(np.asarray(state.metrics.max_top_force)),
+        dropped=(np.asarray(state.metrics.drop_step)[:, :width] >= 0) & ~beyond,
+    )

@@ -1,0 +1,151 @@
+"""The compiled programs of mjx-warp, kept for the process: a call with the same options compiles nothing."""
+
+from __future__ import annotations
+
+import functools
+import time
+from threading import Lock
+from typing import Any
+
+import jax
+import warp as wp
+from jaxtyping import Array, Int
+
+from petmjx.config import SOFT_START_STEPS, Check, Cone, Physics, Schedule, Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.batch.rules import Rules
+from petmjx.engines.batch.state import NEVER, Metrics, State, Worlds
+from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
+from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.warp.march import Fleet, March
+from petmjx.world.contact import MOST_IMPEDANCE
+from petmjx.world.placing import lowering_rate_1_s, rate_1_s, stuck_steps
+from petmjx.world.wrap import spring_rate_1_s
+
+TOLERANCE = 1e-8
+"""MuJoCo's default. It can be reached, since forces and residuals are double precision."""
+
+DRIVEN_ITERATIONS = 7
+"""Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20 and more for the last
+digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,598 have the verdict of ``mujoco``, which takes as many as it
+needs. What the limit costs and gains: docs/performance.md, "Sliding contacts"."""
+
+
+def friction_damping(physics: Physics) -> float:
+    """Damping of friction, 1/s, as MuJoCo has it (its documentation, "Modeling", "Solver parameters"); 0 if it is that
+    of contacts."""
+    if not physics.has_own_friction:
+        return 0.0
+    time_s, damping = physics.solreffriction
+    high = min(physics.solimp[1], MOST_IMPEDANCE)
+    return -damping / high if time_s < 0 else 2.0 / (high * max(time_s, 2 * physics.timestep_s))
+
+
+def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
+    """What the kernels need to know of a run: the fields of ``records.Model`` but for those of a fleet."""
+    physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
+    return {
+        "timestep": physics.timestep_s,
+        "gravity": physics.gravity_m_s2,
+        "solref": wp.vec2(*physics.solref),
+        "solimp": wp.vec3(*physics.solimp),
+        "skin": physics.skin_m,
+        "carrier_skin": physics.carrier_skin_m,
+        "pyramidal": int(physics.cone is Cone.PYRAMIDAL),
+        "friction_damping": friction_damping(physics),
+        "impratio_invsqrt": physics.impratio**-0.5,
+        "tolerance": sim.solver_tolerance or TOLERANCE,
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
+        "driven_iterations": sim.solver_iterations or DRIVEN_ITERATIONS,
+        "ls_iterations": LINE_SEARCH_ITERATIONS,
+        "fixed": int(sim.schedule is Schedule.FIXED),
+        "waits_for_rest": int(sim.waits_for_rest),
+        "extends": int(sim.waits_for_rest and sim.total_time_factor is None),
+        "early_stop": int(sim.early_stop),
+        "soft_start": SOFT_START_STEPS,
+        "sample_every": timetable.sample_every,
+        "rest_steps": timetable.rest_steps,
+        "still_steps": timetable.still_steps,
+        "due_steps": timetable.due_steps,
+        "longest_steps": timetable.longest_steps,
+        "static_end": timetable.static_end if sim.check is Check.STATIC else NEVER,
+        "shift": limits.shift_m,
+        "shift_floor": limits.shift_floor_m,
+        "tilt": limits.tilt_deg,
+        "drop_z": limits.drop_hull_z_m,
+        "linear_acceleration": limits.lin_acc_m_s2,
+        "angular_acceleration": limits.ang_acc_rad_s2,
+        "quiet_speed": quiet.quiet_m_s,
+        "slow_speed": quiet.slow_m_s,
+        "slowing": quiet.slowing,
+        "still_speed": quiet.still_m_s,
+        "quiet_steps": quiet.steps,
+        "min_steps": quiet.min_steps,
+        "poll_steps": quiet.poll_steps,
+        "hand_rate": rate_1_s(physics.timestep_s),
+        "lowering_rate": lowering_rate_1_s(physics.timestep_s),
+        "stuck_steps": stuck_steps(physics.timestep_s),
+        "film_rate": spring_rate_1_s(physics.timestep_s),
+        "due": wp.array(timetable.due, dtype=int),
+        "longest": wp.array(timetable.longest, dtype=int),
+        "settled": wp.array(timetable.settled, dtype=int),
+        "settled_nominally": wp.array(timetable.settled_nominally, dtype=int),
+    }
+
+
+class Programs:
+    """A time slice as XLA programs, one for each size of its tables. They hold the constants of a run on the device,
+    but no states, so any number of runs and threads can call them at the same time.
+
+    Args:
+        fleets: those for the largest worlds first.
+        slice_ns: time of a call of the kernels, ns.
+    """
+
+    def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> None:
+        self.march = March(constants(sim, timetable), fleets, slice_ns)
+        self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
+        self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
+        self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
+        self._compiling = Lock()
+
+    def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
+        """The program for arguments of these sizes: those of ``_advance``. ``progress`` is told what compiling took."""
+        table, _, _, profiles, order, frames = arguments
+        sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
+        with self._compiling:
+            if sizes not in self._compiled:
+                begin, progress.message = time.perf_counter(), "compiling"
+                self.march.load()
+                self._compiled[sizes] = self._advancing.lower(*arguments).compile()
+                progress.compile_s += time.perf_counter() - begin
+            return self._compiled[sizes]
+
+    def _advance(
+        self,
+        table: State,
+        workspace: jax.Array,
+        worlds: Worlds,
+        profiles: Array,
+        order: Int[Array, "queue world"],
+        frames: dict[str, jax.Array],
+    ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
+        """A time slice. Returns states, workspace, a copy of the statuses, frames, and counts."""
+        table = self._rules.begin_drives(table, worlds)
+        flat = table._asdict()
+        flat |= flat.pop("metrics")._asdict()
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
+        after, workspace, frames, counts = self.march(flat_worlds, flat, workspace, frames)
+        metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
+        table = State(**after, metrics=metrics)
+        return table, workspace, table.status + 0, frames, counts
+
+
+MOST_KEPT = 16
+"""Sets of programs that are kept: a score with further attempts has up to four. The largest have 16 MB each."""
+
+
+@functools.lru_cache(MOST_KEPT)
+def programs(sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> Programs:
+    """The programs of a run. A timetable is told apart by its identity, and kept as long."""
+    return Programs(sim, timetable, fleets, slice_ns)

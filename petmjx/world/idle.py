@@ -1,0 +1,113 @@
+"""What of a run's options and plans cannot count, or does not mean what it seems to: a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from petmjx.config import Simulation
+from petmjx.placing import Placing, Way
+from petmjx.plans.plan import Plan
+from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
+from petmjx.text import counted, shown
+from petmjx.units import FloatArray
+from petmjx.world.carriers import carrier_notes, pallet
+from petmjx.world.surfaces import check_surfaces
+from petmjx.wrap import Wrap
+
+_USES: Final = {
+    Way.EXACT: (),
+    Way.DROP: ("height_mm",),
+    Way.HAND: ("height_mm", "side_mm", "speed_m_s", "force_n"),
+    Way.TINES: ("height_mm", "side_mm", "speed_m_s", "force_n", "tines_mm"),
+}
+"""Way → the fields of ``Placing`` that it uses."""
+
+_AXES: Final = {
+    "placing_height_mm": "height_mm",
+    "placing_side_mm": "side_mm",
+    "placing_speed_m_s": "speed_m_s",
+    "placing_force_n": "force_n",
+    "tines_height_mm": "tines_mm",
+}
+"""Axis of sweeps → the field of ``Placing`` that it changes."""
+
+
+def notes_about(
+    sim: Simulation, plans: Sequence[Plan], *, axes: Collection[str] = (), errors: bool = False, driven: bool = False
+) -> list[str]:
+    """All such lines about a run.
+
+    Args:
+        axes: of a sweep, by name.
+        errors: whether places or sizes have errors in some worlds.
+        driven: whether worlds are shaken.
+
+    Raises:
+        InputError: as ``check_surfaces``.
+    """
+    return [
+        *carrier_notes(sim),
+        *check_surfaces(plans, sim),
+        *_placing_notes(sim.placing, axes, errors),
+        *_wrap_notes(sim.wrap, axes, driven),
+        *_gap_notes(sim, plans),
+    ]
+
+
+def _placing_notes(placing: Placing, axes: Collection[str], errors: bool) -> Iterator[str]:
+    way = placing.name
+    if way is Way.AUTO:
+        way = Way.HAND if errors else Way.EXACT
+    given = [name for name in Placing.model_fields if name != "name" and getattr(placing, name) != _default(name)]
+    idle = [f"placing.{name}" for name in given if name not in _USES[way]]
+    idle += [name for name, changed in _AXES.items() if name in axes and changed not in _USES[way]]
+    if idle:
+        verb = "does" if len(idle) == 1 else "do"
+        yield f"{' and '.join(idle)} {verb} not count: boxes are placed by {way}"
+
+
+def _default(name: str) -> object:
+    return Placing.model_fields[name].default
+
+
+def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool) -> Iterator[str]:
+    given = [name for name in Wrap.model_fields if getattr(wrap, name) != Wrap.model_fields[name].default]
+    holds = wrap.turns > 0 or "wrap_turns" in axes
+    if holds and not driven:
+        yield "wrap does not count: there is no profile, and film acts only while a pallet is shaken"
+    elif given and not holds:
+        verb = "has" if len(given) == 1 else "have"
+        yield f"{' and '.join(f'wrap.{name}' for name in given)} {verb} no effect: there are no turns of film"
+
+
+def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
+    """Boxes on a carrier of boards whose middles are outside of all that bears them."""
+    found = pallet(sim.carrier)
+    if found is None:
+        return
+    named: list[str] = []
+    count = 0
+    for plan in plans:
+        boxes = _over_gaps(plan, found.deck_mm)
+        count += len(boxes)
+        named += [f"box {box} of {shown(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+    if count:
+        more = ", …" if count > len(named) else ""
+        verb = "stands" if count == 1 else "stand"
+        first = f"{', '.join(named)}{more}"
+        yield f"{counted(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap of it ({first})"
+
+
+def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
+    lying = np.flatnonzero(np.abs(plan.corner_mm[:, 2]) <= DEFAULT_TOLERANCE_MM)
+    low, high = plan.corner_mm[lying, :2], (plan.corner_mm + plan.size_mm)[lying, :2]
+    begin, end = np.maximum(low[:, None], deck_mm[None, :, 0]), np.minimum(high[:, None], deck_mm[None, :, 1])
+    borne = (end > begin).all(axis=2, keepdims=True)
+    # the hull of what bears a box is no larger than the rectangle around it
+    least, most = np.where(borne, begin, np.inf).min(axis=1), np.where(borne, end, -np.inf).max(axis=1)
+    middle = (low + high) / 2
+    found: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()
+    return found

@@ -1,0 +1,114 @@
+"""The next box of each of some worlds, in arrays: what a packer asks about, thousands at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.units import FloatArray
+from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
+
+_ONE_MM: Final = np.full((1, 3), 100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NextBoxes:
+    """One box for each of m worlds, as ``Scene`` has them.
+
+    Attributes:
+        half_size: (m, 3) half extents, m.
+        target: (m, 3) planned middles, m, where they are also released.
+        mass: (m,) kg.
+    """
+
+    half_size: FloatArray
+    target: FloatArray
+    mass: FloatArray
+
+    @classmethod
+    def of(cls, size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray, sim: Simulation) -> NextBoxes:
+        """As ``build_scene`` makes them of a plan's, to the last bit.
+
+        Args:
+            size_mm, corner_mm: (m, 3) as they stand; ``mass_kg``: (m,).
+        """
+        return cls(*half_size_and_target(size_mm, corner_mm, sim), mass_kg)
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+    def take(self, rows: NDArray[np.intp]) -> NextBoxes:
+        """Some of them."""
+        return NextBoxes(self.half_size[rows], self.target[rows], self.mass[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Stacks:
+    """The planned boxes of m worlds of one carrier, k columns; NaN where a world has fewer.
+
+    Attributes:
+        half_size, target: (m, k, 3) m; ``mass``: (m, k) kg.
+        carrier_mass: kg; ``carrier_friction``, ``box_friction``: coefficients of sliding friction.
+    """
+
+    half_size: FloatArray
+    target: FloatArray
+    mass: FloatArray
+    carrier_mass: float
+    carrier_friction: float
+    box_friction: float
+
+    @classmethod
+    def of(cls, scenes: Sequence[Scene], box_friction: float) -> Stacks:
+        """Of worlds with these scenes, of which there is one at least."""
+        width, carrier = max(scene.n_boxes for scene in scenes), scenes[0].carrier
+        half_size, target = (np.full((len(scenes), width, 3), np.nan) for _ in range(2))
+        mass = np.full((len(scenes), width), np.nan)
+        for row, scene in enumerate(scenes):
+            k = scene.n_boxes
+            half_size[row, :k], target[row, :k], mass[row, :k] = scene.half_size, scene.target, scene.mass
+        return cls(half_size, target, mass, carrier.mass, float(carrier.friction[:, 0].max()), box_friction)
+
+    def take(self, rows: NDArray[np.intp]) -> Stacks:
+        """Some of them."""
+        return replace(self, half_size=self.half_size[rows], target=self.target[rows], mass=self.mass[rows])
+
+    def with_next(self, boxes: NextBoxes) -> tuple[FloatArray, FloatArray]:
+        """(m, k + 1, 3) half extents and planned middles with one box more each, m."""
+        m = len(boxes)
+        tables = []
+        count = np.isfinite(self.mass).sum(axis=1)
+        for before, new in ((self.half_size, boxes.half_size), (self.target, boxes.target)):
+            table = np.concatenate([before, np.full((m, 1, 3), np.nan)], axis=1)
+            table[np.arange(m), count] = new
+            tables.append(table)
+        return tables[0], tables[1]
+
+
+class Blank:
+    """The carrier of some options alone, and what is the same of all boxes that are put on it."""
+
+    def __init__(self, sim: Simulation) -> None:
+        plan = Plan("", "", _ONE_MM, np.zeros((1, 3)), np.ones(1), ("",), ("",), np.ones(1, np.int64))
+        self._one = build_scene(plan, sim)
+        self.scene = self._one.first(0)
+        self.friction = self._one.friction[0]
+        self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
+
+    def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
+        """A scene with one box more, of which nothing is said but its extents, its place and its mass."""
+        place = boxes.target[row]
+        own = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
+        grown: dict[str, Any] = {}
+        for name in OF_BOXES:
+            before = getattr(scene, name)
+            if before is not None:
+                value = own[name] if name in own else getattr(self._one, name)[0]
+                grown[name] = np.concatenate([before, np.asarray(value)[None]])
+        return replace(scene, **grown)

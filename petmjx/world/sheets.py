@@ -1,0 +1,58 @@
+"""Interlayer sheets: thin, and no bridges.
+
+A sheet of cardboard or paper between two layers is an item of its own. As a rigid plate it would carry a box over a
+hole in the layer below, which no sheet does. So it bears only where, by the plan, something bears it: its body has a
+shape for each area in which it lies on a box or a board, or up to a centimetre above one, and none over the gaps. It
+stays one body, which holds these pieces together: it ties boxes of a layer by friction, as sheets do, and it does not
+sag or tear. One that lies on nothing is whole.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
+from petmjx.units import MM_PER_M, FloatArray
+from petmjx.world.body import Body, Pieces
+
+_TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M
+
+FOLLOWED_M: Final = 0.01
+"""A sheet gives way to a top that is lower than it by at most this: layers of cartons are not level to a millimetre."""
+
+_LEAST_OVERLAP_M = 1e-6
+
+
+def pieces_of(
+    sheets: NDArray[np.bool_], target: FloatArray, half_size: FloatArray, carrier: Body
+) -> tuple[Pieces, ...]:
+    """The pieces of sheets.
+
+    Args:
+        sheets: (n,) which boxes they are.
+        target, half_size: (n, 3) of all boxes, as planned, m.
+        carrier: whose boards with their tops at z = 0 bear, too.
+    """
+    found = []
+    board = carrier.pos + carrier.shape_pos
+    low, high = (
+        np.vstack([target - half_size, board - carrier.half_size]),
+        np.vstack([target + half_size, board + carrier.half_size]),
+    )
+    for box in np.flatnonzero(sheets).tolist():
+        bottom = low[box, 2]
+        gap = bottom - high[:, 2]
+        below = (gap >= -_TOUCH_M) & (gap <= FOLLOWED_M)
+        below[len(target) :] &= bottom <= _TOUCH_M
+        below[box] = False
+        area_low, area_high = np.maximum(low[below, :2], low[box, :2]), np.minimum(high[below, :2], high[box, :2])
+        borne = ((area_high - area_low) > _LEAST_OVERLAP_M).all(axis=1)
+        if borne.any():
+            area_low, area_high = area_low[borne], area_high[borne]
+            height = np.full((len(area_low), 1), half_size[box, 2])
+            place = (area_low + area_high) / 2 - target[box, :2]
+            found.append(Pieces(box, np.hstack([(area_high - area_low) / 2, height]), np.hstack([place, 0 * height])))
+    return tuple(found)

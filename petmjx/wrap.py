@@ -1,0 +1,38 @@
+"""Stretch wrap around a finished pallet (``Wrap``): how much film, and how it pulls.
+
+As ``petmjx.config``: defaults, units, checks and descriptions are written only here. Users read about it in
+docs/wrap.md.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from petmjx.checked import Checked, CliFlag, within
+
+
+class Wrap(Checked):
+    """Film that is wound around a pallet before it is shaken.
+
+    The force of a layer of film is that of a turn times the turns: it is linear in them (Sensors 2025, 25(22), 6883).
+    The defaults of forces and friction are assumptions; measure yours.
+    """
+
+    turns: Annotated[float, within(0, 1000), CliFlag("--wrap-turns", "N")] = Field(
+        0.0, description="turns of stretch film around every part of a pallet when it is shaken; 0: it is not wrapped"
+    )
+    force_n: Annotated[float, within(0, 10_000), CliFlag("--wrap-force-n", "N")] = Field(
+        50.0, description="tension of one turn across the width of the film, N"
+    )
+    film_mm: Annotated[float, within(10, 5000)] = Field(500.0, description="width of the film, mm")
+    friction: Annotated[float, within(0, 10)] = Field(0.3, description="friction between film and boxes")
+    hat_n: Annotated[float, within(0, 100_000), CliFlag("--wrap-hat-n", "N")] = Field(
+        0.0, description="what a hat presses down with on the tops of a wrapped pallet, all together, N"
+    )
+
+    @property
+    def holds(self) -> bool:
+        """Whether there is any film."""
+        return self.turns > 0
