@@ -1,0 +1,158 @@
+"""Which actions there are: places for the boxes that may come next, legal or not, in tables of a row an episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.gym.options import CANDIDATES, CENTRE, GEOMETRY, PHYSICS, SUPPORT, PalletizingOptions
+from petmjx.loop.pallets import Pallets
+from petmjx.loop.places import Places
+from petmjx.units import FloatArray
+
+FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
+"""Of a candidate: which of the boxes that are seen, whether it is turned by 90°, its corner and extents, mm, its mass,
+kg, the borne share of its base, and with the mask ``physics`` the pallet's margin with it (else 0)."""
+
+
+@dataclass(eq=False)
+class Table:
+    """n episodes × a actions.
+
+    Attributes:
+        legal: (n, a).
+        box: (n, a) which of the boxes that are seen; ``size_mm``, ``corner_mm``: (n, a, 3); ``mass_kg``: (n, a).
+        turned: (n, a) whether length and width are swapped.
+        support: (n, a) borne share of the base; ``margin``: (n, a) where physics was asked, else 0.
+    """
+
+    legal: NDArray[np.bool_]
+    box: NDArray[np.int64]
+    turned: NDArray[np.bool_]
+    size_mm: FloatArray
+    corner_mm: FloatArray
+    mass_kg: FloatArray
+    support: FloatArray
+    margin: FloatArray
+
+    @classmethod
+    def empty(cls, n: int, a: int) -> Table:
+        """No action is legal."""
+        three, one = (n, a, 3), (n, a)
+        return cls(
+            np.zeros(one, bool),
+            np.zeros(one, np.int64),
+            np.zeros(one, bool),
+            np.zeros(three),
+            np.zeros(three),
+            np.zeros(one),
+            np.zeros(one),
+            np.zeros(one),
+        )
+
+    def clear(self, rows: NDArray[np.int64]) -> None:
+        """Episodes have no actions."""
+        for values in vars(self).values():
+            values[rows] = 0
+
+    @property
+    def features(self) -> NDArray[np.float32]:
+        """(n, a, f) ``FEATURES``, 0 for actions that are not legal."""
+        columns = [self.box, self.turned, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin]
+        found = np.concatenate([each if each.ndim == 3 else each[..., None] for each in columns], axis=2)
+        return np.where(self.legal[..., None], found, 0.0).astype(np.float32)
+
+
+class Actions:
+    """Fills tables in.
+
+    Attributes:
+        count: actions of an episode.
+    """
+
+    def __init__(self, pallets: Pallets, options: PalletizingOptions) -> None:
+        self._pallets, self._options = pallets, options
+        cell, (x, y) = options.action_cell_mm, pallets.extent_mm
+        self._cells = int(np.ceil(x / cell - 1e-9)), int(np.ceil(y / cell - 1e-9))
+        corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
+        self._grid = None if options.actions == CANDIDATES else corners
+        self.count = options.n_candidates if self._grid is None else 2 * options.buffer * len(corners)
+
+    def fill(self, table: Table, rows: NDArray[np.int64], size_mm: FloatArray, mass_kg: FloatArray) -> None:
+        """Work out the actions of some episodes.
+
+        Args:
+            size_mm: (m, k, 3) of the boxes that are seen; ``mass_kg``: (m, k), 0 where there is none.
+        """
+        table.clear(rows)
+        at, box = np.nonzero(mass_kg[:, : self._options.buffer])
+        square = size_mm[at, box, 0] == size_mm[at, box, 1]
+        at, box = (np.repeat(values, 2) for values in (at, box))
+        turned = np.tile([False, True], len(square))
+        kept = ~(turned & np.repeat(square, 2))
+        at, box, turned = at[kept], box[kept], turned[kept]
+        sizes, masses = size_mm[at, box].copy(), mass_kg[at, box]
+        sizes[turned] = sizes[turned][:, [1, 0, 2]]
+        if not len(at):
+            return
+        places = self._pallets.places(
+            size_mm=sizes,
+            pallet=rows[at],
+            max_height_mm=self._options.max_height_mm,
+            grid_mm=self._grid,
+            hulls=self._options.mask == CENTRE,
+        )
+        legal = self._geometric(places)
+        chosen = np.flatnonzero(legal)
+        row, number = self._numbered(places, chosen, at, box, turned)
+        chosen, row, number = (values[number < self.count] for values in (chosen, row, number))
+        margin = np.zeros(len(chosen))
+        stands = np.ones(len(chosen), bool)
+        asked = places.row[chosen]
+        if self._options.mask == PHYSICS and len(chosen):
+            told = self._pallets.try_all(
+                size_mm=sizes[asked], corner_mm=places.corner_mm[chosen], mass_kg=masses[asked], pallet=rows[row]
+            )
+            margin, stands = np.nan_to_num(told.margin), told.stable
+        chosen, row, number, asked = (each[stands] for each in (chosen, row, number, asked))
+        into = rows[row], number
+        table.legal[into] = True
+        table.box[into], table.turned[into] = box[asked], turned[asked]
+        table.size_mm[into], table.mass_kg[into] = sizes[asked], masses[asked]
+        table.corner_mm[into], table.support[into] = places.corner_mm[chosen], places.support[chosen]
+        table.margin[into] = margin[stands]
+
+    def _geometric(self, places: Places) -> NDArray[np.bool_]:
+        """(c,) which places the mask lets through before physics is asked."""
+        mask = self._options.mask
+        if mask in SUPPORT:
+            return places.support >= SUPPORT[mask] - 1e-9
+        if places.centred is not None:
+            return places.centred
+        return np.ones(len(places.row), bool) if mask == GEOMETRY else places.support > 0
+
+    def _numbered(
+        self,
+        places: Places,
+        chosen: NDArray[np.intp],
+        at: NDArray[np.intp],
+        box: NDArray[np.intp],
+        turned: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """(c,) the episode of each chosen place, and which of its actions it is: box after box, the lowest places
+        first; or by box, turn and cell."""
+        asked = places.row[chosen]
+        row = at[asked]
+        if self._grid is not None:
+            x, y = np.rint(places.corner_mm[chosen, :2] / self._options.action_cell_mm).astype(np.int64).T
+            nx, ny = self._cells
+            return row, ((box[asked] * 2 + turned[asked]) * nx + x) * ny + y
+        corner = places.corner_mm[chosen]
+        order = np.lexsort((turned[asked], corner[:, 1], corner[:, 0], corner[:, 2], box[asked], row))
+        first = np.searchsorted(row[order], np.arange(int(row.max(initial=0)) + 1))
+        number = np.empty(len(row), np.int64)
+        number[order] = np.arange(len(row)) - first[row[order]]
+        return row, number

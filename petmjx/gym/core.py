@@ -1,0 +1,225 @@
+"""n episodes side by side: the state of all of them, and what a placement makes of it. Environments wrap this."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.errors import InputError
+from petmjx.gym.actions import FEATURES, Actions, Table
+from petmjx.gym.options import PalletizingOptions
+from petmjx.gym.queues import Queues
+from petmjx.gym.rewards import TERMS, Placement
+from petmjx.loop.heights import cells_of, cover
+from petmjx.loop.pallets import Pallets
+from petmjx.loop.told import Told
+from petmjx.plans.fields import LARGEST_KG, LARGEST_MM
+from petmjx.units import FloatArray
+
+_MOST_ORDERS: Final = 100
+"""Orders that are drawn until one has a box that finds a place on an empty carrier."""
+
+Observation = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped:
+    """What a step made of m episodes.
+
+    Attributes:
+        reward: (m,); ``terms``: of it, (m,) each, not weighted.
+        terminated, truncated: (m,).
+    """
+
+    reward: FloatArray
+    terms: dict[str, FloatArray]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+
+
+class Episodes:
+    """n episodes, one a pallet.
+
+    Args:
+        given: options of ``PalletizingOptions`` and of ``petmjx.Pallets``.
+
+    Raises:
+        InputError: an unusable option.
+    """
+
+    def __init__(self, n: int, given: dict[str, Any]) -> None:
+        self.options, of_pallets = PalletizingOptions.of(given)
+        self.weights = self.options.weights
+        self.orders = self.options.read_orders()
+        self.pallets = Pallets(n, **of_pallets)
+        self.n = n
+        self.cells = cells_of(self.pallets.extent_mm, self.options.cell_mm)
+        self._actions = Actions(self.pallets, self.options)
+        self.n_actions = self._actions.count
+        self.table = Table.empty(n, self.n_actions)
+        self._queues = Queues(n, self.options.look_ahead)
+        self._heights, self._loads = np.zeros((n, *self.cells)), np.zeros((n, *self.cells))
+        self._covers: list[NDArray[np.bool_]] = []  # of box k of each pallet: the cells over which it stands
+        self._mass: FloatArray = np.zeros(n)
+        self._volume: FloatArray = np.zeros(n)
+        self._top: FloatArray = np.zeros(n)
+        self._illegal = np.zeros(n, np.int64)
+        self._verdict = np.full(n, "stable", dtype="<U8")
+        self._reason, self._culprit = np.full(n, "", dtype="<U16"), np.full(n, -1)
+        self._margin = np.ones(n)
+
+    # ------------------------------------------------------------------ what happens
+
+    def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
+        """Begin episodes anew, each with an order drawn by its own random numbers.
+
+        Raises:
+            InputError: no box of the orders has a place on the empty carrier.
+        """
+        if not len(rows):
+            return
+        self.pallets.reset(rows)
+        for values in (self._heights, self._loads, self._mass, self._volume, self._top, self._illegal):
+            values[rows] = 0
+        self._verdict[rows], self._reason[rows], self._culprit[rows], self._margin[rows] = "stable", "", -1, 1.0
+        left, by_row = rows, dict(zip(rows.tolist(), rngs, strict=True))
+        for _ in range(_MOST_ORDERS):
+            for row in left.tolist():
+                self._queues.begin(row, self.orders.draw(by_row[row]))
+            self._look(left)
+            left = left[~self.table.legal[left].any(axis=1)]
+            if not len(left):
+                return
+        raise InputError(f"orders: of {_MOST_ORDERS} orders no box has a legal place on the empty carrier")
+
+    def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> Stepped:
+        """Place a box in each of some episodes that go on."""
+        m = len(rows)
+        legal = self.table.legal[rows, actions]
+        terms: dict[str, FloatArray] = {name: np.zeros(m) for name in self.weights}
+        if "illegal" in terms:
+            terms["illegal"] = np.where(legal, 0.0, -1.0)
+        self._illegal[rows] += ~legal
+        terminated = np.zeros(m, bool)
+        if legal.any():
+            told, found = self._place(rows[legal], actions[legal])
+            for name in set(terms) - {"illegal"}:
+                terms[name][legal] = found[name]
+            terminated[legal] = ~told.stable
+            self._look(rows[legal][told.stable])
+            self.table.clear(rows[legal][~told.stable])
+            full = self.pallets.n_boxes[rows] >= self.pallets.most_boxes
+            self.table.clear(rows[full])
+        terminated |= ~self.table.legal[rows].any(axis=1)
+        truncated = ~terminated & (self._illegal[rows] >= self.options.most_illegal)
+        reward = np.sum([self.weights[name] * values for name, values in terms.items()], axis=0) + np.zeros(m)
+        return Stepped(reward, terms, terminated, truncated)
+
+    def _place(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> tuple[Told, dict[str, FloatArray]]:
+        table, at = self.table, (rows, actions)
+        size, corner, mass, box = table.size_mm[at], table.corner_mm[at], table.mass_kg[at], table.box[at]
+        told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows)
+        for row, number in zip(rows.tolist(), box.tolist(), strict=True):
+            self._queues.take(row, number)
+        volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
+        higher = np.maximum(top - self._top[rows], 0.0)
+        self._top[rows] += higher
+        self._mass[rows] += mass
+        self._volume[rows] += volume * told.stable
+        self._note_cells(rows, size, corner)
+        self._spread_loads(rows, told)
+        self._verdict[rows], self._reason[rows] = told.verdict, told.reason
+        self._culprit[rows], self._margin[rows] = told.culprit, np.nan_to_num(told.margin, nan=-1.0)
+        made = Placement(told, volume, self._mass[rows], self._room_mm3, higher, self.options.max_height_mm)
+        return told, {name: value(made) for name, (_, value) in TERMS.items() if name in self.weights}
+
+    def _note_cells(self, rows: NDArray[np.int64], size: FloatArray, corner: FloatArray) -> None:
+        """Over which cells the boxes stand that were just placed, and how high."""
+        flat, on = size.copy(), corner.copy()
+        flat[:, 2], on[:, 2] = 1.0, 0.0
+        cells = np.zeros((len(rows), *self.cells))
+        cover(cells, np.arange(len(rows)), flat, on, self.options.cell_mm)
+        tops = (corner + size)[:, 2, None, None]
+        self._heights[rows] = np.maximum(self._heights[rows], cells * tops)
+        last = self.pallets.n_boxes[rows] - 1
+        while len(self._covers) <= last.max():
+            self._covers.append(np.zeros((self.n, *self.cells), np.bool_))
+        for number in np.unique(last):
+            some = last == number
+            self._covers[number][rows[some]] = cells[some] > 0
+
+    @property
+    def _room_mm3(self) -> float:
+        x, y = self.pallets.extent_mm
+        return x * y * self.options.max_height_mm
+
+    def _spread_loads(self, rows: NDArray[np.int64], told: Told) -> None:
+        """Over each cell the largest force on a box's top, N."""
+        self._loads[rows] = 0.0
+        for number in range(told.top_force_n.shape[1]):
+            force = np.nan_to_num(told.top_force_n[:, number])[:, None, None]
+            self._loads[rows] = np.maximum(self._loads[rows], force * self._covers[number][rows])
+
+    def _look(self, rows: NDArray[np.int64]) -> None:
+        """Work out the actions of episodes. Where there is none the boxes that may come next are left out."""
+        while len(rows):
+            self._actions.fill(self.table, rows, *self._queues.seen(rows))
+            stuck = rows[~self.table.legal[rows].any(axis=1)]
+            rows = np.array([row for row in stuck.tolist() if self._queues.count(row)], np.int64)
+            for row in rows.tolist():
+                self._queues.leave_out(row, self.options.buffer)
+
+    # ------------------------------------------------------------------ what is seen
+
+    def observed(self, rows: NDArray[np.int64]) -> Observation:
+        """What is seen of episodes, arrays of m rows."""
+        size, mass = self._queues.seen(rows)
+        top = np.finfo(np.float32).max
+        found: Observation = {
+            "height_map": self._heights[rows],
+            "load_map": np.minimum(self._loads[rows], top),
+            "boxes": np.concatenate([size, mass[..., None]], axis=2),
+            "left": self._queues.counts[rows, None],
+            "mass": self._mass[rows, None],
+            "carrier": np.tile([*self.pallets.extent_mm, self.options.max_height_mm], (len(rows), 1)),
+        }
+        found = {name: values.astype(np.float32) for name, values in found.items()}
+        found["action_mask"] = self.table.legal[rows].astype(np.int8)
+        if self.options.actions == "candidates":
+            features = Table(**{name: values[rows] for name, values in vars(self.table).items()}).features
+            found["candidates"] = features
+        return found
+
+    def told(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """What is said of episodes beside."""
+        return {
+            "verdict": self._verdict[rows].astype(object),
+            "reason": self._reason[rows].astype(object),
+            "culprit": self._culprit[rows],
+            "margin": self._margin[rows],
+            "placed": self.pallets.n_boxes[rows],
+            "left_out": self._queues.left_out[rows],
+            "utilisation": self._volume[rows] / self._room_mm3,
+            "illegal": self._illegal[rows],
+        }
+
+    @property
+    def shapes(self) -> dict[str, tuple[tuple[int, ...], float, float, type[Any]]]:
+        """Name of an observation → shape, least and largest value, type."""
+        most, high = float(np.finfo(np.float32).max), self.options.max_height_mm
+        found: dict[str, tuple[tuple[int, ...], float, float, type[Any]]] = {
+            "height_map": (self.cells, 0.0, high + 1.0, np.float32),
+            "load_map": (self.cells, 0.0, most, np.float32),
+            "boxes": ((self.options.look_ahead, 4), 0.0, max(LARGEST_MM, LARGEST_KG), np.float32),
+            "left": ((1,), 0.0, most, np.float32),
+            "mass": ((1,), 0.0, most, np.float32),
+            "carrier": ((3,), 0.0, 20_000.0, np.float32),
+            "action_mask": ((self.n_actions,), 0, 1, np.int8),
+        }
+        if self.options.actions == "candidates":
+            found["candidates"] = ((self.n_actions, len(FEATURES)), -most, most, np.float32)
+        return found

@@ -1,0 +1,91 @@
+"""``petmjx/Palletizing-v0``: one pallet, a box a step."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from petmjx.checked import got
+from petmjx.errors import InputError
+from petmjx.gym.core import Episodes, Observation
+
+_FIRST: Final = np.zeros(1, np.int64)
+
+
+def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
+    """Of observations and actions of one episode."""
+    boxes: dict[str, spaces.Space[Any]] = {
+        name: spaces.Box(low, high, shape, kind) for name, (shape, low, high, kind) in episodes.shapes.items()
+    }
+    return spaces.Dict(boxes), spaces.Discrete(episodes.n_actions)
+
+
+class PalletizingEnv(gym.Env[Observation, np.int64]):
+    """Boxes come one after the other, an action puts one of them onto the pallet, and physics says what becomes of it.
+
+    An episode ends when the pallet does not stand, or when no box that is left has a legal place. Boxes for which there
+    is none are left out. More: docs/loop.md.
+
+    Args:
+        render_mode: None, or "rgb_array": pictures of 480 × 480 pixels, which need EGL and the extra ``show``.
+        options: fields of ``petmjx.gym.options.PalletizingOptions``, arguments of ``petmjx.Pallets``, and fields of
+            ``petmjx.Simulation``.
+
+    Raises:
+        InputError: an unusable option.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012  # as Gymnasium has it
+
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+        check_render_mode(render_mode)
+        self.render_mode = render_mode
+        self.episodes = Episodes(1, {"engine": "mujoco", **options})
+        self.observation_space: Any
+        self.observation_space, self.action_space = spaces_of(self.episodes)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode; with the same seed the same one."""
+        super().reset(seed=seed)
+        self.episodes.begin(_FIRST, [self.np_random])
+        return self._observed(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Put a box onto the pallet. An action that the mask excludes changes nothing."""
+        if not self.action_space.contains(action):
+            raise InputError(f"action must be a whole number from 0 to {self.episodes.n_actions - 1}, {got(action)}")
+        stepped = self.episodes.step(_FIRST, np.array([action], np.int64))
+        terms = {f"reward_{name}": float(values[0]) for name, values in stepped.terms.items()}
+        ends = bool(stepped.terminated[0]), bool(stepped.truncated[0])
+        return self._observed(), float(stepped.reward[0]), *ends, self._info() | terms
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The pallet as it stands."""
+        return None if self.render_mode is None else self.episodes.pallets.show(0, size=(480, 480))
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(a,) legal actions, under the name that libraries for masked policies ask for."""
+        masks: NDArray[np.bool_] = self.episodes.table.legal[0].copy()
+        return masks
+
+    def close(self) -> None:
+        """Free the engine."""
+        self.episodes.pallets.close()
+
+    def _observed(self) -> Observation:
+        return {name: values[0] for name, values in self.episodes.observed(_FIRST).items()}
+
+    def _info(self) -> dict[str, Any]:
+        return {name: values[0] for name, values in self.episodes.told(_FIRST).items()}
+
+
+def check_render_mode(render_mode: str | None) -> None:
+    """Raises InputError unless pictures are asked for, or nothing."""
+    if render_mode not in (None, "rgb_array"):
+        raise InputError(f"render_mode must be None or rgb_array, got {render_mode!r}")

@@ -1,0 +1,79 @@
+"""The terms of a reward, by name. Weights are an option of the environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.arguments import number_of
+from petmjx.checked import got, hint
+from petmjx.errors import InputError
+from petmjx.loop.told import Told
+from petmjx.units import STANDARD_GRAVITY, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """What terms are made from: m boxes that were placed.
+
+    Attributes:
+        volume_mm3: (m,) of the box; ``mass_kg``: (m,) of all boxes on the pallet.
+        room_mm3: of the carrier up to the largest height.
+        higher_mm: (m,) by how much the pallet has grown; ``max_height_mm``.
+    """
+
+    told: Told
+    volume_mm3: FloatArray
+    mass_kg: FloatArray
+    room_mm3: float
+    higher_mm: FloatArray
+    max_height_mm: float
+
+
+def _utilisation(placed: Placement) -> FloatArray:
+    return placed.told.stable * (placed.volume_mm3 / placed.room_mm3)
+
+
+def _margin(placed: Placement) -> FloatArray:
+    return np.nan_to_num(placed.told.margin, nan=-1.0).clip(-1.0, 1.0)
+
+
+def _load(placed: Placement) -> FloatArray:
+    largest = np.nan_to_num(placed.told.top_force_n).max(axis=1, initial=0.0)
+    return np.asarray(-largest / (STANDARD_GRAVITY * placed.mass_kg))
+
+
+TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
+    "placed": ("1 for a box that stands", lambda p: np.where(p.told.stable, 1.0, 0.0)),
+    "utilisation": ("the box's volume as a share of the room over the carrier, if it stands", _utilisation),
+    "fall": ("-1 where the pallet does not stand", lambda p: np.where(p.told.stable, 0.0, -1.0)),
+    "margin": ("the pallet's margin, from -1 to 1; -1 where invalid", _margin),
+    "load": ("minus the largest force on a box's top, as a share of the weight of all boxes", _load),
+    "height": (
+        "minus what the pallet has grown by, as a share of the largest height",
+        lambda p: -p.higher_mm / p.max_height_mm,
+    ),
+    "illegal": ("-1 for an action that the mask excludes", lambda p: np.zeros(len(p.told))),
+}
+"""Name → what it is, and its value for boxes that were placed."""
+
+USUAL: Final = {"utilisation": 10.0, "fall": 1.0, "illegal": 0.1}
+
+
+def weights_of(rewards: Any) -> dict[str, float]:
+    """Weights by term; None: the usual ones.
+
+    Raises:
+        InputError: no such term, or a weight that is no number.
+    """
+    if rewards is None:
+        return dict(USUAL)
+    if not isinstance(rewards, Mapping):
+        raise InputError(f"rewards must be a table of weights, {got(rewards)}")
+    for name in rewards:
+        if name not in TERMS:
+            raise InputError(f"rewards: unknown term {name!r}; {hint(str(name), TERMS)}")
+    return {name: number_of(weight, f"rewards.{name}") for name, weight in rewards.items()}

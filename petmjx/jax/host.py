@@ -1,0 +1,196 @@
+"""Pallets on C MuJoCo for jitted programs: what boxes there are is in the pytree, settled worlds are behind a callback.
+
+How a pallet stands follows from its boxes alone, so the boxes are the state. Settled worlds are kept by their boxes,
+the last ones used; one that is not there any more is built again, to the last bit.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.jax.told import Told, nothing, put, shapes
+from petmjx.loop.asked import Asked
+from petmjx.loop.pallets import Pallets
+
+KEPT_PER_PALLET: Final = 4
+"""Settled worlds that are kept, for each pallet of a state."""
+
+
+MOST_ASKED: Final = 64
+"""And so many more, for candidates of other pallets than those of the last states."""
+
+
+class Host:
+    """Settled pallets by their boxes. Called by one thread at a time."""
+
+    def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
+        self.most_boxes = most_boxes
+        slots = KEPT_PER_PALLET * n + MOST_ASKED
+        self._lock = threading.Lock()
+        self._pallets = Pallets(slots, engine=engine, most_boxes=most_boxes, **dict(sim))
+        self._slots: OrderedDict[bytes, int] = OrderedDict()
+        self._free = list(range(slots))
+
+    def place(self, size: Any, corner: Any, mass: Any, count: Any, *box: Any) -> list[NDArray[Any]]:
+        """What is told of pallets that get a box each: arguments are the boxes that they have, and the new ones."""
+        return self._asked(np.asarray(size), np.asarray(corner), np.asarray(mass), np.asarray(count), box, keeps=True)
+
+    def try_all(self, size: Any, corner: Any, mass: Any, count: Any, *box: Any) -> list[NDArray[Any]]:
+        """The same, and nothing is kept of it."""
+        return self._asked(np.asarray(size), np.asarray(corner), np.asarray(mass), np.asarray(count), box, keeps=False)
+
+    def _asked(
+        self,
+        size: NDArray[Any],
+        corner: NDArray[Any],
+        mass: NDArray[Any],
+        count: NDArray[Any],
+        box: Any,
+        *,
+        keeps: bool,
+    ) -> list[NDArray[Any]]:
+        new_size, new_corner, new_mass, gets, stands = (np.asarray(each) for each in box)
+        told = nothing(len(count), self.most_boxes)
+        rows, others = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
+        with self._lock:
+            pinned: set[int] = set()
+            if len(others):
+                there = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
+                put(told, others, self._pallets.told(np.array(there)))
+            if not len(rows):
+                return told
+            slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in rows]
+            asked = Asked(new_size[rows], new_corner[rows], new_mass[rows], np.array(slots))
+            if not keeps:
+                put(told, rows, self._pallets.try_all(**vars(asked)))
+                return told
+            into: list[int] = []
+            fresh: list[int] = []
+            made: dict[bytes, int] = {}
+            for row in rows.tolist():
+                k = int(count[row])
+                key = _key(
+                    np.vstack([size[row, :k], new_size[row]]),
+                    np.vstack([corner[row, :k], new_corner[row]]),
+                    np.append(mass[row, :k], new_mass[row]),
+                )
+                if key in self._slots:
+                    self._slots.move_to_end(key)
+                elif key not in made:
+                    made[key] = self._spare(pinned)
+                    fresh.append(len(into))
+                into.append(self._slots.get(key, made.get(key, -1)))
+                pinned.add(into[-1])
+            if fresh:
+                self._placed(replace(asked, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
+            self._slots.update(made)  # now that they have their boxes
+            put(told, rows, self._pallets.told(np.array(into)))
+        return told
+
+    def _placed(self, asked: Asked, bases: NDArray[np.int64]) -> None:
+        """Make free pallets copies of others, with a box more each. What is refused leaves them free."""
+        try:
+            self._pallets.fork(bases, asked.pallet)
+            self._pallets.place(**vars(asked))
+        except BaseException:
+            self._free += asked.pallet.tolist()
+            raise
+
+    def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
+        """The pallet that has these boxes; it is then not given to others."""
+        keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
+        known = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
+        slot = self._slots[keys[known]] if known >= 0 else -1
+        if known < count:
+            if known >= 0:
+                pinned.add(slot)
+            base, slot = slot, self._spare(pinned)
+            try:
+                self._pallets.reset(slot) if known < 0 else self._pallets.fork(base, slot)
+                for k in range(max(known, 0), count):
+                    self._pallets.place(size_mm=size[k], corner_mm=corner[k], mass_kg=mass[k], pallet=slot)
+            except BaseException:
+                self._free.append(slot)
+                raise
+            self._slots[keys[count]] = slot
+        self._slots.move_to_end(keys[count])
+        pinned.add(slot)
+        return slot
+
+    def _spare(self, pinned: set[int]) -> int:
+        """A pallet that nobody needs now: a free one, or the one that was not used for longest."""
+        if not self._free:
+            oldest = next(key for key, slot in self._slots.items() if slot not in pinned)
+            self._free.append(self._slots.pop(oldest))
+        return self._free.pop()
+
+
+def _key(size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any]) -> bytes:
+    return np.concatenate([size.ravel(), corner.ravel(), mass.ravel()]).tobytes()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class HostState:
+    """n pallets: their boxes, with room for k, and whether each has fallen."""
+
+    size_mm: Float[Array, "pallet box 3"]
+    corner_mm: Float[Array, "pallet box 3"]
+    mass_kg: Float[Array, "pallet box"]
+    count: Int[Array, " pallet"]
+    ended: Bool[Array, " pallet"]
+    host: Host = field(metadata={"static": True})
+
+    @property
+    def n(self) -> int:
+        """Pallets."""
+        return int(self.count.shape[0])
+
+    def place(self, size: jax.Array, corner: jax.Array, mass: jax.Array, gets: jax.Array) -> tuple[HostState, Told]:
+        """See ``petmjx.jax.place``."""
+        k = self.host.most_boxes
+        gets = gets & ~self.ended & (self.count < k)
+        before = (self.size_mm, self.corner_mm, self.mass_kg, self.count)
+        told = _called(self.host.place, self.n, k, *before, size, corner, mass, gets, ~self.ended)
+        rows, at = jnp.arange(self.n), jnp.where(gets, self.count, k)
+        state = replace(
+            self,
+            size_mm=self.size_mm.at[rows, at].set(size, mode="drop"),
+            corner_mm=self.corner_mm.at[rows, at].set(corner, mode="drop"),
+            mass_kg=self.mass_kg.at[rows, at].set(mass, mode="drop"),
+            count=self.count + gets,
+            ended=jnp.where(gets, told.ended, self.ended),
+        )
+        return state, told
+
+    def try_all(self, size: jax.Array, corner: jax.Array, mass: jax.Array, pallet: jax.Array) -> Told:
+        """See ``petmjx.jax.try_all``."""
+        k, there = self.host.most_boxes, (pallet >= 0) & (pallet < self.n)
+        rows = jnp.clip(pallet, 0, self.n - 1)
+        before = tuple(values[rows] for values in (self.size_mm, self.corner_mm, self.mass_kg, self.count))
+        gets = there & ~self.ended[rows] & (self.count[rows] < k)
+        return _called(self.host.try_all, len(pallet), k, *before, size, corner, mass, gets, gets)
+
+
+def empty_host(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> HostState:
+    """n empty pallets."""
+    three, one = jnp.zeros((n, most_boxes, 3)), jnp.zeros((n, most_boxes))
+    host = Host(n, sim, engine, most_boxes)
+    return HostState(three, three, one, jnp.zeros(n, jnp.int32), jnp.zeros(n, bool), host)
+
+
+def _called(function: Any, m: int, k: int, *arguments: jax.Array) -> Told:
+    struct: Any = jax.ShapeDtypeStruct
+    kinds = [struct(shape, kind) for shape, kind in shapes(m, k)]
+    return Told(*jax.pure_callback(function, kinds, *arguments, vmap_method="sequential"))

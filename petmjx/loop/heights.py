@@ -1,0 +1,53 @@
+"""Height maps of pallets: how high the boxes stand over each cell of the carrier, as planned."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.arguments import number_of
+from petmjx.loop.stock import Stock
+from petmjx.units import FloatArray
+
+_EDGE: float = 1e-6
+"""Share of a cell: a box that ends this near to a cell's edge ends there."""
+
+
+def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
+    """Cells of a map along x and y.
+
+    Raises:
+        InputError: cells that are smaller than 1 mm, or larger than the carrier.
+    """
+    side = number_of(cell_mm, "cell_mm", 1.0, min(extent_mm))
+    x, y = (int(np.ceil(length / side - _EDGE)) for length in extent_mm)
+    return x, y
+
+
+def cover(
+    maps: FloatArray, rows: NDArray[np.int64], size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float
+) -> None:
+    """Raise maps where boxes stand.
+
+    Args:
+        maps: (n, x, y) mm.
+        rows: (m,) which map each box is for; ``size_mm``, ``corner_mm``: (m, 3).
+    """
+    low = np.maximum(np.floor(corner_mm[:, :2] / cell_mm + _EDGE), 0).astype(np.intp)
+    high = np.ceil((corner_mm + size_mm)[:, :2] / cell_mm - _EDGE).astype(np.intp)
+    tops = corner_mm[:, 2] + size_mm[:, 2]
+    for row, (x, y), (x_end, y_end), top in zip(rows.tolist(), low.tolist(), high.tolist(), tops.tolist(), strict=True):
+        part = maps[row, x : max(x_end, 0), y : max(y_end, 0)]
+        np.maximum(part, top, out=part)
+
+
+def height_maps(stock: Stock, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:
+    """(m, x, y) mm of these pallets."""
+    maps = np.zeros((len(rows), *cells_of(extent_mm, cell_mm)))
+    for number in range(int(stock.count[rows].max(initial=0))):
+        has = np.flatnonzero(stock.count[rows] > number)
+        box = stock.box(rows[has], number)
+        cover(maps, has, box.size_mm, box.corner_mm, float(cell_mm))
+    return maps

@@ -1,0 +1,61 @@
+"""Which engine pallets have, and which options they cannot have."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from petmjx.carrier import extent_m
+from petmjx.checked import got
+from petmjx.config import Check, Schedule, Simulation
+from petmjx.engines.base import Engine, Simulates
+from petmjx.engines.choose import ENGINES, make_engine, options_of
+from petmjx.engines.resolve import Lent
+from petmjx.errors import InputError
+from petmjx.machine import why_no_warp
+from petmjx.run_options import AUTO, RunOptions
+
+MANY_PALLETS: Final = 64
+"""From so many on ``auto`` takes a GPU where there is one: with fewer it is not busy."""
+
+OF_RUN: Final = ("threads", "lanes")
+"""Of ``RunOptions``, those that pallets have."""
+
+
+def check_open(sim: Simulation) -> None:
+    """Raises InputError for what pallets that stay open cannot have."""
+    if extent_m(sim.carrier) is None:
+        raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
+    if sim.check is not Check.ONE_BY_ONE:
+        raise InputError(f"check: pallets are built one-by-one, got {sim.check}")
+    if sim.schedule is not Schedule.ADAPTIVE:
+        raise InputError(f"schedule: pallets that stay open need adaptive, got {sim.schedule}")
+
+
+def open_engine(asked: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:
+    """The engine of n pallets, and whether it was made here."""
+    if not isinstance(asked, str) and not hasattr(asked, "open"):
+        raise InputError(f"engine must be a name or an engine that has open worlds, {got(asked)}")
+    return ready_engine(asked, of_run, gpu=n >= MANY_PALLETS)
+
+
+def ready_engine(asked: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
+    """An engine by name, or one that was given, and whether it was made here.
+
+    Args:
+        gpu: whether ``auto`` takes ``mjx-warp`` where it runs.
+
+    Raises:
+        InputError: neither, or an option that it has not.
+        EngineUnavailable: it cannot run here.
+    """
+    if not isinstance(asked, str):
+        if isinstance(asked, type) or not isinstance(asked, Simulates):
+            raise InputError(f"engine must be a name or an engine, {got(asked)}")
+        engine = asked if Engine in type(asked).__mro__ else Lent(asked, of_run.get("threads"))
+        return engine, False
+    name = asked
+    if name == AUTO:
+        name = "mjx-warp" if gpu and why_no_warp() is None else "mujoco"
+    elif name not in ENGINES:
+        raise InputError(f"engine: there are {', '.join(ENGINES)} and {AUTO}, {got(asked)}")
+    return make_engine(name, **options_of(name, RunOptions(engine=asked, **of_run))), True

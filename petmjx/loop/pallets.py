@@ -1,0 +1,405 @@
+"""``petmjx.Pallets``: pallets that stay settled on an engine, and are asked about one placement after the other."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.arguments import array_of, number_of, whole_of
+from petmjx.carrier import AnyCarrier, extent_m
+from petmjx.checked import got
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.errors import InputError
+from petmjx.loop.asked import Asked, asked_of, boxes_of, once_each, pallets_of
+from petmjx.loop.heights import height_maps
+from petmjx.loop.opening import OF_RUN, check_open, open_engine
+from petmjx.loop.places import Places, free_places
+from petmjx.loop.settled import SettledEngine, scene_key
+from petmjx.loop.stock import Stock
+from petmjx.loop.told import Told
+from petmjx.loop.trials import Errors, all_errors, drive_of
+from petmjx.plans.plan import Plan
+from petmjx.results.reader import RunResults
+from petmjx.run_options import AUTO, RunOptions, sorted_options
+from petmjx.simulate import simulate
+from petmjx.study import Nominal
+from petmjx.units import MM_PER_M, FloatArray
+from petmjx.verdict import Verdict
+from petmjx.world.job import Job
+from petmjx.world.next_boxes import Blank, NextBoxes
+from petmjx.world.scene import build_scene
+
+MOST_BOXES: Final = 96
+"""Of a pallet, unless it is told otherwise."""
+
+_AT_ONCE: Final = 1024
+"""Worlds with errors or drives that are held at a time."""
+
+
+class Pallets:
+    """n pallets that stay settled, for a packer that places box after box.
+
+    ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
+
+    The rules are those of ``petmjx.score``: each box is placed when those before it rest. What ``place`` and
+    ``try_all`` tell is the first attempt's answer, when the pallet rests again; ``verdict`` and ``score`` say what a
+    score of the whole plan says. docs/loop.md has more.
+
+    Lengths are millimetres, masses kilograms; x and y are from the carrier's front-left corner, z = 0 is its top. Where
+    a method takes m boxes, ``size_mm`` is (m, 3), as they stand, ``corner_mm`` (m, 3), the front-left-bottom corners,
+    ``mass_kg`` (m,), and ``pallet`` (m,) says which pallet each is for. One row stands for all m, and a single box
+    needs no first axis. Without ``pallet`` there is one pallet, or box i is for pallet i.
+
+    Several threads may call one object; they wait for one another.
+
+    Args:
+        n: pallets.
+        carrier: what boxes stand on: not ``footprint``, which depends on the whole plan.
+        engine: ``mujoco``, ``mjx-warp``, an engine that has open worlds, or ``auto``: ``mjx-warp`` for 64 pallets and
+            more where there is a GPU, else ``mujoco``.
+        most_boxes: of a pallet, ever. Engines with tables on a device have room for so many.
+        options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
+
+    Raises:
+        InputError: an unusable option, or one that pallets cannot have.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+
+    def __init__(
+        self,
+        n: int = 1,
+        *,
+        carrier: AnyCarrier | str = "euro-pallet",
+        engine: str | Engine = AUTO,
+        most_boxes: int = MOST_BOXES,
+        **options: Any,
+    ) -> None:
+        self.n = whole_of(n, "n", 1)
+        self.most_boxes = whole_of(most_boxes, "most_boxes", 1, 512)
+        of_simulation, of_run = sorted_options(options)
+        if other := next((name for name in of_run if name not in OF_RUN), None):
+            raise InputError(f"{other}: pallets have no such option; of run options they have {', '.join(OF_RUN)}")
+        self.simulation = Simulation(**{"carrier": carrier, **of_simulation})
+        check_open(self.simulation)
+        self._engine, self._own = open_engine(engine, self.n, of_run)
+        self._lock = threading.RLock()
+        self._boxes = Stock(self.n)
+        self._before: NDArray[np.int64] = np.full(self.n, -1, np.int64)
+        self._dead: NDArray[np.bool_] = np.zeros(self.n, bool)
+        self._empty = Blank(self.simulation).scene
+        # pallet i is world i; world n + i is pallet i before its last box came
+        self._worlds = self._engine.open([self._empty] * (2 * self.n), self.simulation, self.most_boxes)
+        self._worlds.go_on()
+
+    def __len__(self) -> int:
+        return self.n
+
+    @property
+    def engine(self) -> str:
+        """The engine's name."""
+        return self._engine.name
+
+    @property
+    def extent_mm(self) -> tuple[float, float]:
+        """The carrier's extents along x and y."""
+        found = extent_m(self.simulation.carrier)
+        assert found is not None
+        return found[0] * MM_PER_M, found[1] * MM_PER_M
+
+    @property
+    def n_boxes(self) -> NDArray[np.int64]:
+        """(n,) boxes of each pallet."""
+        return self._boxes.count.copy()
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(n,) whether a pallet has fallen, so that nothing can be put onto it until it is reset."""
+        return self._dead.copy()
+
+    # ------------------------------------------------------------------ placements
+
+    def place(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> Told:
+        """Put one box each onto some pallets, and wait until these rest.
+
+        Raises:
+            InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
+        """
+        with self._lock:
+            asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
+            once_each(asked.pallet)
+            return self._place(asked)
+
+    def try_all(
+        self,
+        *,
+        size_mm: Any,
+        corner_mm: Any,
+        mass_kg: Any,
+        pallet: Any = None,
+        errors: int | None = None,
+        drive: Any = None,
+        level: float = 1.0,
+        direction_deg: float = 0.0,
+    ) -> Told:
+        """Say of m candidates, any mixture of boxes, places and pallets, what ``place`` would say of each. Nothing
+        changes.
+
+        Args:
+            errors: of each candidate also simulate so many worlds in which a robot places it inexactly; ``Told.share``
+                is the share of them that stands. The errors are those of ``petmjx score --confidence``.
+            drive: the name of a profile that shakes the pallet with the candidate on it, such as ``eumos-40509``; the
+                answers are then those after it.
+            level: the profile's strength, such as 0.3 g.
+            direction_deg: its direction.
+
+        Raises:
+            InputError: wrong shapes, units or numbers, a pallet that has fallen or is full, or an unknown profile.
+        """
+        shaken = drive_of(drive, level, direction_deg, self.simulation)
+        number = None if errors is None else whole_of(errors, "errors", 1, 100_000)
+        with self._lock:
+            asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
+            if not len(asked):
+                return Told.of_readings(asked.pallet, self._worlds.readings([]), self.simulation.thresholds)
+            boxes, worlds = self._next(asked), asked.pallet.tolist()
+            if shaken is None:
+                found = self._worlds.try_next(worlds, boxes)
+                told = Told.of_readings(asked.pallet, found, self.simulation.thresholds)
+            else:
+                parts = []
+                for rows in _chunks(len(asked), _AT_ONCE):
+                    some = [worlds[row] for row in rows]
+                    scenes = self._worlds.with_next(some, boxes.take(rows))
+                    outcomes = self._worlds.try_scenes(some, scenes, [shaken] * len(some))
+                    parts.append(Told.of_outcomes(asked.pallet[rows], outcomes, self.simulation.thresholds))
+                told = Told.joined(parts)
+            if number is None:
+                return told
+            errors_of = Errors(number, self.simulation)
+            shares = [
+                self._shares([worlds[row] for row in rows], boxes.take(rows), errors_of, shaken)
+                for rows in _chunks(len(asked), max(_AT_ONCE // number, 1))
+            ]
+            return told.with_share(np.concatenate(shares))
+
+    def _shares(self, worlds: list[int], boxes: NextBoxes, errors: Errors, drive: Any) -> FloatArray:
+        """(m,) share of worlds with errors that are stable, of those that have a verdict."""
+        scenes = all_errors(self._worlds.with_next(worlds, boxes), errors)
+        each = [world for world in worlds for _ in range(len(errors))]
+        outcomes = self._worlds.try_scenes(each, scenes, [drive] * len(each))
+        verdicts = np.array([str(outcome.verdict) for outcome in outcomes]).reshape(len(worlds), -1)
+        known = (verdicts != str(Verdict.INVALID)).sum(axis=1)
+        stable = (verdicts == str(Verdict.STABLE)).sum(axis=1)
+        return np.where(known > 0, stable / np.maximum(known, 1), np.nan)
+
+    def take_back(self, pallet: Any = None) -> None:
+        """Take the last box off some pallets, which are then as they were before it came, to the last bit; None: all
+        that have boxes. Pallets that have fallen stand again. Of a box before the last one the pallet is built anew.
+
+        Raises:
+            InputError: a pallet has no box.
+        """
+        with self._lock:
+            rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
+            once_each(rows)
+            if (bare := rows[self._boxes.count[rows] == 0]).size:
+                raise InputError(f"pallet: {bare[0]} has no box to take back")
+            left = self._boxes.count[rows] - 1
+            kept = self._before[rows] == left
+            if kept.any():
+                self._worlds.fork((self.n + rows[kept]).tolist(), rows[kept].tolist())
+            self._boxes.cut(rows, left)
+            self._dead[rows], self._before[rows] = False, -1
+            if not kept.all():
+                self._build(rows[~kept])
+
+    def fork(self, sources: Any, into: Any) -> None:
+        """Make pallets copies of others, to the last bit. They go their own ways.
+
+        Args:
+            sources: (m,) pallets, some perhaps more than once; ``into``: (m,) others.
+
+        Raises:
+            InputError: no such pallet, as many sources as others are needed, or one named twice in ``into``.
+        """
+        with self._lock:
+            these, those = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")
+            if len(these) != len(those):
+                raise InputError(f"into must name as many pallets as sources, {len(these)}, got {len(those)}")
+            once_each(those, "into")
+            if not len(these):
+                return
+            both = [*these.tolist(), *(self.n + these).tolist()], [*those.tolist(), *(self.n + those).tolist()]
+            self._worlds.fork(*both)
+            self._boxes.copy(these, those)
+            self._before[those], self._dead[those] = self._before[these], self._dead[these]
+
+    def reset(self, pallet: Any = None) -> None:
+        """Empty some pallets; None: all."""
+        with self._lock:
+            rows = pallets_of(pallet, self.n)
+            once_each(rows)
+            self._empty_worlds(rows)
+            self._boxes.cut(rows, np.zeros(len(rows), np.int64))
+
+    # ------------------------------------------------------------------ what is there
+
+    def told(self, pallet: Any = None) -> Told:
+        """How pallets are now; None: all."""
+        with self._lock:
+            rows = pallets_of(pallet, self.n)
+            return Told.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
+
+    def plan(self, pallet: int = 0, plan_id: str | None = None) -> Plan:
+        """A pallet's boxes, as they were asked for, as a plan.
+
+        Raises:
+            InputError: no such pallet, or one without boxes.
+        """
+        number = self._one(pallet)
+        return self._boxes.plan(number, f"pallet-{number}" if plan_id is None else plan_id)
+
+    def score(self, pallet: Any = None, **options: Any) -> RunResults:
+        """What ``petmjx.score`` says of the plans of pallets that have boxes, to the last bit, further attempts
+        included; None: all of them. A pallet that has fallen is scored, too.
+
+        On ``mjx-warp`` pallets go on from where they stand. On ``mujoco`` plans are simulated from their first boxes,
+        since there the boxes that wait have a part in the last digits of a score.
+
+        Args:
+            options: fields of ``petmjx.RunOptions``, such as ``out``.
+
+        Raises:
+            InputError: a pallet without boxes was named.
+        """
+        with self._lock:
+            rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
+            if not len(rows):
+                raise InputError("pallet: none has boxes")
+            plans = [self.plan(int(row)) for row in rows]
+            worlds: dict[bytes, int] = {}
+            if self._engine.name == "mjx-warp":
+                scenes = ((build_scene(plan, self.simulation), int(row)) for plan, row in zip(plans, rows, strict=True))
+                worlds = {scene_key(Job(scene)): row for scene, row in scenes}
+            settled = SettledEngine(self._engine, self._worlds, worlds, self.simulation)
+            run = RunOptions(**{"engine": settled, **options})
+            return simulate(partial(Nominal, self.simulation), self.simulation, plans, run)
+
+    def verdict(self, pallet: int = 0) -> str:
+        """The verdict of a score of one pallet: "stable", "unstable" or "invalid". See ``score``."""
+        return str(self.score(self._one(pallet)).worlds.verdict.iloc[0])
+
+    def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
+        """(m, x, y) height of the highest top over each cell of the carrier, mm, of boxes as planned; 0: none.
+
+        A cell is covered by a box that covers more of it than its edge.
+        """
+        with self._lock:
+            rows = pallets_of(pallet, self.n)
+            return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
+
+    def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as they were asked for; NaN
+        behind a pallet's own."""
+        rows = pallets_of(pallet, self.n)
+        k = int(self._boxes.count[rows].max(initial=0))
+        return self._boxes.size_mm[rows, :k], self._boxes.corner_mm[rows, :k], self._boxes.mass_kg[rows, :k]
+
+    def places(
+        self,
+        *,
+        size_mm: Any,
+        pallet: Any = None,
+        max_height_mm: float = 2000.0,
+        grid_mm: FloatArray | None = None,
+        hulls: bool = True,
+    ) -> Places:
+        """Where boxes could go: at the extreme points of pallets, on what is there, inside the carrier.
+
+        Args:
+            size_mm: (m, 3) extents as they would stand; ``pallet``: (m,).
+            max_height_mm: highest top.
+            grid_mm: (p, 2) corners instead of the extreme points.
+            hulls: whether ``Places.centred`` is asked for, which takes as long as the rest.
+        """
+        with self._lock:
+            asked = boxes_of(size_mm, pallet, self.n)
+            highest = number_of(max_height_mm, "max_height_mm", 0.0)
+            grid = None if grid_mm is None else array_of(grid_mm, "grid_mm", (2,))
+            return free_places(self._boxes, asked, self.extent_mm, highest, grid, hulls=hulls)
+
+    def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
+        """(height, width, 3) a picture of a pallet as it stands. Boxes have colours by their order.
+
+        Raises:
+            InputError: no OpenGL here that draws without a display, or the extra ``show`` is missing.
+        """
+        from petmjx.loop.picture import picture  # loads OpenGL
+
+        if not isinstance(size, Sequence) or len(size) != 2:
+            raise InputError(f"size must be two whole numbers of pixels, {got(size)}")
+        size = (whole_of(size[0], "size", 16, 8192), whole_of(size[1], "size", 16, 8192))
+        with self._lock:
+            number = self._one(pallet, may_be_empty=True)
+            (reading,) = self._worlds.read([number])
+            return picture(self._worlds.scene(number), reading, self.simulation, size, view)
+
+    def close(self) -> None:
+        """Free what the engine holds. Nothing is asked after it."""
+        if self._own:
+            self._engine.close()
+
+    # ------------------------------------------------------------------ steps
+
+    def _asked(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Asked:
+        asked = asked_of(size_mm, corner_mm, mass_kg, pallet, self.n)
+        if (dead := asked.pallet[self._dead[asked.pallet]]).size:
+            raise InputError(f"pallet: {dead[0]} has fallen; reset it, or take its last box back")
+        if (full := asked.pallet[self._boxes.count[asked.pallet] >= self.most_boxes]).size:
+            raise InputError(f"pallet: {full[0]} has {self.most_boxes} boxes already; give most_boxes")
+        return asked
+
+    def _next(self, asked: Asked) -> NextBoxes:
+        return NextBoxes.of(asked.size_mm, asked.corner_mm, asked.mass_kg, self.simulation)
+
+    def _place(self, asked: Asked) -> Told:
+        worlds = asked.pallet.tolist()
+        if worlds:
+            self._worlds.fork(worlds, (self.n + asked.pallet).tolist())
+            self._before[asked.pallet] = self._boxes.count[asked.pallet]
+            self._worlds.put_next(worlds, self._next(asked))
+            self._boxes.add(asked)
+            self._worlds.go_on()
+        told = Told.of_readings(asked.pallet, self._worlds.readings(worlds), self.simulation.thresholds)
+        self._dead[asked.pallet] = told.ended
+        return told
+
+    def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
+        self._worlds.reset(rows.tolist(), [self._empty] * len(rows))
+        self._worlds.go_on()
+        self._dead[rows], self._before[rows] = False, -1
+
+    def _build(self, rows: NDArray[np.int64]) -> None:
+        """Place the boxes of some pallets anew, one after the other."""
+        self._empty_worlds(rows)
+        for number in range(int(self._boxes.count[rows].max(initial=0))):
+            some = rows[self._boxes.count[rows] > number]
+            box = self._boxes.box(some, number)
+            self._worlds.put_next(some.tolist(), self._next(box))
+            self._worlds.go_on()
+
+    def _one(self, pallet: Any, *, may_be_empty: bool = False) -> int:
+        (number,) = pallets_of(whole_of(pallet, "pallet"), self.n).tolist()
+        if not may_be_empty and not self._boxes.count[number]:
+            raise InputError(f"pallet: {number} has no boxes")
+        return int(number)
+
+
+def _chunks(count: int, most: int) -> Sequence[NDArray[np.intp]]:
+    return [np.arange(first, min(first + most, count)) for first in range(0, count, most)]

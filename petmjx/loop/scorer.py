@@ -1,0 +1,179 @@
+"""``petmjx.Scorer``: an engine that stays warm, for many small scores from several threads, without a disk."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+
+from petmjx.arguments import array_of, list_of
+from petmjx.checked import got
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.engines.retry import World, WorldResult, score_worlds
+from petmjx.errors import InputError, PlanWarning
+from petmjx.loop.opening import OF_RUN, ready_engine
+from petmjx.loop.told import Told
+from petmjx.plans.forms import SupportsArrow
+from petmjx.plans.gather import PlanSource, usable_plans
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
+from petmjx.results.parts import Part, Row
+from petmjx.results.schema import schemas
+from petmjx.run_options import AUTO, RunOptions, sorted_options
+from petmjx.study import NOMINAL
+from petmjx.units import FloatArray
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+from petmjx.world.surfaces import check_surfaces
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """What a score says of plans, as ``petmjx.RunResults`` has it: a row a plan, or a box, in the order given."""
+
+    worlds: pd.DataFrame
+    boxes: pd.DataFrame
+    attempts: pd.DataFrame
+
+
+class Scorer:
+    """Scores plans as ``petmjx.score`` does, to the last bit, with an engine that is there already.
+
+    ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
+
+    Several threads may call one object. On ``mujoco`` they share the CPU, on ``mjx-warp`` they wait for one another.
+    Nothing is written to a disk. A Ray or Dask actor can hold one (examples/ray_scorer.py, examples/dask_scorer.py).
+
+    Args:
+        engine: ``mujoco``, ``mjx-jax``, ``mjx-warp``, an engine of your own, or ``auto``: ``mjx-warp`` where there is a
+            GPU, else ``mujoco``.
+        options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
+
+    Raises:
+        InputError: an unusable option.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+
+    def __init__(self, *, engine: str | Engine = AUTO, **options: Any) -> None:
+        of_simulation, of_run = sorted_options(options)
+        if other := next((name for name in of_run if name not in OF_RUN), None):
+            raise InputError(f"{other}: a Scorer has no such option; of run options it has {', '.join(OF_RUN)}")
+        self.simulation = Simulation(**of_simulation)
+        self._engine, self._own = ready_engine(engine, of_run, gpu=True)
+
+    @property
+    def engine(self) -> str:
+        """The engine's name."""
+        return self._engine.name
+
+    def score(self, plans: PlanSource) -> Scored:
+        """The tables ``worlds``, ``boxes`` and ``attempts`` of a score.
+
+        Args:
+            plans: a plan, a list of plans, a ``PlanSet``, or a data frame with a row a box.
+
+        Raises:
+            InputError: files, or a plan that cannot be used: none is skipped.
+        """
+        found = self._results(self._usable(plans))
+        part = Part(0)
+        for result in found:
+            part.add(
+                Row.of(
+                    result.world.plan,
+                    NOMINAL.index,
+                    self.simulation.schedule.value,
+                    result.outcome,
+                    result.attempts,
+                    {},
+                )
+            )
+        kinds = schemas()
+        tables = dict(part.tables(kinds))
+        frames = {name: tables.get(name, kinds[name].empty_table()).to_pandas() for name in Scored.__annotations__}
+        frames["worlds"]["culprit"] = frames["worlds"]["culprit"].astype("Int32")
+        return Scored(**frames)
+
+    def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> Told:
+        """What a score says of m plans, in arrays; ``Told.pallet`` counts the plans, and forces are those at rest.
+
+        Args:
+            size_mm, corner_mm: (m, k, 3) as of ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans of fewer boxes than k
+                have NaN behind their own.
+
+        Raises:
+            InputError: wrong shapes or numbers; the line names the argument, or plan and field.
+        """
+        plans = _plans_of(*_arrays(size_mm, corner_mm, mass_kg))
+        outcomes = [result.outcome for result in self._results(self._usable(plans))]
+        return Told.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
+
+    def close(self) -> None:
+        """Free what the engine holds. Nothing is scored after it."""
+        if self._own:
+            self._engine.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _usable(self, plans: PlanSource) -> Sequence[Plan]:
+        if not isinstance(plans, Plan | PlanSet | SupportsArrow):
+            if plans is None or isinstance(plans, str | PathLike):
+                raise InputError(f"plans must be plans or a data frame; petmjx.score reads files, {got(plans)}")
+            plans = list_of(plans, "plans", Plan, "plans")
+            if not plans:
+                raise InputError("plans: there are none")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PlanWarning)  # of plans that look odd: here nobody reads them
+            found = usable_plans(plans, self.simulation, RunOptions(strict=True)).plans
+        check_surfaces(found, self.simulation)
+        return found
+
+    def _results(self, plans: Sequence[Plan]) -> list[WorldResult[World]]:
+        """In the order of the plans."""
+        asked = [World(plan, NOMINAL.index, Job(build_scene(plan, self.simulation))) for plan in plans]
+        place = {id(world): number for number, world in enumerate(asked)}
+        found = list(score_worlds(asked, self.simulation, self._engine))
+        return sorted(found, key=lambda result: place[id(result.world)])
+
+
+def _arrays(size_mm: Any, corner_mm: Any, mass_kg: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+    try:
+        shape = np.shape(mass_kg)
+    except ValueError:  # a ragged list
+        shape = ()
+    if len(shape) != 2:
+        raise InputError(f"mass_kg must have the shape (m, k), got {shape}")
+    _, k = shape
+    arrays = (
+        array_of(size_mm, "size_mm", (k, 3), may_lack=True),
+        array_of(corner_mm, "corner_mm", (k, 3), may_lack=True),
+        array_of(mass_kg, "mass_kg", (k,), may_lack=True),
+    )
+    for name, values in zip(("size_mm", "corner_mm"), arrays, strict=False):
+        if len(values) != len(arrays[2]):
+            raise InputError(f"{name} must have {len(arrays[2])} rows, as mass_kg has, got {len(values)}")
+    return arrays
+
+
+def _plans_of(size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray) -> list[Plan]:
+    counts = np.isfinite(mass_kg).sum(axis=1)
+    plans = []
+    for row, count in enumerate(counts):
+        if np.isfinite(mass_kg[row, count:]).any():
+            raise InputError(f"mass_kg: row {row} has a box behind one that it lacks")
+        size, corner, mass = (values[row, :count] for values in (size_mm, corner_mm, mass_kg))
+        plans.append(Plan.from_boxes(str(row), size_mm=size, corner_mm=corner, mass_kg=mass))
+    return plans

@@ -1,0 +1,70 @@
+"""Which boxes are on which pallets, in arrays, as they were asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.loop.asked import Asked
+from petmjx.plans.plan import Plan
+from petmjx.units import FloatArray
+
+_FIRST_ROOM = 16
+
+
+class Stock:
+    """The boxes of n pallets.
+
+    Attributes:
+        count: (n,) boxes.
+        size_mm, corner_mm: (n, k, 3), ``mass_kg``: (n, k); NaN beyond a pallet's own.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.count: NDArray[np.int64] = np.zeros(n, np.int64)
+        self.size_mm: FloatArray = np.full((n, _FIRST_ROOM, 3), np.nan)
+        self.corner_mm: FloatArray = np.full((n, _FIRST_ROOM, 3), np.nan)
+        self.mass_kg: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
+
+    def add(self, asked: Asked) -> None:
+        """One box each for some pallets."""
+        rows, at = asked.pallet, self.count[asked.pallet]
+        while at.max(initial=0) >= self.size_mm.shape[1]:
+            for name in ("size_mm", "corner_mm", "mass_kg"):
+                values = getattr(self, name)
+                setattr(self, name, np.concatenate([values, np.full_like(values, np.nan)], axis=1))
+        self.size_mm[rows, at], self.corner_mm[rows, at] = asked.size_mm, asked.corner_mm
+        self.mass_kg[rows, at] = asked.mass_kg
+        self.count[rows] += 1
+
+    def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
+        """Keep the first boxes of some pallets."""
+        beyond = np.arange(self.size_mm.shape[1]) >= count[:, None]
+        for name in ("size_mm", "corner_mm", "mass_kg"):
+            values = getattr(self, name)
+            some = values[pallets]
+            some[beyond] = np.nan
+            values[pallets] = some
+        self.count[pallets] = count
+
+    def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
+        """Give pallets the boxes of others."""
+        for name in ("count", "size_mm", "corner_mm", "mass_kg"):
+            values = getattr(self, name)
+            values[into] = values[sources]
+
+    def box(self, pallets: NDArray[np.int64], number: int) -> Asked:
+        """Box ``number`` of some pallets that have it."""
+        return Asked(
+            self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
+        )
+
+    def plan(self, pallet: int, plan_id: str) -> Plan:
+        """A pallet with boxes as a plan."""
+        k = int(self.count[pallet])
+        return Plan.from_boxes(
+            plan_id,
+            size_mm=self.size_mm[pallet, :k],
+            corner_mm=self.corner_mm[pallet, :k],
+            mass_kg=self.mass_kg[pallet, :k],
+        )

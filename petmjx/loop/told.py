@@ -1,0 +1,150 @@
+"""What physics says of placements (``Told``): a row each, in the order in which they were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.config import Thresholds
+from petmjx.engines.open import Readings, joined, widened
+from petmjx.metrics.motion_np import has_dropped, shift, tilt_deg
+from petmjx.units import MM_PER_M, FloatArray
+from petmjx.verdict import DROPPED_EXCESS, Flag, Outcome, Verdict, judge_all, margin_of
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """m placements. Arrays of k boxes have a column for each box of the fullest pallet, in packing order, with NaN
+    beyond a pallet's own.
+
+    Attributes:
+        pallet: (m,) the pallet.
+        stable: (m,) whether all of its boxes stand.
+        verdict, reason: (m,) as in the column of ``worlds``: "stable", "unstable" or "invalid", and why not stable.
+        culprit: (m,) the box that shifted, tilted or fell first, counted from 0; -1: none.
+        margin: (m,) how far the nearest threshold is, as in the column ``margin``; NaN where invalid.
+        shift_mm: (m,) largest displacement of a box along an axis, from where the plan has it.
+        tilt_deg: (m,) largest tilt of a box since it was placed.
+        n_boxes: (m,) boxes, the asked one among them.
+        ended: (m,) whether the world has failed so that nothing can be put into it any more.
+        moving: (m,) whether boxes still moved when the world's time was up.
+        top_force_n: (m, k) force on each box's top, at rest in the last step, N.
+        middle_mm: (m, k, 3) where the boxes' middles are, mm; ``quat``: (m, k, 4) orientations (w, x, y, z).
+        share: (m,) share of worlds with errors that are stable; NaN where it was not asked for.
+    """
+
+    pallet: NDArray[np.int64]
+    stable: NDArray[np.bool_]
+    verdict: NDArray[np.str_]
+    reason: NDArray[np.str_]
+    culprit: NDArray[np.int64]
+    margin: FloatArray
+    shift_mm: FloatArray
+    tilt_deg: FloatArray
+    n_boxes: NDArray[np.int64]
+    ended: NDArray[np.bool_]
+    moving: NDArray[np.bool_]
+    top_force_n: FloatArray
+    middle_mm: FloatArray
+    quat: FloatArray
+    share: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.pallet)
+
+    def __getitem__(self, rows: Any) -> Told:
+        """Some of them: a slice, or an array of row numbers or of yes and no."""
+        which = np.atleast_1d(np.arange(len(self))[rows])
+        return Told(**{each.name: getattr(self, each.name)[which] for each in fields(self)})
+
+    def with_share(self, share: FloatArray) -> Self:
+        """The same with shares."""
+        return replace(self, share=share)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Told]) -> Told:
+        """The rows of all parts, one part after the other."""
+        return cls(**joined(parts, max(part.top_force_n.shape[1] for part in parts)))
+
+    @classmethod
+    def of_readings(cls, pallet: NDArray[np.int64], found: Readings, thresholds: Thresholds) -> Told:
+        """Of worlds that have paused or ended."""
+        m, k = found.max_tilt_deg.shape
+        here = np.arange(k) < found.placed[:, None]
+        pos, quat = found.pos[here], found.quat[here]
+        shifted, tilted = np.full((m, k, 3), np.nan), np.full((m, k), np.nan)
+        dropped = found.dropped.copy()
+        with np.errstate(invalid="ignore"):  # worlds with bad numbers
+            shifted[here] = shift(pos, found.target[here], thresholds.shift_floor_m)
+            tilted[here] = np.fmax(found.max_tilt_deg[here], tilt_deg(quat))
+            dropped[here] |= has_dropped(pos, quat, found.half_size[here], thresholds)
+            verdict, reason = judge_all(found.flags, dropped, tilted, shifted, thresholds)
+            over = np.maximum(np.abs(shifted).max(axis=2) / thresholds.shift_m, tilted / thresholds.tilt_deg)
+            over = np.nan_to_num(np.maximum(over, DROPPED_EXCESS * dropped), nan=-np.inf)
+        stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)
+        worst = over.argmax(axis=1) if k else np.zeros(m, np.int64)
+        culprit = np.where(found.culprit >= 0, found.culprit, np.where(invalid, -1, worst))
+        margin = 1.0 - over.max(axis=1, initial=0.0)
+        eps = float(np.finfo(np.float64).eps)
+        margin = np.where(stable, np.maximum(margin, 0.0), np.minimum(margin, -eps))
+        return cls(
+            pallet=np.asarray(pallet, np.int64),
+            stable=stable,
+            verdict=verdict,
+            reason=reason,
+            culprit=np.where(stable, -1, culprit),
+            margin=np.where(invalid, np.nan, margin),
+            shift_mm=_largest(np.abs(shifted).max(axis=2) * MM_PER_M),
+            tilt_deg=_largest(tilted),
+            n_boxes=found.placed,
+            ended=found.ended,
+            moving=(found.flags & int(Flag.MOVING)) != 0,
+            top_force_n=found.top_force_n,
+            middle_mm=found.pos * MM_PER_M,
+            quat=found.quat,
+            share=np.full(m, np.nan),
+        )
+
+    @classmethod
+    def of_outcomes(cls, pallet: NDArray[np.int64], found: Sequence[Outcome], thresholds: Thresholds) -> Told:
+        """Of worlds that came to their ends, with a drive; forces are those at rest."""
+        width = max((outcome.n_boxes for outcome in found), default=0)
+
+        def padded(rows: Sequence[FloatArray]) -> FloatArray:
+            return np.concatenate([widened(np.asarray(row, np.float64)[None], width) for row in rows])
+
+        def boxes(name: str) -> FloatArray:
+            rows = []
+            for outcome in found:
+                values = np.array(getattr(outcome.boxes, name), np.float64)
+                values[outcome.n_placed :] = np.nan
+                rows.append(values)
+            return padded(rows)
+
+        return cls(
+            pallet=np.asarray(pallet, np.int64),
+            stable=np.array([outcome.verdict is Verdict.STABLE for outcome in found], bool),
+            verdict=np.array([str(outcome.verdict) for outcome in found]),
+            reason=np.array([str(outcome.reason) for outcome in found]),
+            culprit=np.array([outcome.culprit for outcome in found], np.int64),
+            margin=np.array([margin_of(each.verdict, each.boxes, each.n_placed, thresholds) for each in found]),
+            shift_mm=_largest(np.abs(boxes("shift_m")).max(axis=2) * MM_PER_M),
+            tilt_deg=_largest(boxes("max_tilt_deg")),
+            n_boxes=np.array([outcome.n_boxes for outcome in found], np.int64),
+            ended=np.array([outcome.verdict is not Verdict.STABLE for outcome in found], bool),
+            moving=np.array([bool(outcome.flags & Flag.MOVING) for outcome in found], bool),
+            top_force_n=boxes("rest_top_force_n"),
+            middle_mm=boxes("pos") * MM_PER_M,
+            quat=boxes("quat"),
+            share=np.full(len(found), np.nan),
+        )
+
+
+def _largest(values: FloatArray) -> FloatArray:
+    """(m,) largest of (m, k) numbers, without those that are NaN; 0 where there are none."""
+    found: FloatArray = np.nan_to_num(values, nan=0.0).max(axis=1, initial=0.0)
+    return found

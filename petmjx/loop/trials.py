@@ -1,0 +1,81 @@
+"""Candidates under errors and drives: a robot places the box inexactly, or the pallet is shaken afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from petmjx.arguments import number_of, text_of
+from petmjx.checked import got
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.sweeps.confidence import confidence_sweep
+from petmjx.sweeps.design import Design
+from petmjx.units import deg_to_rad
+from petmjx.world.job import Drive
+from petmjx.world.profiles.base import Strength
+from petmjx.world.profiles.registry import resolve
+from petmjx.world.scene import Scene
+from petmjx.world.variants import Variant, apply
+
+_NAME = "candidate"
+"""In place of a plan's id in random numbers: all candidates have the same errors, and can be compared."""
+
+
+class Errors:
+    """The errors of ``petmjx score --confidence``, for a box that is put onto a pallet that stands.
+
+    Place, turn, size and mass of the box are in error; the pallet stands as it stands. Friction is another one for the
+    whole pallet: all cartons are of one board, on a day of one humidity. The box is carried to its place by a hand
+    (docs/placing.md).
+    """
+
+    def __init__(self, count: int, sim: Simulation) -> None:
+        self._sweep = confidence_sweep(count, None, dict(sim))
+        placements = list(Design(self._sweep).placements())
+        self._variants: list[Variant] = [variant for variant, _ in placements if variant.placement.random]
+
+    def __len__(self) -> int:
+        return len(self._variants)
+
+    def scenes(self, scene: Scene) -> list[Scene]:
+        """A scene whose last box is the candidate, once for each error."""
+        standing = scene.n_boxes - 1
+        return [apply(scene, _NAME, variant, self._sweep.seed, standing=standing) for variant in self._variants]
+
+
+def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Drive | None:
+    """What shakes candidates, by the name of a profile.
+
+    Args:
+        drive: the name of a built-in profile, a ``Drive``, or None.
+        level: its strength, in the unit that docs/profiles.md says, such as g of ``eumos-40509``.
+
+    Raises:
+        InputError: an unknown profile, a family, or a number that is none.
+    """
+    if drive is None:
+        for value, name, usual in ((level, "level", 1.0), (direction_deg, "direction_deg", 0.0)):
+            if value != usual:
+                raise InputError(f"{name} counts only with a drive")
+        return None
+    if isinstance(drive, Drive):
+        return drive
+    if not isinstance(drive, str):
+        raise InputError(f"drive must be the name of a profile, {got(drive)}")
+    profiles = resolve(text_of(drive, "drive"))
+    if len(profiles) > 1:
+        raise InputError(
+            f"drive: {drive} stands for several profiles; name one of {', '.join(p.name for p in profiles)}"
+        )
+    (profile,) = profiles
+    strength = number_of(level, "level", 0.0)
+    if profile.strength is Strength.ANGLE and strength != 1.0:
+        raise InputError(f"level: {drive} has none")
+    excitation = profile.excitation(sim.physics.timestep_s)
+    return Drive(excitation, strength, deg_to_rad(number_of(direction_deg, "direction_deg")), sim.rest_s)
+
+
+def all_errors(scenes: Sequence[Scene], errors: Errors) -> list[Scene]:
+    """Scene after scene with each error."""
+    return [changed for scene in scenes for changed in errors.scenes(scene)]
