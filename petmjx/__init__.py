@@ -25,9 +25,15 @@ if TYPE_CHECKING:
         Thresholds,
     )
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
+    from petmjx.figures.save import figure
     from petmjx.history import History
+    from petmjx.loop.pallets import Pallets
+    from petmjx.loop.scorer import Scored, Scorer
+    from petmjx.loop.told import Told
     from petmjx.packers.compare import compare_packers
+    from petmjx.pages.leaderboard.make import leaderboard
     from petmjx.pages.report.make import report
+    from petmjx.pages.told import tell
     from petmjx.pictures.save import draw
     from petmjx.plans.plan import Plan
     from petmjx.plans.plan_set import PlanSet
@@ -40,7 +46,7 @@ if TYPE_CHECKING:
     from petmjx.run_options import RunOptions
     from petmjx.statics.record import CriteriaResults
     from petmjx.statics.run import criteria
-    from petmjx.story.tell import Story, tell
+    from petmjx.story.tell import Story
     from petmjx.sweeps.merge import merge_runs
 
 _HOME = {
@@ -64,6 +70,11 @@ _HOME = {
     "PetmjxError": "petmjx.errors",
     "PlanWarning": "petmjx.errors",
     "History": "petmjx.history",
+    "figure": "petmjx.figures.save",
+    "Pallets": "petmjx.loop.pallets",
+    "Scored": "petmjx.loop.scorer",
+    "Scorer": "petmjx.loop.scorer",
+    "Told": "petmjx.loop.told",
     "draw": "petmjx.pictures.save",
     "report": "petmjx.pages.report.make",
     "Plan": "petmjx.plans.plan",
@@ -72,9 +83,10 @@ _HOME = {
     "compare_packers": "petmjx.packers.compare",
     "compare_runs": "petmjx.results.compare",
     "Story": "petmjx.story.tell",
-    "tell": "petmjx.story.tell",
+    "tell": "petmjx.pages.told",
     "save_plans": "petmjx.plans.write",
     "kpis": "petmjx.rating.kpis",
+    "leaderboard": "petmjx.pages.leaderboard.make",
     "loads": "petmjx.results.loads",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
@@ -91,6 +103,7 @@ __all__ = [
     "EngineUnavailable",
     "History",
     "InputError",
+    "Pallets",
     "PetmjxError",
     "Physics",
     "Plan",
@@ -100,16 +113,21 @@ __all__ = [
     "RunOptions",
     "RunResults",
     "Schedule",
+    "Scored",
+    "Scorer",
     "Simulation",
     "Solver",
     "Story",
     "Thresholds",
+    "Told",
     "__version__",
     "compare_packers",
     "compare_runs",
     "criteria",
     "draw",
+    "figure",
     "kpis",
+    "leaderboard",
     "load_plans",
     "load_run",
     "loads",

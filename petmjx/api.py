@@ -6,6 +6,7 @@ What only some runs need is imported where they ask for it: a plain score loads 
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
@@ -14,6 +15,7 @@ from petmjx.arguments import instance_of, path_of
 from petmjx.checked import Checked, got
 from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.notebook import notebook_bar
 from petmjx.option_types import ScoreOptions, SweepOptions
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.results.reader import RunResults
@@ -48,9 +50,15 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
     return decorate
 
 
-def _check_watcher(watcher: Watcher | None) -> None:
-    if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
-        raise InputError(f"watcher must have the methods begin and world_done, {got(watcher)}")
+def _watcher(given: Watcher | None) -> Watcher | None:
+    """Who follows a run: in a notebook a progress bar, unless another one is given.
+
+    Raises:
+        InputError: it cannot follow a run.
+    """
+    if given is not None and not all(callable(getattr(given, name, None)) for name in ("begin", "world_done")):
+        raise InputError(f"watcher must have the methods begin and world_done, {got(given)}")
+    return given if given is not None or "IPython" not in sys.modules else notebook_bar()
 
 
 def _intervals(options: RunOptions) -> Intervals | None:
@@ -78,7 +86,7 @@ def score(
     Args:
         plans: a file, a folder, several of them, a data frame with a row a box, a plan, a list of plans or a
             ``PlanSet``; None: the bundled samples.
-        watcher: follows the run.
+        watcher: follows the run. In a notebook, without one, a progress bar does.
         options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
 
     Returns:
@@ -89,7 +97,7 @@ def score(
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    _check_watcher(watcher)
+    watcher = _watcher(watcher)
     of_simulation, of_run, of_confidence = sorted_options(options, Confidence)
     run, sure = RunOptions(**of_run), Confidence(**of_confidence)
     if sure.confidence is None:
@@ -117,7 +125,7 @@ def sweep(
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
         plans: as for :func:`score`; they replace those that the file names. None: the file's.
-        watcher: follows the run.
+        watcher: follows the run. In a notebook, without one, a progress bar does.
         batching: how many states and worlds are held in memory; changes no result.
         options: fields of ``petmjx.Simulation``, which replace those of the file, and of ``petmjx.RunOptions``.
 
@@ -133,7 +141,7 @@ def sweep(
     from petmjx.sweeps.run import Batching
     from petmjx.sweeps.study import SweepStudy
 
-    _check_watcher(watcher)
+    watcher = _watcher(watcher)
     if batching is not None:
         instance_of(batching, "batching", Batching, "a Batching")
     of_simulation, of_run = sorted_options(options)

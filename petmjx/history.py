@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.text import counted
 from petmjx.units import FloatArray
 
 CARRIER = -1
@@ -61,6 +62,9 @@ class Contacts:
         some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
         return Contacts(**some | {"frame": some["frame"] + np.int32(shift)})
 
+    def __repr__(self) -> str:
+        return f"Contacts({counted(len(self.frame), 'contact')})"
+
     def then(self, later: Contacts) -> Contacts:
         """These contacts and later ones."""
         names = [field.name for field in fields(self)]
@@ -71,9 +75,8 @@ class Contacts:
 class History:
     """One world's f frames of n boxes, in packing order. Values of boxes that are not placed yet are NaN.
 
-    A frame is taken after a step. Its poses are those after the step. What acted during the step (forces,
-    accelerations, contacts, what shook the world) belongs to the step's beginning, where MuJoCo evaluates it. On a box
-    that was placed after the step nothing has acted yet: 0.
+    A frame is taken after a step. Its poses are those after the step. Forces, accelerations, contacts and drives are
+    those during the step; MuJoCo evaluates them at its beginning. A box that was placed after the step has none yet: 0.
 
     Attributes:
         time_s: (f,) time since the soft start; the first frame is the first placement or, with check ``static``, 0.
@@ -101,6 +104,11 @@ class History:
     ang_acc: FloatArray | None = None
     penetration_m: FloatArray | None = None
     contacts: Contacts | None = None
+
+    def __repr__(self) -> str:
+        frames, boxes = self.pos.shape[:2]
+        span = f"{self.time_s[0]:.2f} to {self.time_s[-1]:.2f} s" if frames else "empty"
+        return f"History({counted(frames, 'frame')} of {counted(boxes, 'box', 'boxes')}, {span})"
 
     def then(self, later: History) -> History:
         """This history up to the first frame of a later one, and then the later one.

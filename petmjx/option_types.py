@@ -14,6 +14,7 @@ from petmjx.config import Check, Cone, Physics, Quiet, Schedule, Solver, Thresho
 from petmjx.engines.base import Simulates
 from petmjx.materials import FrictionPair
 from petmjx.placing import Placing, Way
+from petmjx.wrap import Wrap
 
 EngineName = Literal[
     "auto",
@@ -115,6 +116,16 @@ class PlacingTable(TypedDict, total=False):
     tines_mm: float
 
 
+class WrapTable(TypedDict, total=False):
+    """Fields of ``petmjx.wrap.Wrap``."""
+
+    turns: float
+    force_n: float
+    film_mm: float
+    friction: float
+    hat_n: float
+
+
 class OwnCarrierTable(TypedDict, total=False):
     """Fields of ``petmjx.carrier.OwnCarrier``."""
 
@@ -163,6 +174,7 @@ class SimulationOptions(TypedDict, total=False):
     early_stop: bool
     check_timestep: bool
     placing: Placing | PlacingTable | Way | WayName
+    wrap: Wrap | WrapTable
     thresholds: Thresholds | ThresholdsTable
     quiet: Quiet | QuietTable
     solver: Solver | SolverName

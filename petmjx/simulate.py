@@ -28,9 +28,8 @@ from petmjx.study import FinishedWorld, Study
 from petmjx.text import counted, shown
 from petmjx.units import FloatArray
 from petmjx.verdict import BoxMetrics
-from petmjx.world.carriers import carrier_notes
+from petmjx.world.idle import notes_about
 from petmjx.world.scene import Scene
-from petmjx.world.surfaces import check_surfaces
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
 """(n, 2) least and most force on top of each box at rest, N; None where a world has none."""
@@ -94,7 +93,8 @@ def simulate(
         whole, strict = options.limit is None, options.strict
         orders = check_orders(options.orders, study.everything, takes=options.takes, all_plans=whole, strict=strict)
     late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in study.skipped)
-    notes = [*found.notes, *carrier_notes(sim), *check_surfaces(study.everything, sim)]
+    about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
+    notes = [*found.notes, *about]
     found = replace(found, skipped=[*found.skipped, *late], notes=notes)
     with engine_for(options, study.work) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)

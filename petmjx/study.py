@@ -6,7 +6,7 @@ A score's are here: one a plan, the plan as it is. What has variants is in petmj
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -72,6 +72,8 @@ class Study(ABC):
         notes: warnings about the whole run.
         params: columns of ``worlds`` that tell a plan's worlds apart.
         dynamic: whether worlds have drives.
+        axes: names of a sweep's.
+        has_errors: whether places or sizes have errors in some worlds.
         identity: what worlds depend on, beside plans and ``sim``.
         config: what ``run.json`` says of the study, beside options.
     """
@@ -89,6 +91,8 @@ class Study(ABC):
     notes: Sequence[str] = ()
     params: Sequence[Param] = ()
     dynamic: bool = False
+    axes: Collection[str] = ()
+    has_errors: bool = False
     identity: Mapping[str, Any] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)
 
@@ -136,7 +140,7 @@ class Nominal(Study):
 
     def __init__(self, sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
         if len(plans) > MAX_WORLDS and not options.allow_large:
-            raise InputError(f"{len(plans):,} plans, more than {MAX_WORLDS:,}: pass --yes if that is meant")
+            raise InputError(f"{len(plans):,} plans, more than {MAX_WORLDS:,}: pass --yes to confirm")
         own = [plan for plan in plans if options.takes(plan.plan_id)]
         super().__init__(
             sim=sim,

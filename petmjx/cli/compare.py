@@ -10,6 +10,7 @@ import typer
 
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
+from petmjx.cli.figure import Pdf, Png, Svg, figure_files
 from petmjx.cli.names import named_paths
 from petmjx.errors import InputError
 
@@ -22,24 +23,27 @@ def compare(
         ),
     ],
     packers: Annotated[
-        bool, typer.Option("--packers", help="The runs are of different plans for the same orders: who packs better?")
+        bool, typer.Option("--packers", help="Compare packers: the runs are of different plans for the same orders.")
     ] = False,
     orders: Annotated[
         Path | None,
         typer.Option(
             "--orders",
             metavar="FILE",
-            help="With --packers: BED-BPP orders of the plans, for KPIs, too.",
+            help="With --packers: BED-BPP orders of the plans; adds KPIs.",
             show_default=False,
         ),
     ] = None,
     rows: Annotated[
-        int, typer.Option("--rows", metavar="N", min=1, help="Name at most so many plans with differing verdicts.")
+        int, typer.Option("--rows", metavar="N", min=1, help="List at most N plans with different verdicts.")
     ] = 40,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="With --packers: also write all tables there (Parquet, CSV)."),
     ] = None,
+    pdf: Pdf = None,
+    svg: Svg = None,
+    png: Png = None,
     as_json: opt.JsonOption = False,
 ) -> None:
     """Compare two runs of the same plans: verdicts that agree, and differences of each metric.
@@ -53,8 +57,9 @@ def compare(
     """
     from petmjx.show.layout import print_each
 
+    files = figure_files(pdf, svg, png)
     if packers:
-        _compare_packers(runs, orders, rows, out, as_json)
+        _compare_packers(runs, orders, rows, out, files, as_json)
         return
     if len(runs) != 2:
         raise InputError(f"compare takes two runs, got {len(runs)}; --packers takes more")
@@ -62,6 +67,8 @@ def compare(
         raise InputError("--out is for --packers; --json prints a comparison of two runs")
     if orders is not None:
         raise InputError("--orders is for --packers")
+    if files:
+        raise InputError(f"{files[0]}: a figure compares packers: use --packers")
     from petmjx.results.compare import compare_runs
     from petmjx.show.compare_tables import comparison_tables
 
@@ -72,7 +79,9 @@ def compare(
     print_each(comparison_tables(comparison, max_rows=rows), results_console())
 
 
-def _compare_packers(runs: list[str], orders: Path | None, rows: int, out: Path | None, as_json: bool) -> None:
+def _compare_packers(
+    runs: list[str], orders: Path | None, rows: int, out: Path | None, files: list[Path], as_json: bool
+) -> None:
     from petmjx.packers.compare import compare_packers
     from petmjx.packers.write import write_comparison
     from petmjx.show.layout import line, print_each
@@ -81,8 +90,13 @@ def _compare_packers(runs: list[str], orders: Path | None, rows: int, out: Path 
     found = compare_packers(named_paths(runs, "compare --packers") or runs, orders=orders)
     if out is not None:
         write_comparison(found, out)
+    if files:
+        from petmjx.figures.save import figure
+
+        figure(found, *files)
     if as_json:
         print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
         return
     written = [] if out is None else [line(f"tables in {out}")]
+    written += [line(f"figure in {file}") for file in files]
     print_each([*packer_tables(found, max_rows=rows), *written], results_console())

@@ -11,6 +11,8 @@ import typer
 
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
+from petmjx.cli.figure import Pdf, Png, Svg, figure_files
+from petmjx.errors import InputError
 from petmjx.machine import cpu_threads
 from petmjx.statics.options import CriteriaOptions
 
@@ -34,7 +36,7 @@ def criteria(
     plans: opt.PlanPaths = None,
     run: Annotated[
         Path | None,
-        typer.Option("--run", metavar="DIR", help="Results of petmjx score of these plans, to judge the criteria by."),
+        typer.Option("--run", metavar="DIR", help="Results of petmjx score of these plans, to compare with."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the tables, as Parquet and CSV.")
@@ -45,28 +47,34 @@ def criteria(
         typer.Option(
             "--only",
             metavar="NAME",
-            help="Ask this criterion, such as support_75; may be given several times. Without it: all.",
+            help="Evaluate this criterion, such as support_75. May be given several times. [default: all]",
             rich_help_panel=ASKED,
         ),
     ] = None,
     processes: Annotated[
         int | None, typer.Option("--processes", metavar="N", help="Processes. [default: one for each CPU thread]")
     ] = None,
+    pdf: Pdf = None,
+    svg: Svg = None,
+    png: Png = None,
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Ask closed-form criteria of static stability of packing plans, and physics about them.
+    """Evaluate closed-form criteria of static stability, and compare them with a simulation.
 
-    Support of the base, corners, centre of gravity, load-bearable polygons, stacking tree, mechanical equilibrium and
-    force balance: of each box at its placement, with which box fails first. With --run it says what physics says to
-    that, and which threshold says it best.
+    The criteria are support of the base, corners, centre of gravity, load-bearable polygons, stacking tree, mechanical
+    equilibrium and force balance. Each is evaluated for each box when it is placed. With --run they are compared with
+    the verdicts of a run, and the best threshold of each is found.
     """
     from petmjx.results.plain import plain
     from petmjx.show.criteria_tables import criteria_tables
-    from petmjx.show.layout import print_each
+    from petmjx.show.layout import line, print_each
     from petmjx.show.progress import progress
     from petmjx.statics.run import criteria as ask
 
+    files = figure_files(pdf, svg, png)
+    if files and run is None:
+        raise InputError(f"{files[0]}: a figure compares criteria with a run: name it with --run DIR")
     bar = None
     with ExitStack() as until_done:
 
@@ -85,8 +93,13 @@ def criteria(
             progress=show,
             **options,
         )
+    if files:
+        from petmjx.figures.save import figure
+
+        figure(results, *files)
     if as_json:
         tables = {"judged": results.judged, "thresholds": results.thresholds}
         print(json.dumps(plain(results.info | tables), indent=2, allow_nan=False))
         return
-    print_each(criteria_tables(results, None if out is None else str(out)), results_console())
+    written = [line(f"figure in {file}") for file in files]
+    print_each([*criteria_tables(results, None if out is None else str(out)), *written], results_console())

@@ -22,8 +22,8 @@ def kpis(
         typer.Option(
             "--run",
             metavar="DIR",
-            help="Run of these plans: its verdicts, and with check static BED-BPP's own rule of stability. May be "
-            "given several times.",
+            help="Run of these plans, which gives their verdicts and, if made with --check static, BED-BPP's own "
+            "rule of stability. May be given several times.",
         ),
     ] = None,
     out: Annotated[
@@ -36,13 +36,14 @@ def kpis(
         typer.Option(
             "--leaderboard",
             metavar="NAME",
-            help="Check the plans as a submission to BED-BPP's leaderboard, and write it to --out (here without one). "
-            "NAME is SURNAME_ALGORITHM_TASK, a date before it if not today's; the task is offline3dbp, o3dbp or "
-            "o3dbp-p-s.",
+            help="Check the plans as a submission to BED-BPP's leaderboard, and write it to --out (by default to the "
+            "current folder). NAME is SURNAME_ALGORITHM_TASK, with a date in front if it is not today's; the "
+            "task is offline3dbp, o3dbp or o3dbp-p-s.",
         ),
     ] = None,
     assume_stable: Annotated[
-        bool, typer.Option("--assume-stable", help="Take all plans as stable: the best that a rating can be.")
+        bool,
+        typer.Option("--assume-stable", help="Assume that all plans are stable, which gives the best possible rating."),
     ] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at the first unusable plan or order instead of skipping it.")
@@ -64,7 +65,7 @@ def kpis(
     from petmjx.show.layout import print_each
 
     if xlsx and out is None:
-        raise InputError("--xlsx needs --out: where is it to be written?")
+        raise InputError("--xlsx needs --out DIR")
     if out is not None:
         check_free(out / "kpis.parquet", overwrite)
     if leaderboard is not None:

@@ -20,17 +20,20 @@ def loads(
         list[Path] | None,
         typer.Argument(
             metavar="PLANS",
-            help="The plans of the run, where they are no longer in the files that it was of.",
+            help="The plans of the run, if its plan files were moved.",
             show_default=False,
         ),
     ] = None,
     *,
     articles: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            "--articles", metavar="FILE", help="What articles or product groups bear, as CSV, Parquet or TOML."
+            "--articles",
+            metavar="FILE",
+            help="How much articles, groups or materials can bear: CSV, Parquet or TOML; default: what plans say.",
+            show_default=False,
         ),
-    ],
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="Folder for box_loads and plan_loads, as Parquet and CSV."),

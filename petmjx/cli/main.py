@@ -20,7 +20,9 @@ from petmjx.cli import (
     criteria,
     doctor,
     export,
+    figure,
     kpis,
+    leaderboard,
     loads,
     merge,
     report,
@@ -66,8 +68,8 @@ _SETTINGS = SimpleNamespace(debug=False)
 app = typer.Typer(
     name="petmjx",
     help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
-    epilog="Exit codes: 0 whatever the verdicts are, 2 unusable input or options, 1 a failure inside, 130 interrupted "
-    "(143 by SIGTERM, 129 by SIGHUP).",
+    epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
+    "interrupted (143 by SIGTERM, 129 by SIGHUP).",
     rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
     context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
 )
@@ -77,8 +79,10 @@ for _command, _short_help in (
     (show.show, "Show what happens to one plan: page, picture, film."),
     (report.report, "Write a page about runs: charts, tables, plans in 3D."),
     (compare.compare, "Compare two runs of the same plans, or packers."),
+    (figure.figure, "Draw the answers of a sweep as a figure for a paper."),
     (kpis.kpis, "Rate plans as BED-BPP's leaderboard does."),
-    (criteria.criteria, "Ask closed-form criteria of stability, and physics about them."),
+    (leaderboard.leaderboard, "Rate packers by physics, as a site."),
+    (criteria.criteria, "Evaluate criteria of stability; compare them with a run."),
     (loads.loads, "Say which boxes bear more than they can."),
     (merge.merge, "Join the shards of a run."),
     (convert.convert, "Write packing plans as JSON, CSV or Parquet."),
@@ -134,7 +138,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
     try:
         given = sys.argv[1:] if arguments is None else list(arguments)
         if "" in given:  # a path would be the current folder
-            raise InputError(f"argument {given.index('') + 1} is empty: a variable of the shell that is not set?")
+            raise InputError(f"argument {given.index('') + 1} is empty; is a shell variable not set?")
         with as_notes():
             result = application(args=given or ["--help"], standalone_mode=False)
         sys.stdout.flush()  # an error shows here at the latest
@@ -150,20 +154,20 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
     except _USAGE_ERROR as error:
         message = getattr(error, "format_message", error.__str__)()
         command = getattr(getattr(error, "ctx", None), "command_path", None) or "petmjx"
-        return _report(f"{message} ({command} --help tells the options)" if message else "", ExitCode.UNUSABLE)
+        return _report(f"{message} (see {command} --help)" if message else "", ExitCode.UNUSABLE)
     except (BrokenPipeError, SystemExit):
         # The reader of the output has closed it (petmjx … | head); typer and rich then exit.
         return ExitCode.OK
     except OSError as error:
         if error.filename is not None or error.errno != errno.ENOSPC:  # of files that are named there is an InputError
             return _report(_inside(error), ExitCode.FAILURE)
-        return _report(f"what is printed cannot be written: {error.strerror}", ExitCode.FAILURE)
+        return _report(f"cannot write to standard output: {error.strerror}", ExitCode.FAILURE)
     except Exception as error:
         return _report(_inside(error), ExitCode.FAILURE)
 
 
 def _inside(error: Exception) -> str:
-    return f"failure inside petmjx: {one_line(error)}; petmjx --debug … shows where"
+    return f"failure inside petmjx: {one_line(error)}; petmjx --debug … shows the traceback"
 
 
 def _report(message: str, code: ExitCode) -> int:

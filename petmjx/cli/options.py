@@ -35,8 +35,8 @@ PlansOrRun = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="PLANS|DIR",
-        help=f"{PLANS_HELP} Or the folder of a run, which says with what options; after it, where its plans are if "
-        "they were moved. Without any: the bundled samples.",
+        help="Or the folder of a run, whose options are then used; if its plan files were moved, name them after it. "
+        "Without any: the bundled samples.",
         show_default=False,
     ),
 ]
@@ -45,7 +45,7 @@ Variant = Annotated[
     typer.Option(
         "--variant",
         metavar="N",
-        help="Which world of the plan, if the run has several: its number in the table worlds.",
+        help="Number of the world (variant in the table worlds), if the run has several of the plan.",
         rich_help_panel=SIMULATED,
     ),
 ]
@@ -194,7 +194,7 @@ def _set_parameter(settable: Collection[str], section: str) -> inspect.Parameter
     option = typer.Option(
         "--set",
         metavar="FIELD=VALUE",
-        help=f"Any other value of what is simulated, such as {example}. May be given several times.",
+        help=f"Set any other option of the simulation, such as {example}. May be given several times.",
         rich_help_panel=section,
         show_default=False,
     )

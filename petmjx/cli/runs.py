@@ -150,7 +150,7 @@ def _how_far(folder: Path, watcher: Any) -> str:
     try:
         done = load_run(folder).info["counts"]["worlds"]
     except InputError:
-        return f"before the first {watcher.what}; nothing was written"
+        return f"before the first {watcher.what} was finished; nothing was written"
     of = counted(done, watcher.what) if watcher.total is None else f"{done:,} of {counted(watcher.total, watcher.what)}"
     return f"{of} {'is' if done == 1 else 'are'} done and in {folder}"
 

@@ -45,7 +45,7 @@ def samples(
             "--packer",
             metavar="NAME",
             help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance.  "
-            "[default: baseline, some of it loose]",
+            "[default: baseline, with some loose plans]",
             show_default=False,
         ),
     ] = None,
@@ -75,7 +75,7 @@ def samples(
     from petmjx.show.progress import progress
 
     if is_csv(out) or is_parquet_name(out):
-        raise InputError(f"{out}: samples are written as JSON; petmjx convert makes a table of them")
+        raise InputError(f"{out}: samples are written as JSON; use petmjx convert to make a table")
     check_free(out, overwrite, [orders] if orders is not None else ())
     bad: list[InputError] = []
     left_out: list[LeftOut] = []

@@ -73,7 +73,7 @@ def show(
             story = _told(plan_id, source or [], variant, bool(look.get("arrows")), options)
             _show(story, list(files.values()), look, viewer)
         except KeyboardInterrupt as stop:
-            raise Interrupted("files that were not finished are not there", getattr(stop, "number", 2)) from None
+            raise Interrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
 
 
 def _told(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:

@@ -11,7 +11,7 @@ from petmjx.cli import options as opt
 from petmjx.cli.runs import run_and_show
 
 
-@opt.takes(simulated="What is simulated, unless the sweep file's [simulation] says otherwise")
+@opt.takes(simulated="Simulation (the sweep file's [simulation] may set other defaults)")
 def sweep(
     file: Annotated[
         str,

@@ -21,6 +21,8 @@ from petmjx.errors import InputError
 from petmjx.packers.kpis import KPIS, kpis_of_runs
 from petmjx.packers.load import MEASURES, MISSING, Run, doubts, opened, plans_of
 from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
+from petmjx.packers.words import pair_in_words
+from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plain import plain
 from petmjx.results.shares import DEFAULT_CONFIDENCE, wilson_interval
 from petmjx.text import counted
@@ -30,6 +32,19 @@ SIZE_BINS: Final = (0, 20, 40, 60, 80)
 """Orders by number of boxes: 1 to 20, 21 to 40, …, more than 80."""
 
 ALL_SIZES: Final = "all"
+
+SHOWN: Final = (
+    ShownColumn("packer", "packer"),
+    ShownColumn("n", "orders"),
+    ShownColumn("n_stable", "stand"),
+    ShownColumn("share", "share %", 1, 100.0),
+    ShownColumn("low", "from %", 1, 100.0),
+    ShownColumn("high", "to %", 1, 100.0),
+    ShownColumn("boxes", "boxes placed", 1),
+    ShownColumn("height_m", "height m", 3),
+    ShownColumn("kpi_2", "kpi_2", 3),
+)
+"""Columns of ``packers`` in a notebook."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +83,18 @@ class PackerComparison:
         whole = self.packers[self.packers["size"] == ALL_SIZES]
         shares = ", ".join(f"{row.packer} {100 * row.share:.1f} %" for row in whole.itertuples())
         return f"PackerComparison({shares} of {counted(int(whole['n'].iloc[0]), 'order')})"
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """For each two packers, one sentence: who stands more often, by how much, and how sure that is. Empty where no
+        order is compared."""
+        whole = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
+        return tuple(pair_in_words(row, self.confidence, len(whole)) for row in whole.to_dict("records"))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the sentences, and a row for each packer."""
+        whole = self.packers[self.packers["size"] == ALL_SIZES]
+        return block_as_html([repr(self), *self.sentences, *self.notes], [table_as_html(whole, SHOWN, "packers")])
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:

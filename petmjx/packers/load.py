@@ -16,6 +16,9 @@ from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted, shown
 from petmjx.units import FloatArray
 
+LONGEST_NAME: Final = 200
+"""Bytes of a packer's name: file systems take 255 for a folder's."""
+
 MISSING: Final = "missing"
 """``verdict`` of an order of which a packer has no plan."""
 
@@ -46,6 +49,9 @@ def opened(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
     if len(found) < 2:
         raise InputError("give at least two runs to compare")
     names = [text_of(name, "runs") for name in named] if named else _names([run.path for run in found])
+    for name in names:
+        if not name or not name.isprintable():
+            raise InputError(f"runs: a name must be text that can be printed, got {shown(name)!r}")
     for run in found:
         if run.info.get("config", {}).get("command") == "sweep":
             raise InputError(f"{run.path}: is a sweep; packers are compared by scores")
@@ -70,6 +76,10 @@ def check_names(names: Iterable[str]) -> None:
         InputError: one cannot.
     """
     for name in names:
+        if not isinstance(name, str):
+            raise InputError(f"a packer's name must be text, got {type(name).__name__}")
+        if len(name.encode()) > LONGEST_NAME:
+            raise InputError(f"packer {shown(name)!r}: the name must have at most {LONGEST_NAME} bytes")
         if not name or name in (".", "..") or "/" in name or "\\" in name or not name.isprintable():
             raise InputError(f"packer {shown(name)!r}: the name must be usable as that of a folder")
 

@@ -29,7 +29,7 @@ _NUMBERS: Final = {
     "share": "share of the compared orders whose plan stands",
     "low": "lower end of its interval",
     "high": "upper end of its interval",
-    "share_at_worst": "the share, if orders without a valid plan counted as plans that do not stand",
+    "share_at_worst": "share that stands if orders without a valid plan count as unstable",
     "difference": "share of b - share of a",
     "p": "of McNemar's exact test; null where it is not tested",
     "p_holm": "the same, corrected for the number of pairs",
@@ -43,7 +43,7 @@ _TEXTS: Final = {
     "won_by": "packer whose plan stands",
     "lost_by": "packer whose plan does not stand",
     "plan_id": "id of the order and of its plans",
-    "verdict": "what the simulation came to; missing: there is no plan",
+    "verdict": "verdict of the simulation; missing: there is no plan",
     "reason": "why a plan does not stand; in decided that of the loser",
     "digest": "of all in the plan that reaches the results",
 }

@@ -49,7 +49,7 @@ def page(
     Args:
         title: text.
         body: markup.
-        script: the entry module in ``petmjx/pages/static``; what it imports comes with it.
+        script: the entry module in ``petmjx/pages/static``; what it imports comes with it. "": the page has none.
         styles: style sheets there, after ``base.css``.
         info: plain values; the script gets them from ``readInfo()``.
         blocks: name → :func:`petmjx.pages.columns.block`; the script gets them from ``readBlock(name)``.
@@ -57,7 +57,7 @@ def page(
     Raises:
         ValueError: a block's name is not of lower-case letters, digits and hyphens.
     """
-    code, look = joined_modules(script), joined_styles(("base.css", *styles))
+    code, look = joined_modules(script) if script else "", joined_styles(("base.css", *styles))
     policy = (
         f"default-src 'none'; script-src {_source(code)}; style-src {_source(look)}; img-src data:; "
         "base-uri 'none'; form-action 'none'"

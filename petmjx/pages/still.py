@@ -36,7 +36,7 @@ _FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 
 
 
 def still_svg(story: Story) -> str:
-    """The last frame of a story; the first box to go is outlined."""
+    """The last frame of a story; the first box to fail is outlined."""
     history, scene = story.history, story.scene
     shown = np.flatnonzero(np.isfinite(history.pos[-1]).all(axis=1))
     carrier_pos, carrier_quat = history.carrier_pos[-1], history.carrier_quat[-1]

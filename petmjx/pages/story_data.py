@@ -14,7 +14,7 @@ from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.palette import article_colours, ramp
 from petmjx.pages.pushes import pushes
 from petmjx.story.tell import Story
-from petmjx.story.words import first_box_in_words, thresholds_of
+from petmjx.story.words import first_box_in_words, sinks_of, thresholds_of
 from petmjx.text import printable
 from petmjx.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import FORCE
@@ -115,7 +115,8 @@ def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed
     n_frames, n = history.pos.shape[:2]
     lost = ~(np.abs(history.pos) < _LOST_M).all(axis=2, keepdims=True)
     pos, quat = np.where(lost, np.nan, history.pos), np.where(lost, np.nan, history.quat)
-    shift = np.abs(motion_np.shift(pos, story.scene.target, limits.shift_floor_m)).max(axis=2, initial=0.0)
+    moved = motion_np.shift(pos, story.scene.target, limits.shift_floor_m, sinks_of(story))
+    shift = np.abs(moved).max(axis=2, initial=0.0)
     tilt = motion_np.tilt_deg(quat.reshape(-1, 4)).reshape(n_frames, n)
     force = history.top_force_n
     return {

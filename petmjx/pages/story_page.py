@@ -1,4 +1,4 @@
-"""The page of one story: the pallet in 3D over time, the first box to go, and the numbers of all boxes."""
+"""The page of one story: the pallet in 3D over time, the first box to fail, and the numbers of all boxes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _notes(story: Story) -> list[str]:
     notes = notes_in_words(story)
     if story.drive is not None and not np.any(story.history.drive):
         name = story.drive.excitation.name
-        notes.append(f"It was shaken by {name}, but no push fell on a frame, so none is drawn: take shorter intervals.")
+        notes.append(f"It was shaken by {name}, but no frame shows a push: record at shorter intervals.")
     return notes
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import warnings
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from petmjx.figures.paper import paper_style, write
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.pictures.overlay import first_outline, scale_ends, shaking_in_words
@@ -38,17 +38,13 @@ def write_figure(story: Story, look: Look, moments: list[Moment], path: Path, ki
         look: its ``size`` is that of each picture, px.
         kind: ``png``, ``pdf`` or ``svg``.
     """
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     frames = [moment.frame for moment in moments]
     camera = frame_camera(story, look, frames, _MARGINS)
     panel_height = PANEL_IN * look.size[1] / look.size[0]
     width, height = PANEL_IN * len(moments), _HEAD_IN + _TITLE_IN + panel_height + _FOOT_IN
-    # text stays text in SVG, fonts are embedded as TrueType in PDF, and nothing depends on the day
-    settings: Any = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "petmjx", "font.family": "DejaVu Sans"}
-    with rc_context(settings), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # ids may have characters that no font has
+    with paper_style():
         figure = Figure(figsize=(width, height), facecolor="white")
         _head(figure, story, width, height)
         for number, (image, moment) in enumerate(zip(draw_frames(story, look, frames, camera), moments, strict=True)):
@@ -56,8 +52,7 @@ def write_figure(story: Story, look: Look, moments: list[Moment], path: Path, ki
             letter = f"({chr(ord('a') + number % 26)}) " if len(moments) > 1 else ""
             _panel(figure.add_axes(place), np.asarray(image), story, moment, camera, letter)
         _foot(figure, look, width, height)
-        undated: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        figure.savefig(path, format=kind, dpi=look.size[0] / PANEL_IN, metadata=undated.get(kind))
+        write(figure, path, kind, dots_per_inch=look.size[0] / PANEL_IN)
 
 
 def _head(figure: Any, story: Story, width: float, height: float) -> None:

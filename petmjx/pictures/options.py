@@ -133,7 +133,7 @@ class PictureOptions(Checked):
     )
     colour: Annotated[Colour, CliFlag("--colour")] = Field(
         Colour.ARTICLE,
-        description="what colours mean: article, order, shift, tilt, force (on top), planned (where boxes should be)",
+        description="what colours show: article, order, shift, tilt, force (on top), planned (where boxes should be)",
     )
     arrows: Annotated[bool, CliFlag("--arrows")] = Field(
         False, description="draw contact forces as arrows, in boxes that are transparent; engine mujoco"

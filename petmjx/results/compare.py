@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from petmjx.config import Thresholds
 from petmjx.errors import InputError
 from petmjx.metrics.spec import DIMENSIONLESS, Column, box_columns, box_metrics, world_columns
+from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
 from petmjx.text import counted
@@ -39,6 +40,18 @@ SIGNLESS: Final = frozenset(
     {column.name for column in POSE} | {name for m in box_metrics() if len(m.columns) > 1 for name in m.columns}
 )
 """Metrics of which b - a has no meaning of its own: distances between two poses, and components of vectors."""
+
+FLIPS: Final = tuple(
+    ShownColumn(name, head, 2)
+    for name, head in (
+        ("plan_id", "plan"),
+        ("verdict_a", "verdict in a"),
+        ("verdict_b", "verdict in b"),
+        ("margin_a", "margin in a"),
+        ("margin_b", "margin in b"),
+    )
+)
+"""Columns of ``flips`` in a notebook."""
 
 GROUPS: Final = ("same verdict", "both stable")
 """The groups of worlds in which metrics are compared. After a collapse metrics are chaotic."""
@@ -84,6 +97,15 @@ class Comparison:
     def __repr__(self) -> str:
         return f"Comparison({self.a} and {self.b}: {self.n_agree:,} of {counted(self.n_common, 'world')} agree)"
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: worlds by verdict in a (rows) and b (columns), and those with different verdicts."""
+        counts = self.confusion.rename_axis("a").reset_index()
+        columns = [ShownColumn("a", "a \\ b"), *(ShownColumn(name, name) for name in self.confusion.columns)]
+        tables = [table_as_html(counts, columns, "confusion")]
+        if len(self.flips):
+            tables.append(table_as_html(self.flips, FLIPS, "flips"))
+        return block_as_html([repr(self), *self.notes], tables)
+
     @property
     def n_agree(self) -> int:
         """Worlds with the same verdict in both runs."""
@@ -111,7 +133,7 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
     """Compare run b with run a, world by world (same plan and variant).
 
     Args:
-        packers: the plans may be those of two packers: that they differ is no reason to doubt, and no note.
+        packers: the plans are those of two packers, so their differences cause no note.
 
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.

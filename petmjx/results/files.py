@@ -183,7 +183,7 @@ def tidy(folder: Path) -> None:
     for path in (folder / RUN_FILE, *(folder / table for table in TABLES)):
         files = [file for file in (path, *_own_files(path, _PART), *_own_files(path, _TEMPORARY)) if file.is_symlink()]
         if files:
-            raise InputError(f"{files[0]}: is a link; petmjx writes and removes files of its own only")
+            raise InputError(f"{files[0]}: is a link; petmjx writes and removes only its own files")
     for place in (folder, *(folder / table for table in TABLES)):
         for file in _own_files(place, _TEMPORARY):
             file.unlink()

@@ -105,18 +105,18 @@ class Parts:
         except OSError as error:
             raise InputError(f"{file}: damaged part, it cannot be read: {error.strerror or error}") from error
         if found != expected:
-            raise InputError(f"{file}: damaged part, it is not what the run wrote; {self._cure(file)}")
+            raise InputError(f"{file}: damaged part, it differs from what the run wrote; {self._cure(file)}")
         self._checked.add(file)
 
     def _cure(self, file: Path) -> str:
         """What makes a run whole again that lacks a file."""
         if file.parent.name == "summary":
-            return "go on with --resume, which makes it again"
+            return "use --resume to make it again"
         if file.parent.name not in OF_WORLDS or self.files("frames"):
             return "simulate the run again, with --overwrite"
         worlds = self.folder / "worlds" / file.name
         delete = f"delete {worlds} and " if file != worlds or file.exists() else ""
-        return f"{delete}go on with --resume, which simulates its worlds again"
+        return f"{delete}use --resume to simulate its worlds again"
 
 
 def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from petmjx.arguments import path_of
@@ -41,7 +42,7 @@ _BOX_UNITS: Final = {
 _PLAN_UNITS: Final = {
     "plan_id": _BOX_UNITS["plan_id"],
     "variant": _BOX_UNITS["variant"],
-    "verdict": ("", "what the simulation came to; loads do not change it"),
+    "verdict": ("", "verdict of the simulation; loads do not change it"),
     "overloaded": ("1", "whether a box bears more than it can; null: not known, since strengths are missing"),
     "n_boxes": ("1", "boxes of the plan"),
     "n_overloaded": ("1", "boxes that bear more than they can"),
@@ -98,21 +99,31 @@ class Loads:
             write_described(folder, tables)
 
 
-def loads(run: str | Path | RunResults, articles: PathArgument | Articles, plans: PlanSource | None = None) -> Loads:
-    """Compare what boxes bear at rest with what they can bear.
+def loads(
+    run: str | Path | RunResults,
+    articles: PathArgument | Articles | None = None,
+    plans: PlanSource | None = None,
+) -> Loads:
+    """Compare the forces on boxes at rest with what the boxes can bear.
 
     Args:
         run: a run's folder, or what ``petmjx.score`` returned.
-        articles: table of strengths (``petmjx.plans.articles.read_articles``).
-        plans: the plans of the run, for sizes and product groups; None: the files that it was of.
+        articles: table of strengths (``petmjx.plans.articles.read_articles``). Where it says nothing of a box, what its
+            plan says counts, or the table of the run. None: those alone.
+        plans: the plans of the run, for sizes and product groups; None: the files that the run names.
 
     Raises:
-        InputError: no run, an unusable table of articles, or plans that are not those of the run.
+        InputError: no run, an unusable table of articles, no strength at all, or plans that are not those of the run.
     """
     results = run if isinstance(run, RunResults) else load_run(run)
-    strengths = articles if isinstance(articles, Articles) else read_articles(path_of(articles, "articles"))
+    if articles is None:
+        strengths = Articles({}, {})
+    else:
+        strengths = articles if isinstance(articles, Articles) else read_articles(path_of(articles, "articles"))
     of_run = _plans_of(results, plans)
     known, missing = _strengths(of_run.values(), strengths)
+    if articles is None and known["strength_n"].isna().all():
+        raise InputError(f"{results.path}: plans say no strength (strength_n): give a table of articles")
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
     boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
     boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
@@ -151,13 +162,17 @@ def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame,
     for plan in plans:
         groups = plan.product_groups or ("",) * plan.n_boxes
         sizes = plan.size_mm[:, :2].tolist()
-        for box, (article, group, (x, y)) in enumerate(zip(plan.articles, groups, sizes, strict=True)):
-            strength = articles.find(article, group).strength
-            if strength is None:
+        materials = plan.materials or ("",) * plan.n_boxes
+        own = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n
+        names = zip(plan.articles, groups, materials, strict=True)
+        for box, (article, group, material) in enumerate(names):
+            said = articles.find(article, group, material).strength
+            strength_n = float(own[box]) if said is None else said.of_box(*sizes[box])
+            if np.isnan(strength_n):
                 missing[article] += 1
             rows["plan_id"].append(plan.plan_id)
             rows["box"].append(box)
-            rows["strength_n"].append(None if strength is None else strength.of_box(x, y))
+            rows["strength_n"].append(strength_n)
     return pd.DataFrame(rows).astype({"box": "int32", "strength_n": "float64"}), missing
 
 

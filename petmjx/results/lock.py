@@ -69,7 +69,7 @@ def _check_ours(descriptor: int, folder: Path) -> None:
 
 def _not_ours(folder: Path) -> InputError:
     return InputError(
-        f"{folder / LOCK_FILE}: is not of petmjx, which locks a run's folder with a file of this name; "
+        f"{folder / LOCK_FILE}: was not made by petmjx, which locks a run's folder with a file of this name; "
         "name another folder with --out"
     )
 

@@ -39,6 +39,10 @@ def plan_digest(plan: Plan) -> str:
         digest.update(plan.mass_center_mm.tobytes())
     if plan.approach_deg is not None:
         digest.update(b"approach_deg" + plan.approach_deg.tobytes())
+    if plan.stiffness_n_mm is not None:
+        digest.update(b"stiffness_n_mm" + plan.stiffness_n_mm.tobytes())
+    if plan.kinds:
+        digest.update(repr(("kinds", plan.kinds)).encode())
     return digest.hexdigest()
 
 
@@ -50,7 +54,7 @@ class PlanRecord(NamedTuple):
         source: the file it came from.
         volume_m3: of its boxes.
         extent_x_m, extent_y_m: of its bounding box.
-        height_m: its highest top above the carrier.
+        height_m: height of its highest box above the carrier.
         number: which of the plans given it is, counting those that were skipped; None: not known.
     """
 
@@ -129,7 +133,7 @@ class Manifest:
         """
         folder, files = parts.folder, parts.files("plans")
         if "identity" not in info or not files:
-            raise InputError(f"{folder}: the run does not say what it is of")
+            raise InputError(f"{folder}: the run does not list its plans")
         check_whole(info, folder / RUN_FILE)
         plans: dict[str, PlanRecord] = {}
         for file in files:

@@ -43,9 +43,9 @@ class RunResults:
     """The results of a run. Tables are read when they are first used.
 
     Attributes:
-        parts: the files of the tables, for whoever reads some columns only.
+        parts: the files of the tables, for reading some columns only.
         info: ``run.json``.
-        held: the plans by id, of a run that was given them as objects and has just ended: no file has them.
+        held: the plans by id, if the run was given them as objects, which are in no file.
     """
 
     parts: Parts
@@ -66,13 +66,13 @@ class RunResults:
 
     @property
     def unfinished(self) -> str | None:
-        """How the run ended if not at its end, such as ``interrupted``: then worlds are missing. Else None."""
+        """How an unfinished run ended, such as ``interrupted``; then worlds are missing. None if it finished."""
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
 
     @property
     def carrier(self) -> Carrier | OwnCarrier:
-        """What the boxes stood on; ``footprint`` where the run says none that is known."""
+        """What the boxes stood on; ``footprint`` if the run names no known carrier."""
         said = self.info.get("config", {}).get("simulation", {})
         try:
             return Simulation.read({"carrier": said["carrier"]}).carrier
@@ -80,12 +80,13 @@ class RunResults:
             return Carrier.FOOTPRINT
 
     def doubts(self, name: str) -> list[str]:
-        """A line if the run is not finished, which is called ``name`` there; else none."""
+        """A line that calls the run ``name`` if it is not finished; else an empty list."""
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
     def path(self) -> Path:
-        """The run's folder. What is in memory is written to a temporary one first, which goes with these results.
+        """The run's folder. Results in memory are first written to a temporary folder, which is removed with this
+        object.
 
         Raises:
             PetmjxError: that one cannot be written.
@@ -119,8 +120,8 @@ class RunResults:
 
     @cached_property
     def skipped(self) -> pd.DataFrame:
-        """What was not simulated, and why: ``number`` (of the plan, as in ``plans``; null for what is no plan, such as
-        a damaged file), ``plan_id``, ``source``, ``error``."""
+        """What was not simulated, and why: ``number`` (of the plan, as in ``plans``; null for other entries, such as a
+        damaged file), ``plan_id``, ``source``, ``error``."""
         columns = ["number", "plan_id", "source", "error"]
         frame = pd.DataFrame(self.info.get("skipped", []), columns=columns)
         return frame.astype({"number": "Int32"} | dict.fromkeys(columns[1:], "str"))
@@ -132,7 +133,7 @@ class RunResults:
 
     @cached_property
     def attempts(self) -> pd.DataFrame:
-        """One row per attempt, for worlds that needed more than one; often empty."""
+        """One row per attempt, for worlds that needed more than one attempt; often empty."""
         return self._read("attempts")
 
     @cached_property

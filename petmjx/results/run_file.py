@@ -120,7 +120,8 @@ def check_run_file(info: Mapping[str, Any], file: Path) -> None:
         raise InputError(f"{file}: damaged: {'counts.orders' if read.orders else 'orders'} is missing")
     if read.digest is not None and read.digest != run_digest(info):
         raise InputError(
-            f"{file}: damaged: it is not what the run wrote (who has changed it on purpose takes its entry digest away)"
+            f"{file}: damaged: it differs from what the run wrote (if you changed it on purpose, delete its entry "
+            "digest)"
         )
 
 

@@ -76,9 +76,7 @@ _FLAGS = _counts(flags=f"bit mask of what happened: {_FLAG_BITS}")
 
 _WORLD_COLUMNS = (
     *_KEY,
-    *_texts(
-        engine="what stepped the world in the attempt that gave the verdict", solver="constraint solver of that attempt"
-    ),
+    *_texts(engine="engine of the attempt that gave the verdict", solver="constraint solver of that attempt"),
     *_counts(attempt="which attempt gave the verdict, from 1"),
     *_texts(schedule=f"when the next box was placed: {_one_of(Schedule)}"),
     *_counts(n_boxes="boxes of the plan", n_placed="boxes placed before the world ended"),
@@ -99,9 +97,9 @@ _BOX_COLUMNS = (
 _ATTEMPT_COLUMNS = (
     *_KEY,
     *_counts(attempt="number of the attempt, from 1; the last one gave the verdict"),
-    *_texts(engine="what stepped the world", solver="constraint solver"),
+    *_texts(engine="engine that simulated the world", solver="constraint solver"),
     _column("timestep_s", pa.float64(), "s", "timestep of the simulation"),
-    *_texts(verdict="what this attempt came to", reason="why it was not stable; empty where it was"),
+    *_texts(verdict="verdict of this attempt", reason="why it was not stable; empty where it was"),
     *_FLAGS,
     *_metrics(column for column in spec.world_columns() if column.name == "n_steps"),
 )
@@ -149,14 +147,14 @@ _CONTACT_COLUMNS = (
 )
 
 
-_NUMBER = _counts(number="which of the plans given it is, from 0, counting those that were skipped")
+_NUMBER = _counts(number="number of the plan among those given, from 0, counting skipped ones")
 """Column of ``plans``, whose rows are in that order."""
 
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
     _column("extent_x_m", pa.float64(), "m", "extent of its bounding box along x"),
     _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
-    _column("height_m", pa.float64(), "m", "its highest top above the carrier"),
+    _column("height_m", pa.float64(), "m", "height of its highest box above the carrier"),
 )
 """Columns of ``plans``."""
 

@@ -25,7 +25,7 @@ class TableColumn:
         justify: alignment of its cells.
         least: shortest length, in characters, to which its texts may be cut; None: its cells are never cut.
         middle: whether texts are cut in the middle (for names that differ at the end), instead of at the end.
-        spare: 0: the column always stays. Otherwise it may be left out; the column with the largest number goes first.
+        spare: 0: the column always stays. Otherwise it may be left out; the largest goes first.
     """
 
     header: str

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any
 
 import pandas as pd
 from rich.console import RenderableType
+from rich.padding import Padding
 
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
 from petmjx.packers.kpis import KPIS
 from petmjx.packers.load import MISSING
+from petmjx.packers.words import LEAST_P
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.text import counted, shown
-
-LEAST_P: Final = 1e-4
-"""Smaller p-values are shown as smaller than this."""
 
 
 def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
@@ -34,6 +33,9 @@ def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[Rende
         yield _kpis_table(found)
     yield ""
     yield _pairs_table(found)
+    yield ""
+    # in a padding it is wrapped between words; the terminal would break words
+    yield from (Padding(line(sentence), 0, expand=False) for sentence in found.sentences)
     sized = found.packers[(found.packers["size"] != ALL_SIZES) & (found.packers["n"] > 0)]
     if sized["size"].nunique() > 1:
         yield ""
@@ -60,7 +62,7 @@ def _not_compared(found: PackerComparison) -> Iterator[RenderableType]:
     of = counted(int(first["n_orders"]), "order")
     yield line(f"{left:,} of {of} {'is' if left == 1 else 'are'} not compared: {', '.join(parts)}", style="yellow")
     worst = ", ".join(f"{shown(row['packer'])} {percent(row['share_at_worst'])}" for row in whole.to_dict("records"))
-    yield line(f"if these plans counted as plans that do not stand: {worst}")
+    yield line(f"share that stands if these plans count as unstable: {worst}")
 
 
 def _packers_table(found: PackerComparison) -> FittedTable:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from petmjx.arguments import flag_of, number_of, text_of, whole_of
 from petmjx.config import Simulation
@@ -60,9 +60,22 @@ class Story:
     options: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
 
+    page: ClassVar[Callable[[Story], str] | None] = None
+    """Makes a story's page for notebooks. ``petmjx.pages.told`` sets it: pages are made of stories, not the other way
+    round."""
+
+    def __repr__(self) -> str:
+        outcome = self.outcome
+        said = f"{outcome.verdict.value}" + (f" by {outcome.reason.value}" if outcome.reason.value else "")
+        return f"Story({self.name}: {said}; {self.history!r}, engine {self.engine})"
+
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows: the story's page, to play and turn."""
+        return None if Story.page is None else Story.page(self)
+
     @property
     def name(self) -> str:
-        """The plan's id as people see it; where a plan has many worlds also which one: "tower, variant 3"."""
+        """The plan's id for people, with the variant if the plan has many worlds: "tower, variant 3"."""
         return shown(self.plan.plan_id) + (f", variant {self.variant}" if self.values else "")
 
 
@@ -76,11 +89,11 @@ def tell(
     details: bool | None = None,
     **options: Any,
 ) -> Story:
-    """What happens in one world, frame by frame: what a run recorded of it, else it is simulated (again).
+    """One world, frame by frame: as a run recorded it, or simulated again.
 
-    ``petmjx.tell("s0-000016", "results")`` is the very world that the run in the folder ``results`` has in its table
-    ``worlds``: the same options, the same attempts, the same bits. Where the run's engine cannot run here, ``mujoco``
-    does it, and ``Story.note`` says what came of that.
+    ``petmjx.tell("s0-000016", "results")`` is the world in the table ``worlds`` of the run in the folder ``results``,
+    simulated with the same options and attempts, to the last bit. If the run's engine cannot run here, ``mujoco`` takes
+    its place, and ``Story.note`` says whether the result differs.
 
     Args:
         plan_id: the plan.

@@ -1,4 +1,4 @@
-"""A story in sentences: the verdict and its reason, which box went first, when and by what."""
+"""A story in sentences: the verdict and its reason, which box failed first, when and by what."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from petmjx.metrics import motion_np
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.story.tell import Story
 from petmjx.text import shown
-from petmjx.units import MM_PER_M, FloatArray
+from petmjx.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.world.give import sinks_m
 
 REASONS: Final = {
     Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
     Reason.NONFINITE: "the simulation gave numbers that are not finite",
     Reason.OVERFLOW: "there were more contacts than the engine had room for",
-    Reason.EXPLOSION: "boxes were accelerated as no box can be, before any of them had moved",
+    Reason.EXPLOSION: "accelerations were impossibly large before any box had moved",
     Reason.OUT_OF_MEMORY: "the device had too little memory",
     Reason.SINKING: "boxes sank into what bears them",
     Reason.FAILED: "the simulation failed",
-    Reason.TIMEOUT: "the simulation took longer than it was given",
+    Reason.TIMEOUT: "the simulation took longer than its time limit",
     Reason.DROP: "{boxes} dropped",
     Reason.TILT: "a box tilted by more than {tilt:g}°",
     Reason.SHIFT: "a box shifted by more than {shift}",
@@ -35,6 +36,13 @@ REASONS: Final = {
 def thresholds_of(story: Story) -> Thresholds:
     """The limits that the verdict was judged by."""
     return Thresholds(**story.options.get("thresholds", {}))
+
+
+def sinks_of(story: Story) -> FloatArray | None:
+    """(n,) how far each box was meant to come down, m; None: not at all."""
+    physics = story.options.get("physics", {})
+    gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
+    return sinks_m(story.scene, gravity)
 
 
 def reason_in_words(story: Story) -> str:
@@ -55,7 +63,7 @@ def notes_in_words(story: Story) -> list[str]:
         return notes
     if outcome.flags & Flag.MOVING:
         notes.append(
-            "Boxes still moved when they were given no more time: the verdict may depend on how long one looks."
+            "Boxes still moved after the longest wait: the verdict may depend on how long the world is simulated."
         )
     if outcome.flags & Flag.KNIFE_EDGE:
         plan_m, rest_m = abs(outcome.plan_edge_m), abs(outcome.rest_edge_m)  # NaN at rest where nothing stands
@@ -65,12 +73,12 @@ def notes_in_words(story: Story) -> list[str]:
             "a tenth of a millimetre may decide."
         )
     if outcome.flags & Flag.TIMESTEP:
-        notes.append("At half the timestep the verdict is another one.")
+        notes.append("At half the timestep the verdict differs.")
     return notes
 
 
 def first_box_in_words(story: Story) -> str:
-    """Which box went first, when and why, as a sentence; "" where none did."""
+    """Which box failed first, when and why, as a sentence; "" where none did."""
     box = story.outcome.culprit
     if box < 0:
         return ""
@@ -79,7 +87,7 @@ def first_box_in_words(story: Story) -> str:
     gap_mm = _gap_mm(story, box)
     planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
     signs = " and ".join(_signs(story, box)) or "crossed a limit"
-    return f"Box {box} ({name}) {planned}went first:{when} it {signs}."
+    return f"Box {box} ({name}) {planned}failed first:{when} it {signs}."
 
 
 def _gap_mm(story: Story, box: int) -> float:
@@ -94,7 +102,9 @@ def _signs(story: Story, box: int) -> list[str]:
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():
         return []
-    shift = float(np.abs(motion_np.shift(pos, story.scene.target[[box]], limits.shift_floor_m)).max())
+    sinks = sinks_of(story)
+    own = None if sinks is None else sinks[[box]]
+    shift = float(np.abs(motion_np.shift(pos, story.scene.target[[box]], limits.shift_floor_m, own)).max())
     tilt = float(motion_np.tilt_deg(quat)[0])
     said = []
     if motion_np.has_dropped(pos, quat, story.scene.half_size[[box]], limits)[0]:

@@ -310,6 +310,7 @@ AXIS_KINDS: Final = {
         AxisKind("placing_side_mm", "mm", Positives, "how far beside its place a box begins", ("placing_side_mm",)),
         AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),
         AxisKind("placing_force_n", "N", Positives, "what a hand presses with at most", ("placing_force_n",)),
+        AxisKind("wrap_turns", "1", Positives, "turns of stretch film around the pallet", ("wrap_turns",)),
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }

@@ -42,7 +42,8 @@ _DESCRIPTIONS: Final = {
     "share": "stable worlds / worlds with a verdict; null where there is none",
     "low": "lower end of the share's Wilson 95 % interval",
     "high": "upper end of it",
-    "coin_toss": "whether the interval holds one half: nobody can say whether the pallet rather stands or falls",
+    "coin_toss": "whether the interval contains one half: it is open whether the pallet stands more often than "
+    "it falls",
 }
 
 

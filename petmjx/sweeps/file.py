@@ -58,9 +58,9 @@ class Search(Checked):
     tolerance: StrictFloat | None = Field(
         None,
         ge=MIN_TOLERANCE,
-        description="to what the largest one survived is narrowed; by default 0.01 g, or a scale of 0.02",
+        description="accuracy of the largest level survived; by default 0.01 g, or a scale of 0.02",
     )
-    sections: StrictInt = Field(3, ge=1, le=1000, description="levels of a question tested at a time")
+    sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested at a time, for each direction")
 
     @model_validator(mode="after")
     def _upper_above_lower(self) -> Self:

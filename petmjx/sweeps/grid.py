@@ -76,7 +76,7 @@ class SweepPlan(Design):
         if self.n_worlds > MAX_WORLDS and not self.allow_large:
             raise InputError(
                 f"{file}: axes make {self.n_worlds:,} worlds ({self._plans_and_variants}), more than {MAX_WORLDS:,}: "
-                "pass --yes if that is meant"
+                "pass --yes to confirm"
             )
         # once before the run: it raises for a profile whose frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():

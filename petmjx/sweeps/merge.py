@@ -94,7 +94,7 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
         if shard is None:
             raise InputError(f"{run.path}: not a shard (made without --shard)")
         if run.unfinished:
-            raise InputError(f"{run.path}: not finished ({run.unfinished}); go on with it by --resume first")
+            raise InputError(f"{run.path}: not finished ({run.unfinished}); finish it with --resume first")
         number, total = (int(part) for part in shard.split("/"))
         of.add(total)
         if len(of) > 1:

@@ -39,7 +39,7 @@ class Probe:
     """What a search reads of a world. Its row in ``worlds`` says the same, so that a search can go on from there.
 
     Attributes:
-        culprit: box that went first, −1 for none.
+        culprit: box that failed first, −1 for none.
         mode: how it failed: `failure_mode`.
         values: columns that the sweep adds to ``worlds``.
     """
@@ -70,7 +70,7 @@ class Found:
         survived: index of the largest level survived below every failure; −1: none.
         failed: index of the smallest level that failed; the number of levels: none; 0 where it does not stand at rest.
         highest: index of the largest level survived at all.
-        box, mode: which box went first at ``failed`` (or at rest), −1 for none, and how it failed.
+        box, mode: which box failed first at ``failed`` (or at rest), −1 for none, and how it failed.
     """
 
     stands_at_rest: bool

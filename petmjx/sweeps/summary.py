@@ -27,7 +27,7 @@ from petmjx.world.profiles.acceleration import Tilt
 RANGE_BINS = 8
 """Number of equal parts into which the summary divides an axis with a continuous range."""
 
-MODE = Param("mode", TEXT, "what became of the box that went first: slide, tilt or drop; empty where stable", str)
+MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
@@ -261,7 +261,7 @@ _DESCRIPTIONS = {
     "n_draws": "independent random draws behind the share; 0 where a world of the row has nothing random",
     "low": "lower end of the share's Wilson 95 % interval over these draws; null without draws",
     "high": "upper end of it; null without draws",
-    "n_eumos": "worlds that were held against EUMOS 40509's own limits",
+    "n_eumos": "worlds that were checked against EUMOS 40509's own limits",
     "n_eumos_passed": "those that keep them",
     "eumos_share": "n_eumos_passed / n_eumos, with its interval in eumos_low and eumos_high",
     "smallest_fail_angle_deg": "smallest angle at which a world failed; null where none did",
@@ -271,8 +271,8 @@ _DESCRIPTIONS = {
     "largest_scale": "largest scale survived below every failure; null: none",
     "first_failed_level_g": "smallest level that failed; null: none up to the search's upper end",
     "first_failed_scale": "smallest scale that failed; null: none up to the search's upper end",
-    "box": "box that went first at the smallest level that failed, or at rest",
-    "mode": "what became of it: slide, tilt or drop; the reason where that world was invalid",
+    "box": "box that failed first at the smallest level that failed, or at rest",
+    "mode": "how it failed: slide, tilt or drop; the reason where that world was invalid",
     "monotone": "no tested level above the smallest that failed was survived",
     "n_tests": "levels tested",
 }

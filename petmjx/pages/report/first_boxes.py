@@ -1,4 +1,4 @@
-"""Which articles and which places in the order go first."""
+"""Which articles and which places in the order fail first."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def first_boxes(run: ReportRun) -> Markup:
         return NOTHING if unknown else element("p", "No box crossed a threshold.", class_="hint")
     place = 100 * falls["culprit"].astype("float64") / (falls["n_boxes"] - 1).clip(lower=1)
     along = Frame(
-        "Place in the packing order of the box that goes first", Scale(0, 100), Scale(0, 1), "", f"{run.what}s"
+        "Place in the packing order of the box that fails first", Scale(0, 100), Scale(0, 1), "", f"{run.what}s"
     )
     along.x_label = "place in the order: 0 first, 100 last box"
     histogram(along, place, falls["verdict"], ORDER)
     number = Frame(
-        "Number of the box that goes first", Scale(0, 1), Scale(0, 1), "number in the order, from 0", f"{run.what}s"
+        "Number of the box that fails first", Scale(0, 1), Scale(0, 1), "number in the order, from 0", f"{run.what}s"
     )
     number.x = Scale(-0.5, float(falls["culprit"].max()) + 0.5, counts=True)
     histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)
@@ -41,7 +41,9 @@ def first_boxes(run: ReportRun) -> Markup:
         element(
             "div",
             figure(
-                "Articles that go first", _articles(run, falls), "Of all boxes of that article: how many went first."
+                "Articles that fail first",
+                _articles(run, falls),
+                "Of all boxes of that article: how many failed first.",
             ),
             figure(along.title, along.svg()),
             figure(number.title, number.svg()),
@@ -51,7 +53,7 @@ def first_boxes(run: ReportRun) -> Markup:
 
 
 def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
-    """Articles by how often one of their boxes went first, with the number of their boxes in the same run."""
+    """Articles by how often one of their boxes failed first, with the number of their boxes in the same run."""
     first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
     boxes = run.results.boxes
     if run.results.worlds.shape[0] != len(run.worlds):
@@ -67,4 +69,4 @@ def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
         )
         for article, count in first.head(MOST_ARTICLES).items()
     ]
-    return bars("Articles that go first", rows, width=WIDTH, names=140)
+    return bars("Articles that fail first", rows, width=WIDTH, names=140)

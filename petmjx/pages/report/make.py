@@ -173,7 +173,7 @@ def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     found = [("answers", title, sweep_answers(run))]
     if run.kind is not Kind.SEARCH:  # its worlds say where it looked, and not how pallets do
         found.append(("distributions", "Shift, tilt, force, time", distributions(run)))
-        found.append(("first", "What goes first", first_boxes(run)))
+        found.append(("first", "What fails first", first_boxes(run)))
     return [each for each in found if each[2]]
 
 

@@ -264,14 +264,14 @@ def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -
 
 
 def _first_at_failure(run: ReportRun, answers: pd.DataFrame) -> Markup:
-    """Articles that go first at the smallest level that failed."""
+    """Articles that fail first at the smallest level that failed."""
     failed = answers[answers["article"].fillna("") != ""]
     counts = failed["article"].value_counts().head(MOST_NAMED)
     rows = [
         Bar(str(article), float(n), f"{n:,}", "unstable", link(run, q=str(article))) for article, n in counts.items()
     ]
     note = f"Of {counted(len(failed), 'search', 'searches')} that found a level that failed."
-    return figure("Articles that go first", bars("Articles that go first", rows), note)
+    return figure("Articles that fail first", bars("Articles that fail first", rows), note)
 
 
 def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:

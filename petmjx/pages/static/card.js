@@ -2,7 +2,7 @@
 //
 //   const card = new Card(info, run, first, world, replay);   card.element; card.start(); card.dispose()
 //
-// `run` is an entry of info.runs, `first` the box that went first or −1, `world` what endedWorld of ended.js gives,
+// `run` is an entry of info.runs, `first` the box that failed first or −1, `world` what endedWorld of ended.js gives,
 // `replay` the number of what was recorded of it or −1.
 
 import { rgbOf, shareOf } from "./colours.js";
@@ -112,7 +112,7 @@ export class Card {
 
   said(box) {
     const { article, item, sides, mass, moved, tilt, force, rest, drop } = this.world;
-    const first = box === this.first ? " – went first" : "";
+    const first = box === this.first ? " – failed first" : "";
     const ended = Number.isNaN(moved[box])
       ? "was not placed"
       : `moved ${decimals(moved[box], 1)} mm, tilted up to ${decimals(tilt[box], 1)}°, ` +

@@ -157,7 +157,7 @@ class StoryPage {
   placeLabels() {
     const { first, boxes } = this.info;
     const name = (box) => `${box} ${boxes.article[box]}`;
-    if (first) this.placeLabel(byId("label-first"), first.box, `first to go: ${name(first.box)}`);
+    if (first) this.placeLabel(byId("label-first"), first.box, `first to fail: ${name(first.box)}`);
     const other = first && first.box === this.chosen ? -1 : this.chosen;
     this.placeLabel(byId("label-chosen"), other, other < 0 ? "" : name(other));
   }

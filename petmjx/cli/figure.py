@@ -1,0 +1,64 @@
+"""``petmjx figure``, and the options of figures that other commands have too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from petmjx.errors import InputError
+from petmjx.text import printable
+
+PANEL = "A figure for a paper"
+
+
+def _file(kind: str, text: str) -> Any:
+    return typer.Option(f"--{kind}", metavar="FILE", help=text, show_default=False, rich_help_panel=PANEL)
+
+
+Pdf = Annotated[Path | None, _file("pdf", "Draw the results as a figure: vectors and text, as PDF.")]
+Svg = Annotated[Path | None, _file("svg", "The same as SVG.")]
+Png = Annotated[Path | None, _file("png", "The same as a picture.")]
+
+
+def figure_files(pdf: Path | None, svg: Path | None, png: Path | None) -> list[Path]:
+    """The files that were asked for, checked before anything is worked out.
+
+    Raises:
+        InputError: a name that does not end as its option says, or a file that cannot be written.
+    """
+    from petmjx.figures.save import check_figures
+
+    given = {"pdf": pdf, "svg": svg, "png": png}
+    files = {kind: path for kind, path in given.items() if path is not None}
+    for kind, path in files.items():
+        if path.suffix.lower() != f".{kind}":
+            raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
+    paths = list(files.values())
+    if paths:
+        check_figures(paths)
+    return paths
+
+
+def figure(
+    run: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a sweep, or of a score with --confidence.")],
+    pdf: Pdf = None,
+    svg: Svg = None,
+    png: Png = None,
+) -> None:
+    """Draw the answers of a run as a figure for a paper.
+
+    A search: the share of plans that survive each level, by direction. Another sweep: the share of worlds that stand
+    along each axis, with intervals. A score with --confidence: the share that stands of each plan.
+
+    compare --packers and criteria draw their own figures: they have the same options.
+    """
+    from petmjx.figures.save import figure as draw
+    from petmjx.results.reader import load_run
+
+    files = figure_files(pdf, svg, png)
+    if not files:
+        raise InputError("figure needs a file to write: --pdf FILE, --svg FILE or --png FILE")
+    for path in draw(load_run(run), *files):
+        print(f"figure in {printable(str(path))}")

@@ -1,0 +1,72 @@
+"""``petmjx leaderboard``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from petmjx.cli import options as opt
+from petmjx.cli.names import named_paths
+from petmjx.text import shown
+
+if TYPE_CHECKING:
+    from petmjx.simulate import Watcher
+
+_OF_RUNS = (
+    "limit", "record", "record_interval_s", "record_details", "orders", "out", "overwrite", "resume", "shard",
+)  # fmt: skip
+"""Options that a leaderboard has itself, or that would make its runs incomparable."""
+
+
+@opt.takes(without=_OF_RUNS)
+def leaderboard(
+    packers: Annotated[
+        list[str],
+        typer.Argument(metavar="PACKER…", help="A run's folder or a file of plans for each packer, also as NAME=PATH."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder of the site.")] = Path("leaderboard"),
+    orders: Annotated[
+        Path | None,
+        typer.Option(
+            "--orders", metavar="FILE", help="BED-BPP orders of the plans: boxes left out and KPIs.", show_default=False
+        ),
+    ] = None,
+    baselines: Annotated[
+        bool, typer.Option("--baselines", help="Also rate petmjx's own packers on these orders; needs --orders.")
+    ] = False,
+    stories: Annotated[
+        int, typer.Option("--stories", metavar="N", min=0, help="Pages to play of N plans of each packer.")
+    ] = 3,
+    overwrite: opt.Overwrite = False,
+    **options: Any,
+) -> None:
+    """Rate packers by physics, and write a site about them: one folder that works offline.
+
+    It has the rating of each packer with its interval, tests, KPIs, pages to play, the plans, and the command that
+    makes it again. Plans are scored with the options given here; runs are taken as they are.
+    """
+    from petmjx.cli.runs import stoppable
+    from petmjx.pages.leaderboard.make import board_line
+    from petmjx.pages.leaderboard.make import leaderboard as make
+
+    paths = named_paths(packers, "leaderboard") or packers
+    with stoppable():
+        page = make(
+            paths, out, orders=orders, baselines=baselines, stories=stories, watch=_bar, overwrite=overwrite, **options
+        )
+    print(board_line(page))
+
+
+@contextmanager
+def _bar(name: str) -> Iterator[Watcher]:
+    """Say whose plans are scored, and show how far that is."""
+    from petmjx.show.progress import BarWatcher
+
+    print(f"packer {shown(name)}", file=sys.stderr)
+    with BarWatcher() as bar:
+        yield bar

@@ -1,0 +1,1 @@
+"""A leaderboard of packers: a folder of static pages."""

@@ -1,0 +1,246 @@
+"""The page of a leaderboard."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+from urllib.parse import quote
+
+import pandas as pd
+
+from petmjx.config import Simulation
+from petmjx.packers.compare import ALL_SIZES, PackerComparison
+from petmjx.packers.kpis import KPIS
+from petmjx.packers.load import MISSING
+from petmjx.pages.leaderboard.entries import ORDERS, PLANS, Entry
+from petmjx.pages.page import page
+from petmjx.pages.report.charts import between, intervals, percent
+from petmjx.pages.report.markup import Content, Markup, element, joined, table
+from petmjx.pages.report.svg import figure
+from petmjx.text import counted, printable
+from petmjx.version import __version__
+
+MOST_ORDERS: Final = 200
+"""Orders that are listed; all are in the runs."""
+
+MOST_SENTENCES: Final = 15
+
+RATING: Final = (
+    "Rating: boxes on plans that stand in the simulation, as a share of all boxes ordered. A plan that falls, an order "
+    "without a plan and a plan without a valid simulation count nothing, and neither do boxes that were left out."
+)
+
+_MEANS: Final = {
+    "boxes": ("boxes placed", ".1f"),
+    "left_out": ("left out", ".2f"),
+    "height_m": ("height m", ".3f"),
+    "kpi_2": ("kpi_2", ".3f"),
+    "kpi_1": ("kpi_1", ".3f"),
+    "kpi_4": ("kpi_4", ".3f"),
+    "kpi_5": ("kpi_5", ".3f"),
+    "utilisation_2m": ("use below 2 m", ".3f"),
+}
+"""Column of ``PackerComparison.packers``, its heading and its format."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A story of the board: a plan of a packer, its verdict, and its page, from the board's folder."""
+
+    packer: str
+    plan_id: str
+    verdict: str
+    file: str
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """All that the page says.
+
+    Attributes:
+        rating: a row for each packer, as ``petmjx.packers.rating.rate`` makes them.
+        digests: packer → SHA-256 of the file of its plans in the folder; packers whose plans were not found lack one.
+        orders: whether the board was made with orders.
+        stories: most stories of a packer.
+    """
+
+    entries: Sequence[Entry]
+    found: PackerComparison
+    rating: pd.DataFrame
+    digests: Mapping[str, str]
+    told: Sequence[Told]
+    orders: bool
+    stories: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """The board as plain values."""
+        return {
+            "petmjx": __version__,
+            "command": self.command,
+            "confidence": self.found.confidence,
+            "rating": self.rating,
+            "packers": self.found.packers,
+            "pairs": self.found.pairs,
+            "sentences": self.found.sentences,
+            "plans_sha256": self.digests,
+            "stories": [vars(each) for each in self.told],
+            "notes": self.notes,
+        }
+
+    @property
+    def notes(self) -> list[str]:
+        """Reasons to doubt the board, one line each."""
+        lost = [entry.name for entry in self.entries if entry.name not in self.digests]
+        lines = list(self.found.notes)
+        if lost:
+            lines.append(f"the plans of {', '.join(lost)} were not found again: no stories, and no file of plans")
+        return lines
+
+    @property
+    def command(self) -> str:
+        """What makes the board again, in its folder, to another one."""
+        theirs = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
+        words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in theirs)]
+        words += ["--orders", ORDERS] if self.orders else []
+        words += ["--baselines"] if any(entry.ours for entry in self.entries) else []
+        words += ["--stories", str(self.stories), "-o", "../again"]
+        config = self.entries[0].run.info.get("config", {})
+        words += ["--engine", str(config.get("engine", "auto"))]
+        for name, value in _changed(config.get("simulation", {}), Simulation().model_dump(mode="json")):
+            words += ["--set", f"{name}={_toml(value)}"]
+        return shlex.join(words)
+
+
+def _changed(values: Mapping[str, Any], usual: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted name and value of each option that is not the default."""
+    for name, value in values.items():
+        default = usual.get(name)
+        if isinstance(value, Mapping) and isinstance(default, Mapping):
+            yield from _changed(value, default, f"{prefix}{name}.")
+        elif value != default and value is not None and not (prefix == "physics." and name == "name"):
+            yield f"{prefix}{name}", value
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else str(value)
+
+
+def board_page(board: Board) -> str:
+    """The page as text."""
+    first = board.rating.iloc[0]
+    orders = counted(int(first["n_orders"]), "order")
+    sections: list[tuple[str, Content]] = [
+        ("Rating", _rating(board)),
+        ("Is the difference more than luck?", _luck(board)),
+        ("Measures of the plans", _measures(board)),
+        ("Stories", _told_list(board)),
+        ("Orders on which packers differ", _orders(board)),
+        ("Make it again", _again(board)),
+    ]
+    body = joined(
+        element(
+            "header",
+            element("p", "petmjx leaderboard", class_="faint"),
+            element("h1", f"{counted(len(board.rating), 'packer')}, {orders}"),
+        ),
+        element("main", *(element("section", element("h2", title), inner) for title, inner in sections if inner)),
+    )
+    return page("petmjx leaderboard", body, script="", styles=("report.css", "leaderboard.css"))
+
+
+def _rating(board: Board) -> Markup:
+    ours = {entry.name for entry in board.entries if entry.ours}
+    rows, drawn = [], []
+    for row in board.rating.to_dict("records"):
+        name = element("strong", row["packer"]) if row["rank"] == 1 else element("span", row["packer"])
+        mark = element("span", " of petmjx", class_="faint") if row["packer"] in ours else None
+        span = between(row["low"], row["high"])
+        stand = f"{row['n_stable']:,} of {row['n_orders']:,}"
+        others = [f"{row[column]:,}" for column in ("n_missing", "n_invalid")]
+        rows.append([str(row["rank"]), joined(name, mark), percent(row["rating"]), span, stand, *others])
+        drawn.append((row["packer"], row["rating"], row["low"], row["high"], f"{percent(row['rating'])} ({span})"))
+    level = f"{100 * board.found.confidence:g} %"
+    heads = ["rank", "packer", "rating", f"{level} interval", "plans that stand", "no plan", "invalid"]
+    chart = figure(f"Rating with {level} intervals", intervals("Rating", drawn))
+    notes = [element("p", note, class_="note") for note in board.notes]
+    return joined(element("p", RATING, class_="hint"), *notes, table(heads, rows, texts=2), chart)
+
+
+def _luck(board: Board) -> Markup:
+    sentences = board.found.sentences
+    items = [element("li", printable(sentence)) for sentence in sentences[:MOST_SENTENCES]]
+    more = len(sentences) - MOST_SENTENCES
+    rest = element("p", f"{counted(more, 'pair')} more in leaderboard.json.", class_="hint") if more > 0 else None
+    compared = "Orders with a valid verdict from every packer are compared."
+    return joined(element("p", compared, class_="hint"), element("ul", *items), rest)
+
+
+def _measures(board: Board) -> Markup:
+    whole = board.found.packers[board.found.packers["size"] == ALL_SIZES].set_index("packer")
+    columns = [name for name in _MEANS if name in whole and whole[name].notna().any()]
+    rows: list[list[Content]] = []
+    for name in board.rating["packer"]:
+        values = [whole.loc[name, column] for column in columns]
+        cells = [format(value, _MEANS[column][1]) for column, value in zip(columns, values, strict=True)]
+        rows.append([name, *cells])
+    kpis = " KPIs are those of BED-BPP." if any(column in KPIS for column in columns) else ""
+    hint = element("p", f"Means over the compared orders.{kpis}", class_="hint")
+    return joined(hint, table(["packer", *(_MEANS[column][0] for column in columns)], rows))
+
+
+def _told_list(board: Board) -> Content:
+    if not board.told:
+        return None
+    rows: list[list[Content]] = []
+    for name in board.rating["packer"]:
+        links = [joined(_link(each, each.plan_id), " ") for each in board.told if each.packer == name]
+        rows.append([name, joined(*links)])
+    hint = "Each is a page to play: what happened to one plan, simulated again exactly as it was rated."
+    return joined(element("p", hint, class_="hint"), table(["packer", "plans"], rows, texts=2, class_="stories"))
+
+
+def _link(told: Told, text: str) -> Markup:
+    return element("a", text, href=quote(told.file), class_=f"mark {told.verdict}")
+
+
+def _orders(board: Board) -> Content:
+    names = list(board.rating["packer"])
+    verdicts = board.found.plans.pivot(index="plan_id", columns="packer", values="verdict")[names]
+    differ = verdicts[verdicts.nunique(axis=1) > 1]
+    if differ.empty:
+        return None
+    pages = {(each.packer, each.plan_id): each for each in board.told}
+    rows: list[list[Content]] = []
+    for plan_id, row in differ.head(MOST_ORDERS).iterrows():
+        cells: list[Content] = []
+        for name in names:
+            told, verdict = pages.get((name, str(plan_id))), str(row[name])
+            said = "no plan" if verdict == MISSING else verdict
+            cells.append(_link(told, said) if told else element("span", said, class_=f"mark {verdict}"))
+        rows.append([str(plan_id), *cells])
+    more = len(differ) - MOST_ORDERS
+    rest = element("p", f"{counted(more, 'order')} more.", class_="hint") if more > 0 else None
+    hint = element("p", f"{counted(len(differ), 'order')}. Underlined verdicts lead to their stories.", class_="hint")
+    return joined(hint, table(["order", *names], rows, texts=1 + len(names)), rest)
+
+
+def _again(board: Board) -> Markup:
+    rows: list[list[Content]] = []
+    for entry in board.entries:
+        if entry.name in board.digests:
+            file = f"{PLANS}/{entry.name}.json"
+            link = element("a", file, href=quote(file))
+            rows.append([entry.name, link, element("code", board.digests[entry.name][:16])])
+    info = board.entries[0].run.info
+    device = f"petmjx {__version__}; the first run: {info.get('device', 'unknown device')}"
+    text = "The folder of this page has all plans. This command, typed in it, rates them again:"
+    return joined(
+        element("p", text),
+        element("pre", element("code", printable(board.command))),
+        table(["packer", "plans", "SHA-256 begins with"], rows, texts=3) if rows else None,
+        element("p", device, class_="hint"),
+    )

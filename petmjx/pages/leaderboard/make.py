@@ -1,0 +1,157 @@
+"""``petmjx.leaderboard``: packers rated by physics, as a folder of static pages."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.arguments import flag_of, list_of, path_of, whole_of
+from petmjx.errors import InputError
+from petmjx.packers.compare import PackerComparison, compare_packers
+from petmjx.packers.rating import rate
+from petmjx.pages.leaderboard.board import Board, Told, board_page
+from petmjx.pages.leaderboard.entries import ORDERS, PLANS, Entry, Watch, enter, keep_plans, named, pack_ours
+from petmjx.pages.story_page import story_page
+from petmjx.results.plain import plain
+from petmjx.story.tell import tell
+from petmjx.text import printable, shown
+from petmjx.verdict import Verdict
+from petmjx.whole import check_free, whole_file, writing
+
+PAGE: Final = "index.html"
+DATA: Final = "leaderboard.json"
+STORIES: Final = "stories"
+
+MOST_STORIES: Final = 100
+"""Of each packer: a story is a page of 0.1 to 1 MB."""
+
+
+def leaderboard(
+    packers: Mapping[str, str | PathLike[str]] | Sequence[str | PathLike[str]],
+    out: str | PathLike[str],
+    *,
+    orders: str | PathLike[str] | None = None,
+    baselines: bool = False,
+    stories: int = 3,
+    watch: Watch | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Path:
+    """Rate packers by physics, and write a folder of static pages about them: a site that works offline.
+
+    ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
+
+    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, the pages of stories, and everything that
+    is needed to make it again: ``plans/`` and ``orders.json``, and the command in the page. Plans are scored into
+    ``runs/`` there; what was scored already is not simulated again.
+
+    Args:
+        packers: name → a run's folder, or plans. Without names they have those of their folders and files.
+        out: the folder.
+        orders: BED-BPP orders of the plans: what was left out and KPIs are counted with them.
+        baselines: also pack the orders with each of petmjx's packers.
+        stories: pages of so many plans of each packer, first of those that do not stand while another packer's do.
+        watch: packer → what follows its run, entered before and left after it.
+        overwrite: replace a leaderboard that is there.
+        options: of ``petmjx.score``, for plans that are scored.
+
+    Returns:
+        The path of ``index.html``.
+
+    Raises:
+        InputError: fewer than two packers, unusable plans, runs or options, or the folder cannot be written.
+    """
+    flag_of(baselines, "baselines")
+    whole_of(stories, "stories", 0, MOST_STORIES)
+    folder = path_of(out, "out")
+    check_free(folder / PAGE, overwrite)
+    given = packers if isinstance(packers, Mapping) else list_of(packers, "packers", object, "runs or files of plans")
+    paths = named(given)  # type: ignore[arg-type]  # what they hold is checked there
+    source = None if orders is None else path_of(orders, "orders")
+    if baselines and source is None:
+        raise InputError("baselines (--baselines) needs orders (--orders FILE): petmjx's packers pack them")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        entries = _entries(paths, folder, source, baselines, watch, options)
+        found = compare_packers({entry.name: entry.run for entry in entries}, orders=source)
+        files = {entry.name: keep_plans(entry, folder) for entry in entries}
+        if source is not None:
+            _copy(source, folder / ORDERS)
+        digests = {name: _digest(folder / PLANS / file) for name, file in files.items() if file}
+        told = _stories(entries, found, folder / STORIES, stories)
+        board = Board(entries, found, rate(found), digests, told, orders=source is not None, stories=stories)
+        for name, text in ((PAGE, board_page(board)), (DATA, json.dumps(plain(board.to_dict()), indent=1) + "\n")):
+            with whole_file(folder / name) as file:
+                file.write_text(text, encoding="utf-8", errors="backslashreplace")
+    return folder / PAGE
+
+
+def _entries(
+    paths: Mapping[str, Path],
+    folder: Path,
+    orders: Path | None,
+    baselines: bool,
+    watch: Watch | None,
+    options: Mapping[str, Any],
+) -> list[Entry]:
+    options = options if orders is None else {**options, "orders": orders}
+    ours: dict[str, Path] = {}
+    if baselines and orders is not None:
+        ours = {name: file for name, file in pack_ours(orders, folder).items() if name not in paths}
+    if len(paths) + len(ours) < 2:
+        raise InputError("give at least two packers to rate, or one with baselines (--baselines)")
+    first = [enter(name, path, folder, watch, options, ours=True) for name, path in ours.items()]
+    return first + [enter(name, path, folder, watch, options) for name, path in paths.items()]
+
+
+def _copy(source: Path, target: Path) -> None:
+    if target.exists() and source.samefile(target):
+        return
+    with whole_file(target) as file:
+        shutil.copyfile(source, file)
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _stories(entries: Sequence[Entry], found: PackerComparison, folder: Path, most: int) -> list[Told]:
+    """Tell some plans of each packer, each simulated again as its run did; pages of an earlier board are removed."""
+    if folder.is_dir():
+        for page in folder.glob("*.html"):
+            page.unlink()
+    folder.mkdir(exist_ok=True)
+    told: list[Told] = []
+    for number, entry in enumerate(entries, start=1):
+        for plan_id in worth_telling(found, entry.name, entry.plans)[:most]:
+            story = tell(plan_id, entry.run, plans=[entry.plans[plan_id]])
+            file = folder / f"{number}-{sum(each.packer == entry.name for each in told) + 1}.html"
+            with whole_file(file) as page:
+                page.write_text(story_page(story), encoding="utf-8", errors="backslashreplace")
+            told.append(Told(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
+    return told
+
+
+def worth_telling(found: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
+    """Plans of a packer: first those that do not stand while another packer's do, then others that do not stand, then
+    those that stand while another packer's do not, then the rest; with most boxes first."""
+    mine = found.plans[(found.plans["packer"] == packer) & found.plans["plan_id"].isin(list(plans))]
+    lost = set(found.decided.loc[found.decided["lost_by"] == packer, "plan_id"])
+    falls = mine["verdict"] == Verdict.UNSTABLE.value
+    won = set(found.decided.loc[found.decided["won_by"] == packer, "plan_id"])
+    rest = np.where(mine["plan_id"].isin(won), 2, 3)
+    group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, rest))
+    order = mine.assign(group=group, large=-mine["boxes"].fillna(0))
+    return [str(name) for name in order.sort_values(["group", "large", "plan_id"])["plan_id"]]
+
+
+def board_line(page: Path) -> str:
+    """What the command line says at the end."""
+    return f"leaderboard in {printable(str(page.parent))}: open {shown(page.name)}"
