@@ -1,5 +1,5 @@
 """The benchmarks' command line: ``python -m benchmarks list | run | agreement | table | drift | sensitivity | placing |
-criteria | small-stacks | balance | crossengine | cross-forces``."""
+real-boxes | flex | criteria | small-stacks | balance | crossengine | cross-forces | loop``."""
 
 from __future__ import annotations
 
@@ -111,6 +111,39 @@ def placing(
     found = _usable(plans, RunOptions(**limit))
     for name, values in placings(found, worlds, way or WAYS, engine=engine, **options):
         print(f"{name}: {', '.join(f'{what} {value:g}' for what, value in values.items())}", flush=True)
+
+
+@app.command("real-boxes")
+@opt.takes("limit", "lanes", "threads")
+def real_boxes(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mjx-warp",
+    oracle: Annotated[str, typer.Option(metavar="NAME", help="Engine to compare with.")] = "mujoco",
+    soft: Annotated[bool, typer.Option(help="Boxes have the stiffness of their materials, too.")] = False,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Plans of boxes of three materials on epal-1, set down by tines: do two engines agree?"""
+    from benchmarks.real_boxes import compared
+    from benchmarks.record import append_line
+    from petmjx.run_options import RunOptions
+
+    limit = {"limit": options.pop("limit")} if "limit" in options else {}
+    found = _usable(plans, RunOptions(**limit))
+    line = compared(found, engine, oracle, gives=soft, **options)
+    append_line(out, line)
+    print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
+
+
+@app.command()
+def flex(out: Out = DEFAULT_OUT) -> None:
+    """How deep a load sinks into a box that gives, and into MuJoCo's own soft body of the same stiffness."""
+    from benchmarks.flex import compared
+    from benchmarks.record import append_line
+
+    for line in compared():
+        append_line(out, line)
+        print({name: value for name, value in line.items() if name not in ("cpu", "versions")}, flush=True)
 
 
 @app.command()
@@ -247,6 +280,32 @@ def cross_forces(
         append_line(out, {"case": "cross-forces", "group": "crossengine", "engine": "mujoco", **line, **environment()})
         told = {who: f"{100 * share:.2g} %" for who, share in line["differs"].items()}
         print(f"{line['pile']}, {line['check']}: {told}", flush=True)
+
+
+@app.command()
+@opt.takes("lanes", "threads")
+def loop(
+    names: Annotated[list[str] | None, typer.Argument(metavar="CASES...", help="Cases; default: all.")] = None,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    plans: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of generated samples.")] = None,
+    pallets: Annotated[int, typer.Option(metavar="N", min=1, help="Pallets.")] = 1024,
+    candidates: Annotated[int, typer.Option(metavar="N", min=1, help="Candidates of each pallet.")] = 16,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Plans placed; placements for memory.")] = 2000,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Physics in the loop: candidates a second, one candidate's time, placing against scoring, memory."""
+    from benchmarks.loop import CASES, Loop, measured
+    from benchmarks.record import append_line, environment
+    from petmjx.engines.choose import make_engine
+    from petmjx.run_options import RunOptions
+
+    chosen = _known(names or list(CASES), CASES, "case")
+    found = None if plans is None else _usable([plans], RunOptions())
+    case = Loop(make_engine(engine, **options), found, pallets, candidates, count)
+    for line in measured(case, chosen):
+        append_line(out, {**line, **environment()})
+        print(line, flush=True)
 
 
 @app.command()

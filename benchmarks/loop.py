@@ -1,0 +1,302 @@
+"""Physics in the loop: how many candidates a second on pallets that stand, and whether placing is scoring."""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+import petmjx
+from benchmarks.record import Result, peak_device_bytes, timed
+from petmjx.engines.base import Engine
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import Placement, generate
+from petmjx.units import FloatArray
+
+BOXES: Final = 30
+"""Boxes of a pallet before the candidate."""
+
+LEAST_SUPPORT: Final = 0.5
+"""Of a candidate: what no packer would ask about is left out."""
+
+DISTINCT: Final = 64
+"""Pallets that are built; more are their copies."""
+
+REPEATS: Final = 20
+
+_TABLES: Final = ("worlds", "boxes")
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """What the cases have in common.
+
+    Attributes:
+        plans: of which the first boxes are placed; None: generated ones, all packed well.
+        pallets, candidates: of the case ``candidates``; ``count``: plans of ``placed``, placements of ``memory``.
+        options: fields of ``petmjx.Simulation``.
+    """
+
+    engine: Engine
+    plans: Sequence[Plan] | None = None
+    pallets: int = 1024
+    candidates: int = 16
+    count: int = 2000
+    seed: int = 0
+    boxes: int = BOXES
+
+    def usual(self, n: int, least: int) -> list[Plan]:
+        """n plans for the euro-pallet with so many boxes at least."""
+        if self.plans is not None:
+            found = [plan for plan in self.plans if plan.n_boxes >= least][:n]
+        else:
+            drawn, found = generate(200_000, self.seed, packer="balanced"), []
+            while len(found) < n:
+                plan_id, placements = next(drawn)
+                plan = _plan(plan_id, placements)
+                if plan.n_boxes >= least and (_far(plan) <= (1200, 800)).all():
+                    found.append(plan)
+        if not found:
+            raise petmjx.InputError(f"no plan has {least} boxes")
+        return found
+
+    def built(self, n: int) -> tuple[petmjx.Pallets, list[Plan]]:
+        """n pallets of ``boxes`` boxes, and the plan of each; those that have fallen are left out."""
+        distinct = self.usual(min(n, DISTINCT), self.boxes + 1)
+        pallets = petmjx.Pallets(n, engine=self.engine)
+        rows = np.arange(len(distinct))
+        for number in range(self.boxes):
+            _place(pallets, rows[~pallets.ended[rows]], distinct, number)
+        standing = rows[pallets.told(rows).stable]
+        from_ = standing[np.arange(n) % len(standing)]
+        others = np.arange(n)[from_ != np.arange(n)]
+        plans = [distinct[row] for row in from_]
+        pallets.fork(from_[others], others)
+        return pallets, plans
+
+    def asked(self, pallets: petmjx.Pallets, plans: Sequence[Plan], each: int) -> dict[str, Any]:
+        """Candidates of each pallet: places of boxes that come later, as many of the lowest that have support."""
+        rng = np.random.default_rng(self.seed)
+        found: dict[str, list[Any]] = {"size_mm": [], "corner_mm": [], "mass_kg": [], "pallet": []}
+        per_plan: dict[str, list[tuple[Any, Any, Any]]] = {}
+        for pallet, plan in enumerate(plans):
+            if plan.plan_id not in per_plan:
+                later = np.arange(self.boxes, plan.n_boxes)
+                sizes = plan.size_mm[later]
+                places = pallets.places(size_mm=sizes, pallet=pallet)
+                good = np.flatnonzero(places.support >= LEAST_SUPPORT)
+                chosen = rng.choice(good, each, replace=len(good) < each)
+                boxes = later[places.row[chosen]]
+                rows = zip(plan.size_mm[boxes], places.corner_mm[chosen], plan.mass_kg[boxes], strict=True)
+                per_plan[plan.plan_id] = list(rows)
+            for size, corner, mass in per_plan[plan.plan_id]:
+                for name, value in zip(found, (size, corner, mass, pallet), strict=True):
+                    found[name].append(value)
+        return {name: np.array(values) for name, values in found.items()}
+
+
+def candidates(loop: Loop) -> Result:
+    """Pallets × candidates in one call."""
+    return _many(loop, loop.pallets, loop.candidates)
+
+
+def one_pallet(loop: Loop) -> Result:
+    """One pallet × as many candidates."""
+    return _many(loop, 1, loop.pallets)
+
+
+def one_candidate(loop: Loop) -> Result:
+    """One candidate on one pallet, again and again."""
+    pallets, plans = loop.built(1)
+    asked = loop.asked(pallets, plans, REPEATS)
+    calls = [{name: values[row : row + 1] for name, values in asked.items()} for row in range(REPEATS)]
+    pallets.try_all(**calls[0])
+    seconds = []
+    for call in calls:
+        begin = time.perf_counter()
+        pallets.try_all(**call)
+        seconds.append(time.perf_counter() - begin)
+    return {"median_ms": 1e3 * float(np.median(seconds)), "max_ms": 1e3 * max(seconds), "calls": REPEATS}
+
+
+def placed(loop: Loop) -> Result:
+    """Plans placed box by box, and their score: in how many columns are they other bits?"""
+    plans = loop.usual(loop.count, 1)
+    pallets = petmjx.Pallets(len(plans), engine=loop.engine)
+    placements, most = 0, max(plan.n_boxes for plan in plans)
+    stable = np.zeros(len(plans), bool)
+    with timed() as clock:
+        for number in range(most):
+            rows = np.flatnonzero([plan.n_boxes > number for plan in plans] & ~pallets.ended)
+            told = _place(pallets, rows, plans, number)
+            stable[rows] = told.stable
+            placements += len(rows)
+    own = [pallets.plan(row, plan.plan_id) for row, plan in enumerate(plans)]
+    whole = [row for row, plan in enumerate(plans) if own[row].n_boxes == plan.n_boxes]
+    scored, expected = pallets.score(), petmjx.score([pallets.plan(k) for k in range(len(plans))], **_same(loop))
+    differ = {}
+    for table in _TABLES:
+        ours, theirs = getattr(scored, table), getattr(expected, table)
+        for name in theirs.columns:
+            same = (ours[name] == theirs[name]) | (ours[name].isna() & theirs[name].isna())
+            if not same.all():
+                differ[f"{table}.{name}"] = int((~same).sum())
+    verdicts = scored.worlds.verdict.to_numpy()
+    return {
+        "plans": len(plans),
+        "whole": len(whole),
+        "placements": placements,
+        "placements_per_s": placements / clock.wall_s,
+        "columns": sum(len(getattr(expected, table).columns) for table in _TABLES),
+        "columns_that_differ": differ,
+        "stable": int((verdicts == "stable").sum()),
+        "told_otherwise": int(((verdicts == "stable") != stable).sum()),
+        **_clock(clock),
+    }
+
+
+def memory(loop: Loop) -> Result:
+    """Placements, forks and resets of a few pallets: does memory grow?"""
+    n = min(loop.pallets, 64)
+    plans = loop.usual(n, 8)
+    pallets = petmjx.Pallets(len(plans), engine=loop.engine)
+    done, marks, compiled = 0, [], []
+    with timed() as clock:
+        while done < loop.count:
+            for number in range(8):
+                done += len(_place(pallets, np.flatnonzero(~pallets.ended), plans, number))
+            pallets.reset()
+            marks.append(_resident_bytes())
+            compiled.append(_programs())
+    begin, end = marks[len(marks) // 4], marks[-1]
+    return {
+        "placements": done,
+        "placements_per_s": done / clock.wall_s,
+        "grown_bytes": end - begin,
+        "rss_bytes": end,
+        "device_bytes": peak_device_bytes(),
+        "programs": [compiled[len(compiled) // 4], compiled[-1]],
+        **_clock(clock),
+    }
+
+
+def environment(loop: Loop) -> Result:
+    """The vector environment: pallets side by side, random legal actions, observations and masks counted."""
+    from petmjx.gym.vector import PalletizingVectorEnv
+
+    env = PalletizingVectorEnv(loop.pallets, engine=loop.engine, autoreset_mode="SameStep")
+    rng = np.random.default_rng(loop.seed)
+    observed, _ = env.reset(seed=loop.seed)
+    warm, steps = 40, max(loop.count // loop.pallets, 1)
+    placements = ended = fallen = 0
+    wall = cpu = 0.0
+    for step in range(warm + steps):
+        mask = observed["action_mask"]
+        actions = np.argmax(rng.random(mask.shape) * (mask + 1e-9), axis=1)
+        with timed() as clock:
+            observed, _, terminated, _, info = env.step(actions)
+        if step >= warm:
+            wall, cpu, placements = wall + clock.wall_s, cpu + clock.cpu_s, placements + loop.pallets
+            ended += int(terminated.sum())
+            if terminated.any():
+                fallen += int((info["final_info"]["verdict"][terminated] != "stable").sum())
+    boxes = float(env.episodes.pallets.n_boxes.mean())
+    return {
+        "pallets": loop.pallets,
+        "placements": placements,
+        "placements_per_s": placements / wall,
+        "mean_boxes": boxes,
+        "episodes": ended,
+        "fallen": fallen,
+        "wall_s": wall,
+        "cpu_s": cpu,
+        "peak_rss_bytes": clock.peak_rss_bytes,
+    }
+
+
+CASES: Final[dict[str, Callable[[Loop], Result]]] = {
+    "candidates": candidates,
+    "one-pallet": one_pallet,
+    "one-candidate": one_candidate,
+    "placed": placed,
+    "memory": memory,
+    "environment": environment,
+}
+
+
+def measured(loop: Loop, names: Sequence[str]) -> Iterator[Result]:
+    """One result a case, with how busy the machine was: others' work makes walls, not CPU times, longer."""
+    for name in names:
+        head = {"case": f"loop-{name}", "group": "loop", "engine": loop.engine.name, "device": loop.engine.device}
+        found = CASES[name](loop)
+        yield {**head, **found, "load_average": os.getloadavg()[0]}
+
+
+def _many(loop: Loop, n: int, each: int) -> Result:
+    pallets, plans = loop.built(n)
+    asked = loop.asked(pallets, plans, each)
+    m = len(asked["pallet"])
+    pallets.try_all(**asked)
+    with timed() as clock:
+        told = pallets.try_all(**asked)
+    return {
+        "pallets": n,
+        "boxes": loop.boxes,
+        "candidates": m,
+        "candidates_per_s": m / clock.wall_s,
+        "standing": int(told.stable.sum()),
+        "invalid": int((told.verdict == "invalid").sum()),
+        **_clock(clock),
+    }
+
+
+def _place(pallets: petmjx.Pallets, rows: Any, plans: Sequence[Plan], number: int) -> petmjx.Told:
+    """Place box ``number`` of the plans of some pallets."""
+    return pallets.place(
+        size_mm=np.array([plans[row].size_mm[number] for row in rows]).reshape(-1, 3),
+        corner_mm=np.array([plans[row].corner_mm[number] for row in rows]).reshape(-1, 3),
+        mass_kg=np.array([plans[row].mass_kg[number] for row in rows]),
+        pallet=np.asarray(rows, np.int64),
+    )
+
+
+def _same(loop: Loop) -> dict[str, Any]:
+    return {"engine": loop.engine, "carrier": "euro-pallet"}
+
+
+def _clock(clock: Any) -> Result:
+    return {"wall_s": clock.wall_s, "cpu_s": clock.cpu_s, "peak_rss_bytes": clock.peak_rss_bytes}
+
+
+def _resident_bytes() -> int:
+    """Memory of this process now."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
+
+
+def _programs() -> int:
+    """Programs that JAX has compiled for functions of open worlds."""
+    module = sys.modules.get("petmjx.engines.warp.open_worlds")
+    return 0 if module is None else int(module._take._cache_size())
+
+
+def _far(plan: Plan) -> FloatArray:
+    far: FloatArray = (plan.corner_mm + plan.size_mm)[:, :2].max(axis=0)
+    return far
+
+
+def _plan(plan_id: str, placements: Sequence[Placement]) -> Plan:
+    items = [each["item"] for each in placements]
+    return Plan.from_boxes(
+        plan_id,
+        size_mm=[[item[f"{side}/mm"] for side in ("length", "width", "height")] for item in items],
+        corner_mm=[each["flb_coordinates"] for each in placements],
+        mass_kg=[item["weight/kg"] for item in items],
+        orientation=[each["orientation"] for each in placements],
+    )

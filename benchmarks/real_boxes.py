@@ -1,0 +1,93 @@
+"""Real boxes on a real pallet: plans on boards, set down by tines, of three materials. Does an engine agree with C
+MuJoCo, and what does a plan cost?"""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+import petmjx
+from benchmarks.record import environment
+from petmjx.machine import device_name
+from petmjx.plans.plan import Plan
+
+MATERIALS: Final = ("cardboard", "film", "plastic")
+
+ASSUMED_PAIRS: Final = (
+    {"between": ("cardboard", "film"), "friction": 0.35},
+    {"between": ("cardboard", "plastic"), "friction": 0.3},
+    {"between": ("film", "plastic"), "friction": 0.25},
+    {"between": ("plastic", "plastic"), "friction": 0.2},
+)
+"""Of pairs for which petmjx has no source. For this comparison it counts that they differ, not what they are."""
+
+STIFFNESS_N_MM: Final = {"cardboard": 200.0, "film": 60.0, "plastic": np.nan}
+"""Assumed as well; boxes of plastic are rigid."""
+
+SETTINGS: Final[dict[str, Any]] = {"carrier": "epal-1", "placing": "tines", "friction_pairs": ASSUMED_PAIRS}
+
+
+def of_three_materials(plan: Plan, *, gives: bool) -> Plan:
+    """The plan with a material for each article, the same in all runs; ``gives``: and its stiffness."""
+    chosen = tuple(MATERIALS[zlib.crc32(article.encode()) % len(MATERIALS)] for article in plan.articles)
+    changes: dict[str, Any] = {"materials": chosen}
+    if gives:
+        changes["stiffness_n_mm"] = np.array([STIFFNESS_N_MM[name] for name in chosen])
+    return replace(plan, **changes)
+
+
+def compared(plans: Sequence[Plan], engine: str, oracle: str, *, gives: bool, **options: Any) -> dict[str, Any]:
+    """A line of results: both engines on the same plans.
+
+    Args:
+        gives: whether boxes have the stiffness of their materials, too.
+        options: of ``petmjx.score``.
+    """
+    found = [of_three_materials(plan, gives=gives) for plan in plans]
+    worlds, seconds, timings = {}, {}, {}
+    for name in (oracle, engine):
+        begin = time.perf_counter()
+        results = petmjx.score(found, **{"engine": name, **SETTINGS, **options})
+        seconds[name], worlds[name] = time.perf_counter() - begin, results.worlds.set_index("plan_id")
+        timings[name] = float(results.info["timings"].get("compile_s", 0.0))
+    there, here = worlds[oracle], worlds[engine]
+    judged = (there.verdict != "invalid") & (here.verdict != "invalid")
+    same = there.verdict == here.verdict
+    differ = there.index[judged & ~same]
+    return {
+        "case": "real-boxes-soft" if gives else "real-boxes",
+        "group": "real-boxes",
+        "engine": engine,
+        "oracle": oracle,
+        "device": device_name(engine),
+        "plans": len(there),
+        "boxes": int(there.n_boxes.sum()),
+        "judged_by_both": int(judged.sum()),
+        "same": int((judged & same).sum()),
+        "share": round(float((judged & same).sum() / max(judged.sum(), 1)), 6),
+        "same_steps": int((there.n_steps == here.n_steps).sum()),
+        "stand": {name: int((each.verdict == "stable").sum()) for name, each in worlds.items()},
+        "without_verdict": {name: int((each.verdict == "invalid").sum()) for name, each in worlds.items()},
+        "steps_per_box": {name: round(_steps_per_box(each), 1) for name, each in worlds.items()},
+        "wall_s": {name: round(each, 2) for name, each in seconds.items()},
+        "compile_s": {name: round(each, 2) for name, each in timings.items()},
+        "differ": [
+            {
+                "plan_id": plan_id,
+                **{name: [each.verdict[plan_id], each.reason[plan_id]] for name, each in worlds.items()},
+                "margin": round(float(there.margin[plan_id]), 4),
+            }
+            for plan_id in differ
+        ],
+        **environment(),
+    }
+
+
+def _steps_per_box(worlds: pd.DataFrame) -> float:
+    return float((worlds.n_steps / worlds.n_placed.clip(lower=1)).mean())
