@@ -21,6 +21,7 @@ from petmjx.engines.choose import ENGINES
 from petmjx.materials import FrictionPair
 from petmjx.placing import Placing
 from petmjx.run_options import AUTO, Confidence, RunOptions
+from petmjx.wrap import Wrap
 
 TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "option_types.py"
 
@@ -38,7 +39,7 @@ from typing import Literal, TypedDict
 
 '''
 
-INNER: tuple[type[Checked], ...] = (Physics, Thresholds, Quiet, Placing, OwnCarrier, Board, FrictionPair)
+INNER: tuple[type[Checked], ...] = (Physics, Thresholds, Quiet, Placing, Wrap, OwnCarrier, Board, FrictionPair)
 """Records within ``Simulation``, which may also be given as tables."""
 
 SHORT: dict[type[Checked], tuple[str, ...]] = {

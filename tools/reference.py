@@ -13,6 +13,7 @@ from petmjx.cli.main import app
 from petmjx.config import Physics, Quiet, Simulation, Thresholds
 from petmjx.placing import Placing
 from petmjx.run_options import Confidence, RunOptions
+from petmjx.wrap import Wrap
 
 RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
     ("What is simulated", "", Simulation),
@@ -20,6 +21,7 @@ RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
     ("Thresholds", "thresholds.", Thresholds),
     ("Quiet and rest", "quiet.", Quiet),
     ("Placing", "placing.", Placing),
+    ("Stretch wrap", "wrap.", Wrap),
     ("How sure it is", "", Confidence),
     ("How it runs", "", RunOptions),
 )

@@ -16,7 +16,7 @@ from mkdocs.structure.files import File
 
 import petmjx
 from petmjx.cli.main import main
-from tools import reference
+from tools import notebooks, reference
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -32,8 +32,14 @@ OUTSIDE = (
 MADE = {"options": reference.options, "commands": reference.commands}
 """Name in a ``made from the code`` comment → what writes the text in its place."""
 
+NOTEBOOKS = {path.stem: path for path in sorted((REPOSITORY / "examples").glob("*.ipynb"))}
+"""Name in a ``notebook`` comment → the notebook that is shown there, with its outputs."""
+
 HEIGHTS = {"collapse": 760, "report": 900}
 """Example → height of its frame, px."""
+
+_PAGES: dict[str, notebooks.NotebookPage] = {}
+"""The notebooks, once they are executed."""
 
 LINK = re.compile(r"\[([^\]]*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", flags=re.DOTALL | re.MULTILINE)
@@ -50,11 +56,15 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the documents outside docs/ and the examples."""
+    """Add the documents outside docs/, the examples, and the pictures of notebooks, which are executed for it."""
     for name in OUTSIDE:
         files.append(File.generated(config, name, content=(REPOSITORY / name).read_text(encoding="utf-8")))
     for name, text in examples().items():
         files.append(File.generated(config, f"examples/{name}.html", content=text))
+    for name, path in NOTEBOOKS.items():
+        _PAGES[name] = notebooks.page_of(path)
+        for picture, content in _PAGES[name].files.items():
+            files.append(File.generated(config, f"notebooks/{picture}", content=content))
     return files
 
 
@@ -84,6 +94,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
             markdown = markdown.replace(mark, make())
     for name, height in HEIGHTS.items():
         markdown = markdown.replace(f"<!-- example: {name} -->", frame(name, height))
+    for name, made in _PAGES.items():
+        markdown = markdown.replace(f"<!-- notebook: {name} -->", made.markdown)
     if page.file.src_uri == "reference/python.md":
         missing = [name for name in petmjx.__all__ if name != "__version__" and f"::: petmjx.{name}\n" not in markdown]
         if missing:
@@ -128,9 +140,15 @@ def frame(name: str, height: int) -> str:
     )
 
 
-def on_page_content(html: str, **_: Any) -> str:
-    """Roles in docstrings (:func:`petmjx.score`) are for Sphinx; here they are plain code."""
-    return ROLE.sub("<code>", html)
+def on_page_content(html: str, page: Any, **_: Any) -> str:
+    """Fill in the outputs of notebooks. Roles in docstrings (:func:`petmjx.score`) are Sphinx's; here they are code."""
+    html = ROLE.sub("<code>", html)
+    made = _PAGES.get(Path(page.file.src_uri).stem) if page.file.src_uri.startswith("notebooks/") else None
+    for mark, output in made.outputs.items() if made else ():
+        if html.count(mark) != 1:
+            raise PluginError(f"{page.file.src_uri}: {mark} is there {html.count(mark)} times")
+        html = html.replace(mark, f'<div class="notebook-output">{output}</div>')
+    return html
 
 
 def on_post_page(output: str, page: Any, **_: Any) -> str:

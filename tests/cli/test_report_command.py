@@ -46,7 +46,7 @@ def test_what_is_unusable_takes_one_line(
 def test_a_damaged_part_takes_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     next((folder / "boxes").iterdir()).write_bytes(b"PAR1")
     assert run("report", folder) == 2
-    assert "part-00000.parquet: damaged part, it is not what the run wrote" in only_line(capsys.readouterr().err)
+    assert "part-00000.parquet: damaged part, it differs from what the run wrote" in only_line(capsys.readouterr().err)
 
 
 def test_a_full_disk_is_one_line_as_of_kpis(

@@ -139,7 +139,7 @@ def test_unusable_files(content: str, tmp_path: Path, capsys: pytest.CaptureFixt
         (["--engine", "mujoco", "--lanes", "8"], "lanes belong to the MJX engines"),
         (["--shift-limit-m", "-1"], "petmjx: --shift-limit-m must be > 0, got -1"),
         (["--no-such-option"], "--no-such-option"),
-        (["--no-such-option"], " score --help tells the options)"),
+        (["--no-such-option"], " score --help)"),
     ],
 )
 def test_unusable_options(

@@ -35,7 +35,7 @@ def test_the_story_is_told_in_the_terminal(capsys: pytest.CaptureFixture[str], m
     run = petmjx.score(petmjx.tell("hand-falls-off").plan, engine="mujoco", out="run")
     world = run.worlds.iloc[0]
     assert "plan hand-falls-off, 2 boxes, 12.0 kg: unstable, a box dropped" in printed
-    assert f"{world.first_sign_s:.2f} Box 1 (carton-400x300x500) went first: at {world.first_sign_s:.2f} s" in printed
+    assert f"{world.first_sign_s:.2f} Box 1 (carton-400x300x500) failed first: at {world.first_sign_s:.2f} s" in printed
     assert f"{world.first_drop_s:.2f} Box 1 (carton-400x300x500) has dropped" in printed
     assert "first to fail" in printed
     assert "--html, --png" in printed

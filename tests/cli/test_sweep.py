@@ -191,6 +191,6 @@ def test_an_error_names_the_option_not_the_file(
 def test_help_says_where_defaults_come_from(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("sweep", "--help") == 0
     printed = capsys.readouterr().out
-    assert "What is simulated, unless the sweep file's [simulation] says otherwise:" in printed
+    assert "Simulation (the sweep file's [simulation] may set other defaults):" in printed
     assert "--yes" in printed
     assert "--carrier" in printed

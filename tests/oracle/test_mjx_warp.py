@@ -13,6 +13,7 @@ import pytest
 import petmjx
 from petmjx.carrier import Carrier
 from petmjx.config import Check, Schedule, Simulation
+from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one, write_plans
@@ -25,6 +26,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 from support.fake_stepper import assert_same, run_all
 from support.plans import make_scene
 from support.tiny_worlds import (
+    LONG_NS,
     SHORT,
     devices,
     engine,
@@ -35,6 +37,7 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.batch.template import MAX_ITERATIONS
+from petmjx.engines.warp import programs
 from petmjx.engines.warp import rollout as rollouts
 from petmjx.engines.warp.engine import MjxWarpEngine
 
@@ -138,8 +141,10 @@ def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPat
     """Which placements do not feel, and which the user's own replaces."""
     jobs = [Job(tiny("hand-bridge"), pushes("force", LEVELS["force"])), Job(tiny("hand-bridge"))]
 
+    monkeypatch.setattr(rollouts, "programs", programs.programs.__wrapped__)  # the limit is no argument of what is kept
+
     def found(driven: int, **options: Any) -> list[Outcome]:
-        monkeypatch.setattr(rollouts, "DRIVEN_ITERATIONS", driven)
+        monkeypatch.setattr(programs, "DRIVEN_ITERATIONS", driven)
         return run_all(engine(), jobs, SHORT.changed(**options))
 
     few, many, wanted = found(1), found(MAX_ITERATIONS), found(1, solver_iterations=MAX_ITERATIONS)
@@ -231,14 +236,17 @@ def test_a_search_finds_the_levels_that_c_finds() -> None:
 @pytest.mark.slow
 def test_one_program_a_shape() -> None:
     """Other jobs of as many boxes, another run, drives: the same programs, and the same blocks."""
-    fresh = engine()
+    apart = LONG_NS + 1  # the slice of no other test, which would have compiled its programs
+    fresh, progress = engine(slice_ns=apart), Progress()
     some = list(tiny_scenes().values())
     for scenes in (some[:4], some[1:], some[:3]):
         run_all(fresh, [Job(scene) for scene in scenes], SHORT)
     ((_, rollout),) = fresh._kept.values()
     run_all(fresh, [Job(scene, pushes("force", 1.0)) for scene in some[1:3]], SHORT)
     assert [each for _, each in fresh._kept.values()] == [rollout]
-    assert len(rollout._programs) == 2, "of up to four worlds, and of two with a profile"
+    assert len(rollout.programs._compiled) == 2, "of up to four worlds, and of two with a profile"
+    run_all(engine(slice_ns=apart), [Job(scene) for scene in some[:4]], SHORT, progress)
+    assert progress.compile_s == 0, "another engine of the same process"
 
 
 @pytest.mark.gpu

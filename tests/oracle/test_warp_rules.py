@@ -25,8 +25,8 @@ from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton, records
 from petmjx.engines.warp.kernel.rules import after_step
 from petmjx.engines.warp.launch import with_cpp
+from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.records import Model, Thread, Workspace, array_types, filled
-from petmjx.engines.warp.rollout import constants
 
 set_up_warp()
 

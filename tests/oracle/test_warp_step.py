@@ -27,8 +27,8 @@ from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.batch.upload import GRANULE
 from petmjx.engines.warp import launch, newton
 from petmjx.engines.warp.launch import Launch
+from petmjx.engines.warp.programs import friction_damping
 from petmjx.engines.warp.records import MAX_BOXES, PANEL
-from petmjx.engines.warp.rollout import friction_damping
 
 set_up_warp()
 

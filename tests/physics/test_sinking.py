@@ -139,7 +139,7 @@ def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]
     shift[1, [0, 2]] = np.array(shift_mm) * MM
     there = replace(outcome.boxes, shift_m=shift)
     shifted = replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, boxes=there)
-    found = note_softness(shifted, scene, Simulation())
+    (found,) = note_softness([shifted], [scene], Simulation())
     assert (found.reason is Reason.SINKING) == (shift_mm == (0.0, -21.5))
 
 
@@ -150,17 +150,19 @@ def test_an_impact_is_no_sinking() -> None:
     force = outcome.boxes.max_top_force_n
     assert force[0] == pytest.approx(20.0 * 9.81, rel=0.1)
     hit = replace(outcome, boxes=replace(outcome.boxes, max_top_force_n=100 * force))
-    assert note_softness(hit, scene, Simulation()) is hit
+    assert note_softness([hit], [scene], Simulation())[0] is hit
     np.testing.assert_allclose(
         sinking_m(scene, PHYSICS["pallet"], 100 * force), sinking_m(scene, PHYSICS["pallet"], force), rtol=0.1
     )
 
 
 def test_looking_for_it_costs_next_to_nothing() -> None:
-    """Plans of 60 boxes that do not sink: a simulation takes 100 ms or more."""
+    """Plans of 60 boxes that do not sink: at most a fiftieth of their simulation, on the same machine."""
     boxes = [((200, 200, 200), (200 * (k % 4), 200 * (k // 4 % 4), 200 * (k // 16)), 5.0) for k in range(60)]
     scene = build_scene(make_plan(boxes=boxes), Simulation())
+    begin = time.process_time()
     outcome = simulate(boxes, Simulation())
+    simulated = time.process_time() - begin
     shaken = replace(
         outcome,
         verdict=Verdict.UNSTABLE,
@@ -174,5 +176,5 @@ def test_looking_for_it_costs_next_to_nothing() -> None:
     for each in (outcome, shaken):
         begin = time.process_time()
         for _ in range(100):
-            assert note_softness(each, scene, Simulation()) is each
-        assert (time.process_time() - begin) / 100 < 0.002
+            assert note_softness([each], [scene], Simulation())[0] is each
+        assert (time.process_time() - begin) / 100 < simulated / 50

@@ -61,7 +61,7 @@ def make_outcome(
 
 
 def dropped_outcome() -> Outcome:
-    """Box 1 of three went first at 0.4 s and dropped at 0.8 s, before box 2 was placed."""
+    """Box 1 of three failed first at 0.4 s and dropped at 0.8 s, before box 2 was placed."""
     return make_outcome(
         verdict=Verdict.UNSTABLE,
         reason=Reason.DROP,

@@ -46,7 +46,8 @@ def standing(plan: Plan, seed: int = 0) -> Outcome:
 
 
 def fallen(plan: Plan, seed: int = 0, *, reason: Reason = Reason.DROP, first: int | None = None) -> Outcome:
-    """Box ``first``, by default the last one, went first at 3.2 s, and lies on the floor; the others moved a little."""
+    """Box ``first``, by default the last one, failed first at 3.2 s, and lies on the floor; the others moved a "
+    "little."""
     box = plan.n_boxes - 1 if first is None else first
     outcome = _ended(plan, np.random.default_rng(seed), 0.01, 0.05)
     outcome.boxes.pos[box] = [1.6, 0.4, -0.1]

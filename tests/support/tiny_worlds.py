@@ -84,8 +84,8 @@ def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
     monkeypatch.setattr(launch, "SIZES", alike)
     here = Launch.here
 
-    def sized(n_boxes: int, hands: bool = False) -> Launch:
-        return replace(here(n_boxes, hands), panels=most_panels(size_for(n_boxes).most_boxes))
+    def sized(n_boxes: int, *features: bool) -> Launch:
+        return replace(here(n_boxes, *features), panels=most_panels(size_for(n_boxes).most_boxes))
 
     monkeypatch.setattr(Launch, "here", sized)
 

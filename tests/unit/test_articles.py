@@ -67,7 +67,7 @@ def test_plans_take_what_is_said(turned: int, first: tuple[float, ...]) -> None:
         ("crate,,,2001,,,", 'com_length_mm must be a number ≥ -2000 and at most 2000, got "2001"'),
         (f"crate,,{'x' * 101},,,,", "material must be text of at most 100 characters, got "),
         ("crate,,,,,,", "needs strength_n, or "),
-        ("crate,,wood,,,,-1", "strength_n must be a number > 0 and at most 1e+09"),
+        ("crate,,wood,,,,-1", "strength_n must be a number ≥ 0.01 and at most 1e+09"),
     ],
 )
 def test_rows_that_are_refused(row: str, message: str) -> None:

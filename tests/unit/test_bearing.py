@@ -12,7 +12,8 @@ from support.plans import Box, make_scene, stack
 from petmjx.config import PHYSICS, Simulation
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.history import CARRIER
-from petmjx.world.bearing import bearing_of
+from petmjx.world.bearing import bearing_of, plan_edges_m, together
+from petmjx.world.hull import hull_edges
 from petmjx.world.release import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene
 
@@ -124,3 +125,38 @@ def test_a_load_acts_at_the_centre_of_mass() -> None:
     aside = replace(scene, mass_center=np.array([[0.0, 0.1, 0.0]]))
     assert edges_mm(scene) == pytest.approx([150.0])
     assert edges_mm(aside) == pytest.approx([50.0])
+
+
+def test_scenes_together_have_the_numbers_of_each_alone() -> None:
+    """Random heaps of 1 to 12 boxes, to the last bit; and of those that are not placed nothing is looked at."""
+    rng = np.random.default_rng(4)
+    scenes = [scene_of(*random_heap(rng, n)) for n in (1, 12, 5, 8)]
+    placed = [1, 7, 5, 0]
+    alone = [plan_edges_m([scene], [count])[0] for scene, count in zip(scenes, placed, strict=True)]
+    np.testing.assert_array_equal(plan_edges_m(scenes, placed), alone)
+    assert np.isnan(alone[-1])
+    assert np.isfinite(alone[:-1]).all()
+    loads = together([bearing_of(scene) for scene in scenes]).loads(placed)
+    apart = [bearing_of(scene).loads(count) for scene, count in zip(scenes, placed, strict=True)]
+    np.testing.assert_array_equal(loads, np.concatenate(apart))
+
+
+def random_heap(rng: np.random.Generator, n: int) -> list[Box]:
+    """Layers of boxes at random places, which rest on several others or none."""
+    corners = [(float(x), float(y), 200.0 * (k // 4)) for k, (x, y) in enumerate(rng.integers(0, 500, (n, 2)))]
+    return [((400, 300, 200), corner, float(mass)) for corner, mass in zip(corners, rng.uniform(1, 20, n), strict=True)]
+
+
+def test_a_hull_s_edges_are_the_lines_with_all_corners_on_one_side() -> None:
+    """Random rectangles: no corner is outside, and each edge is on a pair of corners."""
+    rng = np.random.default_rng(5)
+    for count in (1, 2, 3, 6):
+        low = rng.integers(0, 6, (count, 2)).astype(float)
+        high = low + rng.integers(1, 4, (count, 2))
+        corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]])
+        edges = np.array(hull_edges(low.tolist(), high.tolist()))
+        inside = corners @ edges[:, :2].T - edges[:, 2]
+        np.testing.assert_allclose(np.hypot(edges[:, 0], edges[:, 1]), 1.0)
+        assert (inside >= -1e-12).all()
+        assert ((np.abs(inside) < 1e-12).sum(axis=0) >= 2).all()
+        assert len(edges) >= 4

@@ -10,13 +10,14 @@ import pytest
 from support.pictures import falling_story, standing_story
 
 from petmjx.errors import InputError
+from petmjx.hull import convex_hull
 from petmjx.pages.palette import article_colours, rgb_of
 from petmjx.pictures.camera import FIELD_OF_VIEW_DEG, VIEWS, Margins, View, framing, view_of
 from petmjx.pictures.colours import colouring, ramp_colours
 from petmjx.pictures.draw import forces_of_pairs, framed_points, newtons_per_m
 from petmjx.pictures.film import film_times, usual_speed
 from petmjx.pictures.options import Colour, PictureOptions, size_of
-from petmjx.pictures.overlay import convex_hull, first_outline
+from petmjx.pictures.overlay import first_outline
 from petmjx.pictures.poses import moments, nearest_frame, poses_at, poses_of_frame
 from petmjx.world.turned import corners, rotations
 
@@ -173,9 +174,8 @@ def test_what_is_framed() -> None:
 
 
 def test_the_hull_of_points() -> None:
-    square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
-    hull = convex_hull(np.vstack((square, [[1.0, 1.0], [1.0, 0.5]])))
-    assert {tuple(point) for point in hull} == {tuple(point) for point in square}
+    square = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)]
+    assert convex_hull([(1.0, 1.0), (1.0, 0.0), *square[::-1], (1.0, 0.5)]) == square
 
 
 def test_the_outline_is_of_the_first_box_once_it_is_placed() -> None:

@@ -41,7 +41,7 @@ from petmjx.run_options import sorted_options
         (
             Simulation,
             {"schedule": "brisk"},
-            "schedule must be 'fixed' or 'adaptive': 'brisk' is gone, adaptive takes as few steps now",
+            "schedule must be 'fixed' or 'adaptive': 'brisk' was removed, since adaptive now takes as few steps",
         ),
         (Simulation, {"total_time_factor": 2.0}, "total_time_factor needs check one-by-one and schedule fixed"),
         (

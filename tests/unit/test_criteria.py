@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -204,6 +205,16 @@ def test_gaps_up_to_the_tolerance_touch() -> None:
 def test_load_polygons_are_cut_by_those_below() -> None:
     polygons = load_polygons(find_contacts(make_plan(boxes=stack(3, overhang_mm=150))))
     assert [polygon.bounds for polygon in polygons] == [(0, 0, 400, 300), (150, 0, 400, 300), (150, 0, 400, 300)]
+
+
+def test_what_is_too_much_for_a_box_below_is_refused() -> None:
+    """Three boxes of 10 kg on top of each other: the lowest bears 196 N, the one above it 98 N, if it can."""
+    plan = make_plan(boxes=[box(0, 0, 200.0 * level, 400, 300, 200, 10.0) for level in range(3)])
+    known = replace(plan, strength_n=np.array([150.0, np.nan, np.nan]))
+    found = answer(known, CRITERIA, MU, 0.5)
+    assert found.slack[:, NAMES.index("strength")] == pytest.approx([1.0, 1 - 98.1 / 150, 1 - 196.2 / 150])
+    assert found.stable[:, NAMES.index("strength")].tolist() == [YES, YES, NO]
+    assert answer(plan, CRITERIA, MU, 0.5).slack[:, NAMES.index("strength")].tolist() == [1.0, 1.0, 1.0]
 
 
 def test_an_unknown_criterion_is_refused_with_a_hint() -> None:

@@ -40,10 +40,9 @@ def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
     weight: Box = ((200, 300, 200), (0, 0, 400), 50.0)
     scene = make_scene([((400, 300, 300), (0, 0, 0), 5.0), plank, weight], Simulation(size_reduction_mm=0.0))
     outcome = replace(make_outcome(3, Verdict.UNSTABLE, Reason.DROP), n_placed=3)
-    note_edges(outcome, Job(scene))
-    assert outcome.plan_edge_m == pytest.approx(-0.1)
     first = replace(outcome, n_placed=1)
-    note_edges(first, Job(scene))
+    note_edges([outcome, first], [Job(scene), Job(scene)])
+    assert outcome.plan_edge_m == pytest.approx(-0.1)
     assert first.plan_edge_m == pytest.approx(0.15)  # a box alone on the carrier
 
 

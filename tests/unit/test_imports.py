@@ -1,10 +1,8 @@
-"""Imports run one way, reading results never loads a simulator, and the README's examples run as printed."""
+"""Imports run one way, and reading results never loads a simulator."""
 
 from __future__ import annotations
 
 import ast
-import os
-import re
 import subprocess
 import sys
 from collections.abc import Collection
@@ -14,9 +12,21 @@ import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset(
-        {"errors", "text", "units", "_version", "version", "machine", "bounded", "checked", "arguments", "whole"}
+        {
+            "errors",
+            "text",
+            "units",
+            "_version",
+            "version",
+            "machine",
+            "bounded",
+            "checked",
+            "arguments",
+            "whole",
+            "hull",
+        }
     ),
-    frozenset({"carrier", "materials", "placing", "config"}),
+    frozenset({"carrier", "materials", "placing", "wrap", "config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),
@@ -26,9 +36,11 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"results"}),
     frozenset({"study"}),
     frozenset({"simulate", "sweeps", "statics", "rating"}),
-    frozenset({"option_types"}),
+    frozenset({"option_types", "notebook"}),
     frozenset({"api", "packers", "story"}),
-    frozenset({"show", "pages", "pictures"}),
+    frozenset({"show", "pages", "pictures", "figures"}),
+    frozenset({"loop"}),
+    frozenset({"gym", "jax"}),
     frozenset({"cli", "__main__"}),
 )
 """Modules and packages of petmjx, from left to right. A module imports from its own layer or those before it; what has
@@ -175,27 +187,3 @@ def test_public_names_are_there_and_cheap() -> None:
     with pytest.raises(AttributeError, match="no attribute 'scores'"):
         petmjx.scores  # noqa: B018
     assert loaded_by("import petmjx; petmjx.load_plans, petmjx.load_run, petmjx.compare_runs") == set()
-
-
-def readme_blocks(repository: Path, language: str) -> list[str]:
-    text = (repository / "README.md").read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
-
-
-def test_readme_examples_run_as_printed(repository: Path, tmp_path: Path) -> None:
-    """All Python blocks, in order, as one program, in a folder where ``make demo`` has left its results."""
-    program = "\n".join(readme_blocks(repository, "python"))
-    assert "petmjx.score(" in program
-    assert "duckdb.sql(" in program
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
-
-    def python(*arguments: str) -> str:
-        command = [sys.executable, *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    python("-m", "petmjx", "score", "--engine", "mujoco", "--limit", "6", "--out", "petmjx-results/demo")
-    printed = python("-c", program)
-    assert "worst_shift_mm" in printed
-    assert "unstable" in printed

@@ -340,7 +340,7 @@ def test_the_command(columns: str, capsys: pytest.CaptureFixture[str], monkeypat
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--xlsx"], "--xlsx needs --out: where is it to be written?"),
+        (["--xlsx"], "--xlsx needs --out DIR"),
         (
             ["--leaderboard", "doe"],
             "leaderboard name doe: must be SURNAME_ALGORITHM_TASK or DATE_SURNAME_ALGORITHM_TASK",

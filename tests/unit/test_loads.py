@@ -68,14 +68,14 @@ def test_the_article_counts_before_its_group() -> None:
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("milk,,-1,,,", 'strength_n must be a number > 0 and at most 1e+09, got "-1"'),
-        ("milk,,nan,,,", 'strength_n must be a number > 0 and at most 1e+09, got "nan"'),
-        ("milk,,many,,,", 'strength_n must be a number > 0 and at most 1e+09, got "many"'),
-        ("milk,,1_0,,,", 'strength_n must be a number > 0 and at most 1e+09, got "1_0"'),
-        ('"milk,,5,,,\njam,,5,,,', "has a quotation mark that nothing closes"),
+        ("milk,,-1,,,", 'strength_n must be a number ≥ 0.01 and at most 1e+09, got "-1"'),
+        ("milk,,nan,,,", 'strength_n must be a number ≥ 0.01 and at most 1e+09, got "nan"'),
+        ("milk,,many,,,", 'strength_n must be a number ≥ 0.01 and at most 1e+09, got "many"'),
+        ("milk,,1_0,,,", 'strength_n must be a number ≥ 0.01 and at most 1e+09, got "1_0"'),
+        ('"milk,,5,,,\njam,,5,,,', "has an unclosed quotation mark"),
         ("milk,,900,,,0.5", 'safety_factor must be a number ≥ 1 and at most 1000, got "0.5"'),
-        ("milk,dairy,900,,,", "must name either an article or a product_group"),
-        (",,900,,,", "must name either an article or a product_group"),
+        ("milk,dairy,900,,,", "must name either an article, a product_group, or a material alone"),
+        (",,900,,,", "must name either an article, a product_group, or a material alone"),
         ("milk,,,5,,", "needs strength_n, or ect_kn_m, thickness_mm and safety_factor; of these thickness_mm and "),
         (
             "milk,,,,,",
@@ -105,13 +105,13 @@ def test_rows_that_are_refused(row: str, message: str) -> None:
         (
             "a.toml",
             "[milk]\nstrength_n = 5\n",
-            "must have the tables [articles.NAME] and [product_groups.NAME], got milk",
+            "must have the tables [articles.NAME], [product_groups.NAME] and [materials.NAME], got ",
         ),
         ("a.toml", "[articles]\nmilk = 5\n", "articles.milk must be a table with strength_n, or with ect_kn_m, "),
         (
             "a.toml",
             "[articles.milk]\nstrength_n = true\n",
-            "articles.milk: strength_n must be a number > 0 and at most",
+            "articles.milk: strength_n must be a number ≥ 0.01 and at most",
         ),
         ("a.toml", "x = ", "not valid TOML"),
         ("a.json", "{}", "the name must end in one of .toml, .parquet, .csv, .csv.gz, .tsv, .tsv.gz"),

@@ -145,7 +145,7 @@ def test_what_has_the_name_of_the_lock_is_neither_written_nor_taken_away(kind: s
     make = {"file": lambda: lock.write_text("mine"), "hard link": lambda: lock.hardlink_to(mine)}
     make |= {"link": lambda: lock.symlink_to(mine), "folder": lock.mkdir, "fifo": lambda: os.mkfifo(lock)}
     make[kind]()
-    with pytest.raises(InputError, match=r"run/\.lock: is not of petmjx"), RunWriter(lock.parent, {}):
+    with pytest.raises(InputError, match=r"run/\.lock: was not made by petmjx"), RunWriter(lock.parent, {}):
         pass
     assert mine.read_text() == "mine"
     assert [file.name for file in lock.parent.iterdir()] == [".lock"]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import html
 import re
+from collections.abc import Callable
 
 import pandas as pd
 
 import petmjx
+from petmjx.notebook import NotebookBar, notebook_bar
 from petmjx.results.notebook import MOST_ROWS, worlds_as_html
 
 
@@ -43,3 +46,43 @@ def test_a_large_run_is_short_and_its_names_are_harmless() -> None:
     assert rows[0] == ["&lt;script&gt;alert(1)&lt;/script&gt;", "1", "stable", "0.00", ""]
     assert "9,980 rows more" in shown
     assert len(shown) < 5_000
+
+
+def test_a_story_shows_itself_as_a_page_and_prints_one_line() -> None:
+    story = petmjx.tell("hand-overhang-55", engine="mujoco")
+    assert repr(story).startswith("Story(hand-overhang-55: unstable by drop; History(")
+    assert len(repr(story)) < 200
+    assert len(repr(story.history)) < 100
+    assert len(repr(story.outcome)) < 2_000
+    shown = story._repr_html_()
+    assert shown is not None
+    (page,) = re.findall(r'srcdoc="([^"]*)"', shown)
+    assert html.unescape(page).startswith("<!doctype html>")
+    assert "<script" not in shown  # outside the page
+
+
+def test_two_runs_compared_show_their_verdicts() -> None:
+    runs = [petmjx.score(limit=3, engine="mujoco", thresholds={"tilt_deg": limit}) for limit in (20, 15)]
+    shown = petmjx.compare_runs(*runs)._repr_html_()
+    assert "3 of 3 worlds agree" in shown
+    assert ["stable", "3", "0", "0"] in cells(shown)
+
+
+def test_a_run_in_a_notebook_has_a_bar() -> None:
+    drawn: list[str] = []
+
+    def display(text: str) -> Callable[[str], None]:
+        drawn.append(text)
+        return drawn.append
+
+    times = iter(range(100))
+    petmjx.score(limit=3, engine="mujoco", watcher=NotebookBar(display, lambda: float(next(times))))
+    assert re.search(r'<progress value="0" max="3" .*</progress> 0 of 3 plans', drawn[0])
+    assert "engine mujoco (as asked for)" in drawn[0]
+    assert re.search(r'<progress value="2" max="3" .*</progress> 2 of 3 plans, [\d.]+ plans/s, .* left', drawn[2])
+    assert "3 of 3 plans" in drawn[-1]
+    assert len(drawn) == 4
+
+
+def test_elsewhere_there_is_no_bar() -> None:
+    assert notebook_bar() is None

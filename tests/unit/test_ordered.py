@@ -282,7 +282,7 @@ def test_shards_whose_table_has_lost_its_columns_are_not_merged(orders: Path, tm
     one, two = shards_of(tmp_path, orders, orders)
     plain = score(out=tmp_path / "plain").path / "plans" / "part-00000.parquet"
     (one / "plans" / "part-00000.parquet").write_bytes(plain.read_bytes())
-    with pytest.raises(petmjx.InputError, match="damaged part, it is not what the run wrote"):
+    with pytest.raises(petmjx.InputError, match="damaged part, it differs from what the run wrote"):
         petmjx.merge_runs([one, two], tmp_path / "merged")
     relisted(one)
     with pytest.raises(petmjx.InputError, match="damaged part, it has no column ordered_boxes"):

@@ -113,11 +113,11 @@ def test_one_mass_is_shared_out_by_volume_and_a_file_has_its_name() -> None:
         (changed("600, 122]", "600, 1600]"), "× 600 × 1600 mm: a carrier is at most 1500 mm high"),
         (
             changed("mass_kg = 1.3", "mass_kg = 1300"),
-            "boards[0] (deck left): 1300 kg in it are 5.09e+05 kg/m³, more than lead has: is it in grams?",
+            "boards[0] (deck left): 1300 kg in it are 5.09e+05 kg/m³, heavier than lead; is the mass in grams?",
         ),
         (
             changed("mass_kg = 1.3", "mass_kg = 0.0013"),
-            "boards[0] (deck left): 0.0013 kg in it are 0.509 kg/m³, less than foam has",
+            "boards[0] (deck left): 0.0013 kg in it are 0.509 kg/m³, lighter than foam",
         ),
         (
             lambda text: re.sub(r"mass_kg = .*\n", "", text).replace("friction = 0.4", "mass_kg = 0.5"),
@@ -137,7 +137,7 @@ def test_one_mass_is_shared_out_by_volume_and_a_file_has_its_name() -> None:
         ),
         (
             changed("600, 122]", "600, 121]", 2),
-            "boards[1] (deck middle) is apart from boards[0] (deck left): a carrier is of one piece",
+            "boards[1] (deck middle) is separate from boards[0] (deck left): a carrier must be in one piece",
         ),
         (
             lambda text: text + LOW_BOARD,

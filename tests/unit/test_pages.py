@@ -185,11 +185,12 @@ def test_a_story_in_words() -> None:
     assert reason_in_words(story) == "a box dropped"
     # 0.2 s of fall: 400 mm to the right, turned by 0.8 rad; the lowest corner is not yet 0.1 m below the carrier
     assert first_box_in_words(story) == (
-        "Box 2 (milk) went first: at 0.80 s it was tilted by 45.8° (limit 20°) and had shifted by 400 mm (limit 20 mm)."
+        "Box 2 (milk) failed first: at 0.80 s it was tilted by 45.8° (limit 20°) and had shifted by 400 mm "
+        "(limit 20 mm)."
     )
     high = story.plan.corner_mm + np.array([0, 0, 100.0]) * (np.arange(3)[:, None] == story.outcome.culprit)
     planned = first_box_in_words(replace(story, plan=replace(story.plan, corner_mm=high)))
-    assert planned.startswith("Box 2 (milk) was planned 100 mm in the air and went first: at 0.80 s it was tilted")
+    assert planned.startswith("Box 2 (milk) was planned 100 mm in the air and failed first: at 0.80 s it was tilted")
     standing = standing_story()
     assert first_box_in_words(standing) == ""
     assert reason_in_words(standing) == "no box shifted by more than 20 mm, tilted by more than 20° or dropped"
@@ -209,7 +210,7 @@ def test_flags_that_make_a_verdict_doubtful_are_told() -> None:
     assert notes_in_words(told(Flag.EARLY_STOP)) == []
     moving = told(Flag.MOVING)
     (note,) = notes_in_words(moving)
-    assert note.startswith("Boxes still moved when they were given no more time")
+    assert note.startswith("Boxes still moved after the longest wait")
     assert headline(moving).startswith("stable, still moving")
     edge = told(Flag.KNIFE_EDGE, plan_edge_m=0.041, rest_edge_m=-0.00031)
     (note,) = notes_in_words(edge)

@@ -101,7 +101,7 @@ def test_verdicts_have_their_counts_and_wilson_intervals(run: Path) -> None:
 def test_the_page_is_well_formed_and_says_what_was_run(run: Path) -> None:
     html = page_of(run)
     body = checked(html)
-    for words in ("two threads", "all at their defaults", "30 plans", "plans.json", "Shift", "What goes first", "jam"):
+    for words in ("two threads", "all at their defaults", "30 plans", "plans.json", "Shift", "What fails first", "jam"):
         assert words in body
     assert info_of(html)["n"] == 30
     assert html.count('id="block-boxes-') == 1
@@ -205,7 +205,7 @@ def test_odd_runs_look_right(tmp_path: Path) -> None:
     for folders in ((empty, one), (one, bad, unfinished), (empty, bad)):
         checked(page_of(*folders))
     bare = write_run(tmp_path / "bare", plans, [standing(plan) for plan in plans], manifest=None, config={})
-    assert "does not say what it is of" in checked(page_of(bare))
+    assert "does not list its plans" in checked(page_of(bare))
 
 
 def test_options_that_differ_are_told() -> None:

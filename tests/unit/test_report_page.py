@@ -112,7 +112,7 @@ def test_a_click_shows_the_plan_in_3d_and_its_boxes(open_page: OpenPage, html: s
     opened.until("document.querySelectorAll('.card3d canvas').length === 1")
     opened.settled()
     words = opened.page.locator("#plan").inner_text()
-    assert "unstable, drop. Box 11 (jam) went first at 3.20 s." in words
+    assert "unstable, drop. Box 11 (jam) failed first at 3.20 s." in words
     assert "petmjx show plan-3" in words
     assert fragment(opened)["plan"] == ["plan-3"]
     picture = opened.pixels(".card3d canvas")
@@ -120,7 +120,7 @@ def test_a_click_shows_the_plan_in_3d_and_its_boxes(open_page: OpenPage, html: s
     assert (counts > 40).sum() > 8, "boxes of several articles, lit from one side"
     opened.page.locator("table.boxes tbody tr").nth(11).click()
     said = opened.page.locator(".card3d [role=status]").inner_text()
-    assert said.startswith("Box 11 – went first: jam (item jam-11), 400 × 300 × 200 mm")
+    assert said.startswith("Box 11 – failed first: jam (item jam-11), 400 × 300 × 200 mm")
     assert "dropped at 3.60 s" in said
     opened.page.get_by_label("Colour by").select_option("moved")
     opened.settled()

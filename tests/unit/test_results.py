@@ -367,7 +367,7 @@ def test_a_run_without_worlds_has_its_columns(tmp_path: Path) -> None:
             lambda run: (run / "run.json").write_text(
                 (run / "run.json").read_text().replace('"stable": 2', '"stable": 1')
             ),
-            "not what",
+            "differs from what",
         ),
         (lambda run: _edit(run, counts=[]), "run.json: damaged: counts must be a table"),
         (lambda run: _edit(run, counts={"worlds": "2"}), "run.json: damaged: counts.worlds must be a whole number"),

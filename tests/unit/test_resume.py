@@ -234,7 +234,7 @@ def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
 def test_a_run_that_does_not_say_what_it_is_of_cannot_be_resumed(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}):
         pass
-    with pytest.raises(petmjx.InputError, match="does not say what it is of"):
+    with pytest.raises(petmjx.InputError, match="does not list its plans"):
         simulate("score", tmp_path, resume=True)
 
 
@@ -365,7 +365,7 @@ def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
     assert "simulation.schedule is fixed, was adaptive" in refused(one, tmp_path / "fixed")
     info = json.loads((two / "run.json").read_text())
     leave_unfinished(two)
-    assert "not finished (interrupted); go on with it by --resume first" in refused(one, two)
+    assert "not finished (interrupted); finish it with --resume first" in refused(one, two)
     n_worlds = info["counts"]["worlds"] + load_run(one).info["counts"]["worlds"]
     for table in ("worlds", "boxes"):
         (two / table / "part-00001.parquet").write_bytes((one / table / "part-00000.parquet").read_bytes())

@@ -26,7 +26,7 @@ def test_the_page_loads_without_errors_and_requests_and_shows_the_boxes(open_pag
     assert (np.abs(picture - background).max(axis=2) > 24).mean() > 0.1
     assert len(np.unique(picture.reshape(-1, 3) // 8, axis=0)) > 40
     assert text(opened, "h1").split() == ["Plan", "plan-1", "unstable"]
-    assert "Box 2 (milk) went first: at 0.80 s" in text(opened, "#first")
+    assert "Box 2 (milk) failed first: at 0.80 s" in text(opened, "#first")
     assert "mujoco" in text(opened, "#facts")
     assert opened.page.locator("#still").is_hidden()
     assert opened.errors == []
@@ -144,7 +144,7 @@ def test_without_webgl_there_are_a_still_picture_and_the_numbers(open_page: Open
     assert len(np.unique(picture.reshape(-1, 3) // 8, axis=0)) > 6
     assert opened.page.locator("#all tbody tr").count() == 3
     assert opened.page.locator("#all tbody").is_visible()
-    assert "went first" in text(opened, "#first")
+    assert "failed first" in text(opened, "#first")
     assert opened.errors == []
 
 

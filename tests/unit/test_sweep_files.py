@@ -51,6 +51,7 @@ WORLDS = {
     "placement-error.toml": (384, 384),
     "radial-force.toml": (1, 1),
     "tilt.toml": (4, 1),
+    "wrap-search.toml": (80, 5),
 }
 
 

@@ -291,7 +291,7 @@ def test_damaged_csv() -> None:
     found = read(row("A"), row("B").replace("carton", '"carton'), row("C"), row("D", weight_kg=0))
     assert ids(found) == ["A", "C"]
     assert messages(found) == [
-        "plans.csv: plan B, row 3: has a quotation mark that nothing closes",
+        "plans.csv: plan B, row 3: has an unclosed quotation mark",
         "plans.csv: plan D, row 5: weight_kg must be > 0, got 0",
     ]
     found = read(row("A"), row("", weight_kg=0), row("B"))
@@ -518,7 +518,7 @@ def test_convert_refuses(arguments: list[str], message: str, capsys: pytest.Capt
 def test_samples_are_not_written_under_the_name_of_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("samples", "-n", "1", "-o", "plans.csv") == 2
     line = only_line(capsys.readouterr().err)
-    assert line == "petmjx: plans.csv: samples are written as JSON; petmjx convert makes a table of them"
+    assert line == "petmjx: plans.csv: samples are written as JSON; use petmjx convert to make a table"
     assert not Path("plans.csv").exists()
 
 

@@ -53,7 +53,7 @@ def test_an_option_is_blamed_for_what_it_says(capsys: pytest.CaptureFixture[str]
 @pytest.mark.parametrize("arguments", [("score", ""), ("score", "plans.json", "--out", "")])
 def test_an_empty_argument_is_no_path(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     line = error_of(capsys, *arguments)
-    assert line == f"argument {len(arguments)} is empty: a variable of the shell that is not set?"
+    assert line == f"argument {len(arguments)} is empty; is a shell variable not set?"
 
 
 def test_plans_of_one_id_are_not_written() -> None:

@@ -1,0 +1,138 @@
+"""Pallets as pure functions under jit and scan: what they tell is what ``petmjx.Pallets`` tells."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import petmjx
+import petmjx.jax
+from petmjx.errors import InputError
+from petmjx.jax.told import REASONS, Told
+
+pytestmark = pytest.mark.usefixtures("ranks_may_differ")
+
+SIZE = np.array([[400, 300, 200], [300, 200, 250]], np.float32)
+STEPS = np.array([[[0, 0, 0], [100, 100, 0]], [[0, 0, 200], [110, 100, 250]], [[260, 0, 400], [100, 110, 500]]], float)
+"""mm: of three boxes on each of two pallets. The third one on the first pallet falls."""
+MASS = np.array([6.0, 3.0], np.float32)
+
+
+def assert_told(found: Told, expected: petmjx.Told, exactly: bool) -> None:
+    close = {"rtol": 1e-6} if exactly else {"rtol": 2e-3, "atol": 2e-2}
+    np.testing.assert_array_equal(found.stable, expected.stable)
+    assert [REASONS[number] for number in found.reason] == expected.reason.tolist()
+    np.testing.assert_array_equal(found.culprit, expected.culprit)
+    np.testing.assert_array_equal(found.n_boxes, expected.n_boxes)
+    stands, k = np.asarray(found.stable), expected.top_force_n.shape[1]
+    np.testing.assert_allclose(found.margin[stands], expected.margin[stands], **close)
+    forces = np.nan_to_num(expected.top_force_n)[stands]
+    np.testing.assert_allclose(found.top_force_n[stands, :k], forces, **close)
+    np.testing.assert_allclose(found.middle_mm[stands, :k], np.nan_to_num(expected.middle_mm)[stands], **close)
+
+
+def check_program(engine: Any, steps: np.ndarray, asked: tuple[np.ndarray, ...], most_boxes: int) -> tuple[Told, Told]:
+    """A program that places box after box, and then asks about candidates, tells what pallets tell."""
+    state = petmjx.jax.empty(2, engine=engine, most_boxes=most_boxes)
+
+    @jax.jit
+    def program(state: Any) -> Any:
+        step = jax.lax.scan(lambda state, corner: petmjx.jax.place(state, SIZE, corner, MASS), state, jnp.array(steps))
+        return step, petmjx.jax.try_all(step[0], *asked)
+
+    (after, told), tried = program(state)
+    pallets, exactly = petmjx.Pallets(2, engine=engine, most_boxes=most_boxes), engine == "mujoco"
+    for number, corners in enumerate(steps):
+        expected = pallets.place(size_mm=SIZE, corner_mm=corners, mass_kg=MASS)
+        assert_told(jax.tree.map(lambda values, number=number: values[number], told), expected, exactly)
+    size, corner, mass, which = asked
+    expected = pallets.try_all(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=which)
+    assert_told(tried, expected, exactly)
+    (again, _), _ = program(state)
+    for one, other in zip(jax.tree.leaves(after), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+    return told, tried
+
+
+def test_a_jitted_scan_places_as_pallets_do() -> None:
+    corners, which = np.array([[100, 100, 750], [250, 100, 750], [600, 400, 0]], np.float32), np.array([1, 1, 1])
+    told, tried = check_program("mujoco", STEPS, (SIZE[[1, 1, 0]], corners, MASS[[1, 1, 0]], which), 4)
+    assert told.stable.tolist() == [[True, True], [True, True], [False, True]]
+    assert tried.stable.tolist() == [True, False, True]
+
+
+@pytest.mark.slow
+def test_on_mjx_warp_the_kernel_runs_inside_the_program() -> None:
+    pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+    from support.tiny_worlds import engine
+
+    corners = np.array([[0, 0, 200], [1100, 100, 0]], np.float32)
+    told, tried = check_program(engine(), STEPS[:1], (SIZE, corners, MASS, np.array([0, 1])), 4)
+    assert told.stable.tolist() == [[True, True]]
+    assert tried.stable.tolist() == [True, False]
+
+
+def test_what_cannot_get_a_box_stays_as_it_is() -> None:
+    state = petmjx.jax.empty(2, engine="mujoco", most_boxes=1)
+    place = jax.jit(petmjx.jax.place)
+    one, told = place(state, SIZE, STEPS[0], MASS, jnp.array([True, False]))
+    assert (told.stable.tolist(), told.ended.tolist(), told.n_boxes.tolist()) == ([True] * 2, [False] * 2, [1, 0])
+    two, told = place(one, SIZE, STEPS[1], MASS)  # the first one is full
+    assert (told.stable[0], told.n_boxes.tolist()) == (True, [1, 1])
+    gone, told = place(state, SIZE, np.array([[1100, 0, 0], [0, 0, 0]]), MASS)  # the first one falls
+    assert (told.ended.tolist(), REASONS[told.reason[0]]) == ([True, False], "drop")
+    _, told = place(gone, SIZE, STEPS[0], MASS)
+    assert (told.ended.tolist(), REASONS[told.reason[0]]) == ([True, False], "ended")
+    tried = petmjx.jax.try_all(two, SIZE, STEPS[1], MASS, np.array([0, 7]))
+    assert not tried.stable.any()
+    assert state.n == 2
+
+
+def test_settled_worlds_are_built_again_when_they_are_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.jax.host.KEPT_PER_PALLET", 2)
+    monkeypatch.setattr("petmjx.jax.host.MOST_ASKED", 1)
+    state = petmjx.jax.empty(2, engine="mujoco", most_boxes=4)
+    place = jax.jit(petmjx.jax.place)
+    first, told = place(state, SIZE, STEPS[0], MASS)
+    second, expected = place(first, SIZE, STEPS[1], MASS)
+    for shift in range(4):  # others, which take all room
+        place(state, SIZE, STEPS[0] + 10 * shift + 10, MASS)
+    _, found = place(first, SIZE, STEPS[1], MASS)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert second.count.tolist() == [2, 2]
+    assert told.stable.all()
+
+
+def test_what_was_refused_leaves_nothing_behind() -> None:
+    """A wrong mass in one row: the boxes of the other row were not placed either."""
+    state = petmjx.jax.empty(2, engine="mujoco", most_boxes=3)
+    for _ in range(2):
+        with pytest.raises(Exception, match="mass_kg must be from"):
+            jax.block_until_ready(petmjx.jax.place(state, SIZE, STEPS[0], np.array([5.0, 0.0])))
+    first, told = petmjx.jax.place(state, SIZE, STEPS[0], MASS)
+    assert told.n_boxes.tolist() == [1, 1]
+    _, told = petmjx.jax.place(first, SIZE, STEPS[1], MASS)
+    assert (told.stable.tolist(), told.n_boxes.tolist()) == ([True, True], [2, 2])
+
+
+def test_wrong_shapes_are_one_line() -> None:
+    state = petmjx.jax.empty(2, engine="mujoco", most_boxes=2)
+    for call, message in (
+        (lambda: petmjx.jax.place(state, SIZE[:1], STEPS[0], MASS), r"size_mm must have the shape \(2, 3\)"),
+        (lambda: petmjx.jax.place(state, SIZE, STEPS[0], MASS[:, None]), r"mass_kg must have the shape \(2,\)"),
+        (lambda: petmjx.jax.try_all(state, SIZE, STEPS[0], MASS, 0), r"pallet must have the shape \(m,\)"),
+        (
+            lambda: petmjx.jax.try_all(state, SIZE, STEPS[0], MASS, [0.7, 1.0]),
+            "pallet must be an array of whole numbers",
+        ),
+        (lambda: petmjx.jax.place(state, SIZE, STEPS[0], MASS, [1, 0]), "active must be an array of true or false"),
+        (lambda: petmjx.jax.empty(0), "n must be at least 1"),
+        (lambda: petmjx.jax.empty(1, engine="mjx-jax"), "engine: petmjx.jax has mujoco and mjx-warp"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()

@@ -1,0 +1,199 @@
+"""Boxes that give are springs: how far they sink, against closed forms, on all engines."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.plans import Box, make_plan, make_scene
+from support.tiny_worlds import shared_engine
+
+import petmjx
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.engines.batch.give import laws
+from petmjx.engines.batch.state import upload_worlds
+from petmjx.engines.batch.template import padded_template
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.plans.articles import Article, Articles, with_articles
+from petmjx.verdict import Outcome, Verdict
+from petmjx.world.bearing import find_bearing
+from petmjx.world.give import sinks_m
+from petmjx.world.job import Drive, Excitation, Job
+from petmjx.world.model import HeldCarrier, build_spec
+from petmjx.world.scene import IDENTITY_QUAT, Scene, build_scene
+from petmjx.world.surfaces import check_surfaces
+from petmjx.wrap import Wrap
+
+GRAVITY = 9.81
+WITHIN = 0.05
+"""Of the spring's depth, as asked for."""
+AGREES_M = 2e-5
+"""Single precision, and contacts a timestep earlier or later; 0.004 mm were found."""
+SIM = Simulation()
+SIZE = (400.0, 300.0, 200.0)
+SOFT, STIFF = 20e3, 200e3
+"""N/m: 0.7 to 15 mm of depth under these loads."""
+
+
+def tower(*boxes: tuple[float, float], **options: object) -> Scene:
+    """Boxes of these masses and stiffnesses on top of each other."""
+    rows: list[Box] = [(SIZE, (0.0, 0.0, 200.0 * level), mass) for level, (mass, _) in enumerate(boxes)]
+    return replace(make_scene(rows, Simulation(**options)), stiffness=np.array([stiffness for _, stiffness in boxes]))
+
+
+SCENES = {
+    "soft": tower((10.0, SOFT), (20.0, np.inf)),
+    "stiff": tower((10.0, STIFF), (50.0, np.inf)),
+    "alone": tower((40.0, SOFT)),
+    "two": tower((10.0, STIFF), (10.0, SOFT)),
+    "boards": tower((10.0, STIFF), (50.0, np.inf), carrier="epal-1"),
+}
+TOWERS: list[Box] = [
+    ((300, 400, 200), (0, 0, 0), 8),
+    ((300, 400, 200), (600, 0, 0), 8),
+    ((900, 400, 3), (0, 0, 200), 0.4),
+]
+ON_TOWERS: list[Box] = [((300, 400, 200), (0, 0, 203), 10), ((300, 400, 200), (600, 0, 203), 10)]
+OVER_THE_GAP: list[Box] = [((250, 400, 200), (325, 0, 203), 3)]
+SHEETS = {
+    "borne": build_scene(replace(make_plan(boxes=TOWERS + ON_TOWERS), kinds=("", "", "sheet", "", "")), SIM),
+    "bridge": build_scene(replace(make_plan(boxes=TOWERS + OVER_THE_GAP), kinds=("", "", "sheet", "")), SIM),
+    "plate": make_scene(TOWERS + OVER_THE_GAP, SIM),
+}
+"""A sheet on two towers 300 mm apart; a thin board instead of the sheet."""
+BORNE = 245.0 / 300.0
+"""Of the lowest box's base on epal-1: 145 and 100 of 300 mm."""
+MEANT_M = {
+    "soft": [30 * GRAVITY / (2 * SOFT), 30 * GRAVITY / (2 * SOFT) + 20 * GRAVITY / (2 * SOFT)],
+    "stiff": [60 * GRAVITY / (2 * STIFF), 60 * GRAVITY / (2 * STIFF) + 50 * GRAVITY / (2 * STIFF)],
+    "alone": [40 * GRAVITY / (2 * SOFT)],
+    "two": [
+        20 * GRAVITY / (2 * STIFF),
+        20 * GRAVITY / (2 * STIFF) + 10 * GRAVITY * (1 / (2 * STIFF) + 1 / (2 * SOFT)),
+    ],
+    "boards": [
+        60 * GRAVITY / (2 * STIFF * BORNE),
+        60 * GRAVITY / (2 * STIFF * BORNE) + 50 * GRAVITY / (2 * STIFF),
+    ],
+}
+"""Half a box's compression at either face, in series with that of the other box; on boards for what is borne."""
+
+
+@functools.cache
+def simulated(engine: str) -> dict[str, Outcome]:
+    made: Engine = MujocoEngine(1) if engine == "mujoco" else shared_engine()
+    scenes = SCENES | SHEETS
+    # one kernel serves this file and test_wrap.py
+    wrapped = Job(
+        replace(SCENES["alone"], wrap=Wrap(turns=1)), Drive(Excitation("still", "acceleration", np.zeros((1, 3))))
+    )
+    found = made.run([*(Job(each) for each in scenes.values()), wrapped], SIM)
+    return {list(scenes)[outcome.job]: outcome for outcome in found if outcome.job < len(scenes)}
+
+
+def sunk_m(scene: Scene, outcome: Outcome) -> list[float]:
+    """How far boxes have come down, less the carrier: its contacts with the floor are those of wood."""
+    carrier_m = 0.09e-3
+    return (scene.target[:, 2] - outcome.boxes.pos[:, 2] - carrier_m).tolist()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_boxes_sink_as_springs_do(name: str) -> None:
+    outcome = simulated("mujoco")[name]
+    assert outcome.verdict is Verdict.STABLE
+    assert sunk_m(SCENES[name], outcome) == pytest.approx(MEANT_M[name], rel=WITHIN)
+    assert sinks_m(SCENES[name], GRAVITY) == pytest.approx(MEANT_M[name], rel=0.01)
+
+
+def test_mjx_warp_lets_boxes_sink_alike() -> None:
+    for name, found in simulated("mjx-warp").items():
+        expected = simulated("mujoco")[name]
+        assert (found.verdict, found.reason, found.n_steps) == (expected.verdict, expected.reason, expected.n_steps)
+        if expected.verdict is Verdict.STABLE:
+            np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
+
+
+@pytest.mark.parametrize("name", ["soft", "boards"])
+@pytest.mark.parametrize("held", [False, True])
+def test_the_laws_of_mjx_jax_are_those_of_mujoco(name: str, held: bool) -> None:
+    """All pairs of a world, also with a carrier that is held; a simulation would compile for most of a minute."""
+    scene = SCENES[name]
+    boards, capacity = len(scene.carrier.half_size), 4
+    template = padded_template(
+        capacity,
+        boards,
+        SIM.physics,
+        held=held,
+        solver=SIM.solver,
+        tolerance=1e-6,
+        iterations=1,
+        line_search_iterations=1,
+    )
+    worlds = upload_worlds([Job(scene)], 1, capacity, {}, SIM)
+    inverse = 1 / worlds.mass
+    found = laws(worlds, template, inverse.at[:, 0].set(0.0) if held else inverse, SIM.physics)
+    exact = build_spec(scene, SIM.physics, HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT)) if held else None)
+    expected = exact.compile()
+    row_of = {pair: row for row, pair in enumerate(zip(template.pair_geom1, template.pair_geom2, strict=True))}
+    # the template's boxes that wait come after those of the scene
+    rows = np.array([row_of[pair] for pair in zip(expected.pair_geom1, expected.pair_geom2, strict=True)])
+    assert len(rows) == expected.npair
+    np.testing.assert_allclose(found["pair_solref"][0, rows], expected.pair_solref, rtol=1e-5)
+    np.testing.assert_allclose(found["pair_solimp"][0, rows], expected.pair_solimp, rtol=1e-5)
+
+
+def test_meant_sinking_is_no_shift_but_what_goes_beyond_it_is() -> None:
+    """24.5 mm, more than the threshold of 20 mm; a heavier box than planned would be another matter."""
+    soft = tower((10.0, 10e3), (40.0, np.inf))
+    (found,) = MujocoEngine(1).run([Job(soft)], Simulation())
+    assert found.verdict is Verdict.STABLE
+    assert (soft.target[0, 2] - found.boxes.pos[0, 2]) > Simulation().thresholds.shift_m
+    np.testing.assert_array_equal(found.boxes.shift_m[:, 2], 0.0)
+
+
+def test_a_box_that_does_not_give_is_as_before() -> None:
+    rigid = make_scene([(SIZE, (0.0, 0.0, 0.0), 10.0), (SIZE, (0.0, 0.0, 200.0), 10.0)], Simulation())
+    said = replace(rigid, stiffness=np.full(2, np.inf))
+    first, second = MujocoEngine(1).run([Job(rigid), Job(said)], Simulation())
+    np.testing.assert_array_equal(first.boxes.pos, second.boxes.pos)
+
+
+def test_a_sheet_bears_where_something_bears_it_and_bridges_nothing() -> None:
+    verdicts = {name: simulated("mujoco")[name].verdict for name in SHEETS}
+    assert verdicts == {"borne": Verdict.STABLE, "bridge": Verdict.UNSTABLE, "plate": Verdict.STABLE}
+    assert simulated("mujoco")["bridge"].culprit == 3
+    bearing = find_bearing(SHEETS["borne"])
+    assert bearing.lower[bearing.upper == 3].tolist() == [2]
+    assert not (find_bearing(SHEETS["bridge"]).upper == 3).any()
+    # layers are not level to a millimetre
+    lower = make_plan(boxes=[((300, 400, 198), (0, 0, 0), 8), *TOWERS[1:], *ON_TOWERS])
+    uneven = build_scene(replace(lower, kinds=("", "", "sheet", "", "")), SIM)
+    (found,) = MujocoEngine(1).run([Job(uneven)], SIM)
+    assert found.verdict is Verdict.STABLE
+    # what lies on the sheet presses on what is below it
+    assert simulated("mujoco")["borne"].boxes.rest_top_force_n[0] == pytest.approx(10.2 * GRAVITY, rel=0.01)
+
+
+def test_plans_and_tables_say_how_stiff_boxes_are() -> None:
+    """Three say it: the placement comes before its article, and that before its material."""
+    plan = petmjx.Plan.from_boxes(
+        "tower",
+        size_mm=[SIZE] * 3,
+        corner_mm=[[0, 0, 200 * level] for level in range(3)],
+        mass_kg=[10, 10, 10],
+        article=["milk", "milk", "jam"],
+        material=["cardboard"] * 3,
+        stiffness_n_mm=[150, None, None],
+    )
+    found = with_articles(
+        plan,
+        Articles({"milk": Article(stiffness_n_mm=300.0)}, {}, {"cardboard": Article(stiffness_n_mm=80.0)}),
+    )
+    assert found.stiffness_n_mm is not None
+    assert found.stiffness_n_mm.tolist() == [150.0, 300.0, 80.0]
+    np.testing.assert_array_equal(build_scene(found, SIM).stiffness, [150e3, 300e3, 80e3])
+    assert check_surfaces([found], Simulation(physics="reference"))[0].startswith("stiffness does not count")
+    assert build_scene(found, Simulation(physics="reference")).stiffness is None

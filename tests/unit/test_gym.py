@@ -1,0 +1,244 @@
+"""``petmjx/Palletizing-v0``: Gymnasium's checks, the vector environment against single ones, orders, masks, rewards."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import runpy
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
+
+import gymnasium as gym
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import petmjx.gym
+from petmjx.errors import InputError
+from petmjx.gym.env import PalletizingEnv
+from petmjx.gym.orders import KG_PER_M3, Orders
+from petmjx.gym.vector import PalletizingVectorEnv
+from petmjx.pictures.save import why_nothing_is_drawn
+from petmjx.plans.samples.orders import Item, Order
+
+NAME = "petmjx/Palletizing-v0"
+
+
+def order(*sizes: tuple[float, float, float], kg: float = 5.0) -> Order:
+    items = tuple(Item("a", str(k), "", *size, kg) for k, size in enumerate(sizes))
+    return Order("euro-pallet", items, tuple(range(1, len(items) + 1)))
+
+
+FEW = [
+    order((600, 400, 200), (600, 400, 300), (400, 300, 200)),
+    order((300, 200, 100), (800, 600, 200)),
+    order((200, 200, 500), (100, 100, 900), (2000, 300, 200)),  # the last one is longer than the carrier
+]
+SMALL: dict[str, Any] = {"orders": FEW, "n_candidates": 6, "cell_mm": 200, "threads": 1, "engine": "mujoco"}
+
+
+def legal(mask: Any, rng: np.random.Generator) -> int:
+    found = np.flatnonzero(mask)
+    return int(rng.choice(found)) if len(found) else 0
+
+
+def assert_equal(one: Any, other: Any) -> None:
+    assert set(one) == set(other)
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], name)
+
+
+@pytest.mark.parametrize("options", [{}, {"actions": "cells", "action_cell_mm": 400, "mask": "geometry"}])
+def test_gymnasium_finds_nothing_wrong(options: dict[str, Any]) -> None:
+    env = gym.make(NAME, **SMALL, look_ahead=2, buffer=2, **options)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_it_is_registered_by_the_entry_point() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    module, _, function = project["project"]["entry-points"]["gymnasium.envs"]["petmjx"].partition(":")
+    getattr(importlib.import_module(module), function)()  # once more changes nothing
+    assert gym.spec(NAME).entry_point == "petmjx.gym.env:PalletizingEnv"
+    assert isinstance(gym.make(NAME, **SMALL).unwrapped, PalletizingEnv)
+
+
+def test_the_same_seed_is_the_same_episode_to_the_bit() -> None:
+    runs = []
+    for _ in range(2):
+        env, rng, seen = PalletizingEnv(**SMALL, look_ahead=2), np.random.default_rng(3), []
+        observed, _ = env.reset(seed=7)
+        over = False
+        while not over:
+            observed, reward, terminated, truncated, info = env.step(legal(observed["action_mask"], rng))
+            over = terminated or truncated
+            seen.append({**observed, "reward": reward, **info})
+        runs.append(seen)
+    assert len(runs[0]) == len(runs[1]) > 1
+    for one, other in zip(*runs, strict=True):
+        assert_equal(one, other)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_the_vector_environment_is_as_many_single_ones(mode: AutoresetMode) -> None:
+    options = {**SMALL, "mask": "geometry", "rewards": {"placed": 1, "fall": 1, "margin": 1, "load": 1, "illegal": 1}}
+    many = gym.make_vec(NAME, num_envs=3, vectorization_mode="vector_entry_point", autoreset_mode=mode, **options)
+    assert isinstance(many, PalletizingVectorEnv)
+    single = SyncVectorEnv([lambda: PalletizingEnv(**options)] * 3, autoreset_mode=mode)
+    assert many.single_observation_space == single.single_observation_space
+    assert many.action_space == single.action_space
+    (ours, told), (theirs, expected) = many.reset(seed=4), single.reset(seed=4)
+    assert_equal(ours, theirs)
+    rng, ended = np.random.default_rng(1), 0
+    for step in range(14):
+        assert_equal(ours, theirs)
+        assert many.observation_space.contains(ours)
+        actions = np.array([legal(mask, rng) for mask in ours["action_mask"]])
+        if step == 2:
+            actions[0] = 5  # seldom legal
+        ours, reward, terminated, truncated, told = many.step(actions)
+        theirs, *rest, expected = single.step(actions)
+        for one, other in zip((reward, terminated, truncated), rest, strict=True):
+            np.testing.assert_array_equal(one, other)
+        over = terminated | truncated
+        ended += over.sum()
+        for name in ("verdict", "culprit", "placed", "left_out", "utilisation"):
+            np.testing.assert_array_equal(told[name], expected[name])
+        if mode is AutoresetMode.SAME_STEP and over.any():
+            np.testing.assert_array_equal(told["_final_obs"], expected["_final_obs"])
+            for row in np.flatnonzero(over):
+                assert_equal(told["final_obs"][row], expected["final_obs"][row])
+                assert told["final_info"]["reason"][row] == expected["final_info"]["reason"][row]
+                assert told["final_info"]["reward_margin"][row] == expected["final_info"]["reward_margin"][row]
+    assert ended > 4
+
+
+def test_masks_and_what_ends_an_episode() -> None:
+    tall = [order((200, 200, 600), (600, 600, 200))]
+    chosen: dict[str, int] = {}
+    for mask in ("geometry", "support_50", "centre", "physics"):
+        env = PalletizingEnv(**{**SMALL, "orders": tall, "n_candidates": 30, "mask": mask})
+        observed, _ = env.reset(seed=0)
+        corners = observed["candidates"][..., 2:5]
+        observed, *_ = env.step(int(np.flatnonzero(observed["action_mask"])[0]))
+        corners = observed["candidates"][observed["action_mask"] == 1][:, 2:5]
+        chosen[mask] = int((corners[:, 2] == 600).sum())  # on top of the tall one, over its edge
+        if mask == "geometry":
+            unsafe = int(np.flatnonzero(observed["candidates"][:, 4] == 600)[0])
+            observed, reward, terminated, _, info = env.step(unsafe)
+            assert terminated
+            assert reward < 0
+            assert info["verdict"] == "unstable"
+            assert info["culprit"] == 1
+            assert not observed["action_mask"].any()
+    assert chosen["geometry"] > 0
+    assert chosen["support_50"] == chosen["centre"] == chosen["physics"] == 0
+
+
+def test_an_illegal_action_changes_nothing_and_many_end_the_episode() -> None:
+    env = PalletizingEnv(**SMALL, most_illegal=2, rewards={"illegal": 3, "utilisation": 10})
+    before, _ = env.reset(seed=1)
+    illegal = int(np.flatnonzero(before["action_mask"] == 0)[0])
+    observed, reward, terminated, truncated, info = env.step(illegal)
+    assert_equal(observed, before)
+    assert (reward, terminated, truncated, info["illegal"]) == (-3.0, False, False, 1)
+    *_, truncated, _ = env.step(illegal)
+    assert truncated
+    for wrong in (illegal - env.episodes.n_actions, env.episodes.n_actions, 0.5, None):
+        with pytest.raises(InputError, match="action must be a whole number from 0 to"):
+            env.step(wrong)
+
+
+def test_boxes_without_a_place_are_left_out_and_the_order_ends_the_episode() -> None:
+    env = PalletizingEnv(**{**SMALL, "orders": FEW[2:]})
+    observed, info = env.reset(seed=0)
+    steps = 0
+    while observed["action_mask"].any():
+        observed, _, terminated, _, info = env.step(int(np.flatnonzero(observed["action_mask"])[0]))
+        steps += 1
+    assert terminated
+    assert (steps, info["placed"], info["left_out"], info["verdict"]) == (2, 2, 1, "stable")
+    assert info["utilisation"] == pytest.approx((0.2 * 0.2 * 0.5 + 0.1 * 0.1 * 0.9) / (1.2 * 0.8 * 1.8))
+
+
+def test_orders_come_from_many_places(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    assert len(Orders().draw(rng)) >= 10
+    table = pd.DataFrame({"length_mm": [400, 300], "width_mm": 200, "height_mm": 100, "weight_kg": [3, 4]})
+    (tmp_path / "opai.txt").write_text("62 35.5 13\n61 34 6\n", encoding="utf-8")
+    table.to_csv(tmp_path / "boxes.csv")
+    pg = {"Pallet No": ["a", "a", "b"], "Pick_quantity_cs": ["2", "1", "1"], "Length_cm": ["35", "33.7", "10"]}
+    pd.DataFrame(pg | {"Width_cm": 20.3, "Height_cm": 20.8, "Gross weight": 6.324}).to_excel(tmp_path / "pg.xlsx")
+    sides = {"尺寸（L）": [24.5, None], "尺寸（W）": [35.5, 1], "尺寸（H）": [39, 1], "3月份发货量（件）": [3371, 1]}
+    pd.DataFrame(sides).to_excel(tmp_path / "deli.xlsx")
+    for source, count, size, kg in (
+        (table, 2, (400, 200, 100), 3),
+        (tmp_path / "boxes.csv", 2, (400, 200, 100), 3),
+        (tmp_path / "opai.txt", 2, (620, 355, 130), 0.62 * 0.355 * 0.13 * KG_PER_M3),
+        (tmp_path / "deli.xlsx", 1, (245, 355, 390), 0.245 * 0.355 * 0.39 * KG_PER_M3),
+        (FEW, 3, (600, 400, 200), 5),
+    ):
+        first = Orders(source)._all[0]  # type: ignore[index]
+        assert len(first) == count
+        assert first.size_mm[0] == pytest.approx(size)
+        assert first.mass_kg[0] == pytest.approx(kg)
+    assert [len(boxes) for boxes in Orders(tmp_path / "pg.xlsx")._all or []] == [3, 1]
+
+
+def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "bad.txt").write_text("1 2\n", encoding="utf-8")
+    for options, message in (
+        ({"mask": "suport_75"}, "unknown mask 'suport_75'"),
+        ({"actions": "cell"}, "unknown actions 'cell'"),
+        ({"buffer": 2}, "buffer must be at most look_ahead, 1, got 2"),
+        ({"rewards": {"plced": 1}}, "rewards: unknown term 'plced'"),
+        ({"orders": tmp_path / "bad.txt"}, "bad.txt: must have three lengths"),
+        ({"orders": tmp_path / "none.json"}, "none.json: cannot be read"),
+        ({"orders": [order((2000, 2000, 100))]}, "orders: of 100 orders no box has a legal place"),
+        ({"carrier": "footprint"}, "carrier: footprint depends"),
+        ({"render_mode": "human"}, "render_mode must be None or rgb_array"),
+        ({"masks": "x"}, "unknown option masks"),
+    ):
+        with pytest.raises(InputError, match=message):
+            PalletizingEnv(**{**SMALL, **options}).reset(seed=0)
+    with pytest.raises(InputError, match="autoreset_mode must be one of"):
+        PalletizingVectorEnv(2, autoreset_mode="never", **SMALL)
+    many = PalletizingVectorEnv(2, **SMALL)
+    many.reset(seed=0)
+    with pytest.raises(InputError, match="actions must be from 0 to 5"):
+        many.step([0, 6])
+
+
+def test_the_example_of_training_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "train_with_physics.py"))
+    monkeypatch.setattr(
+        sys, "argv", ["train", "--updates", "2", "--pallets", "2", "--steps", "6", "--engine", "mujoco"]
+    )
+    example["main"]()
+    printed = capsys.readouterr().out
+    assert "update 2: return" in printed
+    weights = dict(re.findall(r"(\S+) ([+-]\d\.\d\d)(?:,|$)", printed.splitlines()[-1]))
+    assert any(float(weight) for weight in weights.values()), "it has learned something"
+
+
+def test_pictures() -> None:
+    if why := why_nothing_is_drawn():
+        pytest.skip(why)
+    env = PalletizingEnv(**SMALL, render_mode="rgb_array")
+    observed, _ = env.reset(seed=0)
+    empty = env.render()
+    env.step(int(np.flatnonzero(observed["action_mask"])[0]))
+    placed = env.render()
+    assert empty is not None
+    assert placed is not None
+    assert empty.shape == placed.shape == (480, 480, 3)
+    assert (empty != placed).any(axis=2).mean() > 0.01
+
+
+assert petmjx.gym
