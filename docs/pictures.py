@@ -21,8 +21,13 @@ COMMANDS = (
     "show s0-005459 PLANS --png accepted-and-falls.png --size 330x400",
     "show s0-005630 PLANS --png later-load.png --size 330x400",
     "show s0-002720 PLANS --png refused-and-stands.png --size 440x440 --colour force",
+    "show gap REALITY --png tips-into-gap.png --size 330x300 --carrier epal-1 --placing tines --at 0.3,0.5,0.6,end "
+    "--view 65/10",
+    "show pushed REALITY --png pushed-onto.png --size 560x360 --carrier euro-pallet --placing hand --at end --view 4/6",
+    "show bottles REALITY --png pressed-in.png --size 360x360 --at end --view 4/6",
 )
-"""Each file of the folder is made by one of these. ``PLANS`` has the plans of ``GENERATED``."""
+"""Each file of the folder is made by one of these. ``PLANS`` has the plans of ``GENERATED``, ``REALITY`` those of
+docs/reality.md."""
 
 GENERATED = (2720, 5459, 5630)
 """Plans of ``petmjx samples``, seed 0, by their numbers."""
@@ -38,7 +43,8 @@ def make() -> int:
     with TemporaryDirectory() as folder:
         plans = Path(folder) / "plans.json"
         write_plans(plans, (generate_one(number, seed=0) for number in GENERATED))
-        places = {"PLANS": str(plans)} | {file: str(FOLDER / file) for file in files()}
+        reality = str(Path(__file__).with_name("reality.json"))
+        places = {"PLANS": str(plans), "REALITY": reality} | {file: str(FOLDER / file) for file in files()}
         for command in COMMANDS:
             words = [places.get(word, word) for word in shlex.split(command)]
             if code := main([*words, "--engine", "mujoco"]):

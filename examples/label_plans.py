@@ -18,7 +18,7 @@ import petmjx
 
 
 def labels(results: petmjx.RunResults) -> pd.DataFrame:
-    """plan_id, stands (0 or 1, or a share), margin, and what went first. Plans without an answer are left out."""
+    """plan_id, stands (0 or 1, or a share), margin, and what failed first. Plans without an answer are left out."""
     worlds = results.worlds
     nominal = worlds[worlds["variant"] == 0] if "variant" in worlds else worlds
     known = nominal[nominal["verdict"] != "invalid"]

@@ -1,0 +1,51 @@
+"""Ray actors that hold a warm engine each, and score plans for whoever asks: needs the extra ``ray``.
+
+    python examples/ray_scorer.py plans.json --actors 2
+
+With GPUs give each actor one: ``ScorerActor.options(num_gpus=1).remote(engine="mjx-warp")``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import ray
+
+import petmjx
+
+
+class ScorerActor:
+    """One engine, kept warm."""
+
+    def __init__(self, **options: Any) -> None:
+        self._scorer = petmjx.Scorer(**options)
+
+    def worlds(self, plans: list[petmjx.Plan]) -> pd.DataFrame:
+        """One row a plan, in the order given."""
+        return self._scorer.score(plans).worlds
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("plans", type=Path)
+    parser.add_argument("--actors", type=int, default=2)
+    parser.add_argument("--limit", type=int)
+    arguments = parser.parse_args()
+
+    plans = petmjx.load_plans(arguments.plans).plans[: arguments.limit]
+    ray.init(include_dashboard=False, log_to_driver=False)
+    actors: list[Any] = [
+        ray.remote(ScorerActor).options(num_cpus=1).remote(engine="mujoco", threads=1) for _ in range(arguments.actors)
+    ]
+    shares = [plans[number :: len(actors)] for number in range(len(actors))]
+    asked: list[Any] = [actor.worlds.remote(share) for actor, share in zip(actors, shares, strict=True) if share]
+    worlds = pd.concat(ray.get(asked), ignore_index=True)
+    print(worlds[["plan_id", "verdict", "reason", "margin"]].to_string(index=False))
+    ray.shutdown()
+
+
+if __name__ == "__main__":
+    main()
