@@ -1,4 +1,4 @@
-"""Shared by all tests: JAX on the CPU, strict about ranks and shapes, quick to compile; GPU tests skip without CUDA."""
+"""Shared by all tests: JAX on the CPU, strict about ranks and shapes; GPU tests skip without CUDA."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ import pytest
 pytest_plugins = ("support.browser",)
 
 XLA_CPU_FLAGS = {
-    "--xla_backend_optimization_level": "1",  # tests mostly compile, and run little of what they compile
     # With it on, programs of the mjx-jax engine hang in XLA's thread pool (jaxlib 0.10.2, two cores: 7 runs of 7;
     # with it off 0 of 4).
     "--xla_cpu_enable_concurrency_optimized_scheduler": "false",

@@ -99,7 +99,7 @@ def test_a_killed_run_goes_on(kind: str, kills: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "kills"), [("score", 50), ("grid", 20), ("search", 20)])
+@pytest.mark.parametrize(("kind", "kills"), [("score", 16), ("grid", 8), ("search", 8)])
 def test_a_run_that_is_killed_many_times_goes_on(kind: str, kills: int, tmp_path: Path) -> None:
     assert f"{kills} kills" in killed(kind, kills, tmp_path)
 

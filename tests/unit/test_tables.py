@@ -348,6 +348,7 @@ def test_damaged_parquet() -> None:
     assert ids(load_plans("named.json")) == ["A"]
 
 
+@pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # what is damaged may look like other units
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_no_damage_ends_in_a_traceback(data: st.DataObject) -> None:
