@@ -15,7 +15,7 @@ import warp as wp
 from petmjx.engines.batch.setup import set_up_warp
 from petmjx.engines.warp import newton
 from petmjx.engines.warp.launch import SIZES, with_cpp
-from petmjx.engines.warp.records import PANEL, most_panels
+from petmjx.engines.warp.records import MAX_BOXES, PANEL, most_panels
 from petmjx.units import FloatArray
 
 set_up_warp()
@@ -24,12 +24,17 @@ ERROR = 50 * 2.0**-24
 """Of an entry of H·x, as a share of what its terms may be: √Hᵢᵢ·Σⱼ √Hⱼⱼ·|xⱼ|. On a CPU a tenth of it is seen; on a GPU
 products of tiles have 22 of 24 bits."""
 
-BOTH = [pytest.param("cpu", id="cpu"), pytest.param("cuda", id="cuda", marks=pytest.mark.gpu)]
+BOTH = [
+    pytest.param("thread", id="thread"),
+    pytest.param("cpu", id="cpu"),
+    pytest.param("cuda", id="cuda", marks=pytest.mark.gpu),
+]
+"""What CPUs run, what GPUs run but on a CPU, and what GPUs run."""
 
 
 @cache
-def solver(panels: int) -> Any:
-    """A kernel that solves one system by one block."""
+def solver(panels: int, as_block: bool) -> Any:
+    """A kernel that solves one system by one block. ``as_block``: with the code for GPUs, also on a CPU."""
 
     @wp.func_native("""
         PETMJX_SHARED petmjx::Factoring<PETMJX_MOST_PANELS> shared;
@@ -56,7 +61,8 @@ def solver(panels: int) -> Any:
     ) -> None:
         factor_and_solve(A, strip, top, base, rhs, wp.tid(), threads)
 
-    return with_cpp(solve, newton.text_for(panels))
+    macro = "#define PETMJX_BLOCKS_ON_CPU\n" if as_block else ""
+    return with_cpp(solve, macro + newton.text_for(panels))
 
 
 def solved(H: FloatArray, top: list[int], g: FloatArray, device: str, size: int) -> FloatArray:
@@ -67,11 +73,12 @@ def solved(H: FloatArray, top: list[int], g: FloatArray, device: str, size: int)
     packed = np.concatenate([np.vstack([column[:-PANEL], np.triu(column[-PANEL:])]).ravel() for column in columns])
     base = np.cumsum([0] + [column.size for column in columns])
     threads = SIZES[size].threads if device == "cuda" else 1
-    with wp.ScopedDevice(device):
+    as_block = device != "thread"
+    with wp.ScopedDevice(device if as_block else "cpu"):
         rhs = wp.array(g, dtype=float)
         strip = wp.zeros(2 * panels * PANEL**2, dtype=float)
         arrays = [wp.array(packed, dtype=float), strip, wp.array(top, dtype=int), wp.array(base, dtype=int), rhs]
-        kernel = solver(most_panels(SIZES[size].most_boxes))
+        kernel = solver(most_panels(SIZES[size].most_boxes if as_block else MAX_BOXES), as_block)
         wp.launch(kernel, dim=threads, inputs=[*arrays, threads], block_dim=threads)
         found: FloatArray = rhs.numpy()
     return found

@@ -1,4 +1,4 @@
-// H·x = g by Cholesky within H's envelope: H = UᵀU, one world per block of threads.
+// H·x = g by Cholesky within H's envelope: H = UᵀU, one world per block of threads; on a CPU by one thread.
 //
 // Right-looking by panels of 16 rows, one at a time in kernels for few, else two. Every number is found in the same way by
 // any warp, so results do not depend on how warps share.
@@ -7,9 +7,12 @@
 #define PETMJX_CHOLESKY_CUH
 
 #include "by_one.cuh"
+#include "by_thread.cuh"
 #include "by_two.cuh"
 
 namespace petmjx {
+
+#if defined(__CUDA_ARCH__) || defined(PETMJX_BLOCKS_ON_CPU)  // tests run the code for blocks on a CPU, with one thread
 
 // What the threads of a block share. MOST: panels of the largest system.
 template <int MOST, bool FEW = (MOST <= PETMJX_FEW_PANELS)>
@@ -23,6 +26,11 @@ inline CUDA_CALLABLE void factor_and_solve(const System& system, Factoring<MOST>
     forward(system, shared, thread, threads);
     solve_backward<Factoring<MOST>::SPREAD>(system, shared.solutions, thread, threads);
 }
+
+#else
+template <int MOST>
+using Factoring = ByThread;
+#endif
 
 }  // namespace petmjx
 

@@ -7,6 +7,7 @@
 #define PETMJX_CONTACT_CUH
 
 #include "block.cuh"
+#include "six.cuh"
 
 namespace petmjx {
 
@@ -34,6 +35,7 @@ inline CUDA_CALLABLE void load_arms(const float* contact, int side, float (&arms
 }
 
 // J·x of one contact, (3,). `body`: the numbers of its two bodies, negative if one does not move.
+#if defined(__CUDA_ARCH__)
 inline CUDA_CALLABLE void relative(const float* contact, const int* body, const double* x, double* out) {
     const int one = 6 * body[0], two = 6 * body[1];
     float axes[28];
@@ -57,6 +59,16 @@ inline CUDA_CALLABLE void relative(const float* contact, const int* body, const 
     }
     for (int r = 0; r < 3; ++r) out[r] = value[r];
 }
+#else
+inline void relative(const float* contact, const int* body, const double* x, double* out) {
+    const SixDoubles one = load_six_doubles(x, body[0]), two = load_six_doubles(x, body[1]);
+    for (int r = 0; r < 3; ++r) {
+        const SixDoubles parts = as_doubles(load_six(contact, 1, r)) * two - as_doubles(load_six(contact, 0, r)) * one;
+        const auto four = parts.lo + parts.hi;
+        out[r] = (four.x + four.y) + (four.z + four.w);
+    }
+}
+#endif
 
 // Force (3,) and curvature (6: the upper triangle, row by row) of a contact's cost at residual j = J·qacc − aref, in
 // its frame. The formulas are those of mj_constraintUpdate (MuJoCo, engine_core_constraint.c); both tangents have the same

@@ -47,6 +47,7 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
     #pragma unroll 1
     for (int base = 0; base < world.nfree * SHARE; base += threads) {
         const int b = (base + thread) / SHARE, share_of = thread % SHARE;
+#if defined(__CUDA_ARCH__)
         double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
         if (b < world.nfree) {
             #pragma unroll 1
@@ -67,6 +68,16 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
             }
         }
         sum_over_share(value);
+#else
+        SixDoubles value = 0.0;
+        for (int entry = world.body_conadr[b]; entry < world.body_conadr[b + 1]; ++entry) {
+            const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
+            for (int r = 0; r < 3; ++r) {
+                const double push = side ? -world.force[3 * k + r] : world.force[3 * k + r];
+                value += as_doubles(load_six(world.efc + EFC * k, side, r)) * push;
+            }
+        }
+#endif
         #pragma unroll
         for (int i = 0; i < 6; ++i) {
             if (b >= world.nfree || i % SHARE != share_of) continue;
@@ -80,6 +91,7 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
     return bound;
 }
 
+#if defined(__CUDA_ARCH__)
 // A body's own entries of the Hessian, 21 of its 6 × 6, summed over its contacts by SHARE threads.
 inline CUDA_CALLABLE void own_entries(const World& world, const System& system, int thread, int threads) {
     #pragma unroll 1
@@ -168,6 +180,64 @@ inline CUDA_CALLABLE void pair_entries(const World& world, const System& system,
     }
 }
 
+#else
+// The same as rows of six numbers, for the vector units of a CPU: a body's own entries,
+inline void own_entries(const World& world, const System& system, int, int) {
+    for (int b = 0; b < world.nfree; ++b) {
+        Six own[6] = {};
+        for (int entry = world.body_conadr[b]; entry < world.body_conadr[b + 1]; ++entry) {
+            const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
+            const float* c = world.efc + EFC * k;
+            const Six rows[3] = {load_six(c, side, 0), load_six(c, side, 1), load_six(c, side, 2)};
+            Six bent[3];
+            bend_six(world.curvature + 6 * k, rows, bent);
+            #pragma unroll
+            for (int q = 0; q < 6; ++q) own[q] += bent[0][q] * rows[0] + bent[1][q] * rows[1] + bent[2][q] * rows[2];
+        }
+        const int place = world.position[b];
+        const Columns columns = system.columns(place);
+        #pragma unroll
+        for (int q = 0; q < 6; ++q) {
+            own[q][q] += world.qM[6 * b + q];
+            #pragma unroll
+            for (int p = 0; p <= q; ++p) columns.entry(6 * place + p, q) = own[q][p];
+        }
+    }
+}
+
+// and those of two bodies that touch.
+inline void pair_entries(const World& world, const System& system, int pairs, int, int) {
+    const int* body = world.body;
+    for (int pair = 0; pair < pairs; ++pair) {
+        int k = world.bodies_conadr[pair];
+        const int one = body[2 * k], two = body[2 * k + 1];
+        Six shared[6] = {};
+        do {
+            const float* c = world.efc + EFC * k;
+            const Six first[3] = {load_six(c, 0, 0), load_six(c, 0, 1), load_six(c, 0, 2)};
+            const Six second[3] = {load_six(c, 1, 0), load_six(c, 1, 1), load_six(c, 1, 2)};
+            Six bent[3];
+            bend_six(world.curvature + 6 * k, first, bent);
+            #pragma unroll
+            for (int p = 0; p < 6; ++p)
+                shared[p] -= bent[0][p] * second[0] + bent[1][p] * second[1] + bent[2][p] * second[2];
+            ++k;
+        } while (k < world.ncon && body[2 * k] == one && body[2 * k + 1] == two);
+        const int upper = world.position[one], lower = world.position[two];
+        const bool ahead = upper < lower;
+        const Columns columns = system.columns(ahead ? lower : upper);
+        #pragma unroll
+        for (int p = 0; p < 6; ++p) {
+            #pragma unroll
+            for (int i = 0; i < 6; ++i) {
+                if (ahead) columns.entry(6 * upper + p, i) = shared[p][i];
+                else columns.entry(6 * lower + i, p) = shared[p][i];
+            }
+        }
+    }
+}
+#endif
+
 // H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles. Rows beyond its end: identity.
 inline CUDA_CALLABLE void hessian(const World& world, const System& system, int pairs, int thread, int threads) {
     const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
@@ -253,6 +323,7 @@ inline CUDA_CALLABLE void newton(
     const size_t own = sizeof factoring + sizeof rhs + sizeof partial + sizeof layout;
     static_assert(own + DRIVER_BYTES <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
 
+    if (WARP == 1) thread = 0, threads = 1;  // so that the compiler knows
     const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
     const double impratio_invsqrt = model.impratio_invsqrt;

@@ -1,0 +1,41 @@
+// A body's six numbers at once, for the vector units of CPUs. Vectors have eight; the last two are not used.
+
+#ifndef PETMJX_SIX_CUH
+#define PETMJX_SIX_CUH
+
+#if !defined(__CUDA_ARCH__)
+namespace petmjx {
+
+// Warp compiles for CPUs with Clang, which has such types.
+typedef float Six __attribute__((ext_vector_type(8)));
+typedef double SixDoubles __attribute__((ext_vector_type(8)));
+
+// A body's part of a row of J: a contact's axis, and the moment arm of it. `side`: 0 for its first body, 1 for its second.
+inline Six load_six(const float* contact, int side, int r) {
+    typedef float Four __attribute__((ext_vector_type(4)));
+    Four axis, arm;
+    __builtin_memcpy(&axis, contact + 3 * r, sizeof axis);
+    __builtin_memcpy(&arm, contact + 9 + 9 * side + 3 * r, sizeof arm);
+    return __builtin_shufflevector(axis, arm, 0, 1, 2, 4, 5, 6, 3, 7);
+}
+
+inline SixDoubles as_doubles(const Six& six) { return __builtin_convertvector(six, SixDoubles); }
+
+// Of a body; zeros for one that does not move, whose number is negative.
+inline SixDoubles load_six_doubles(const double* x, int body) {
+    SixDoubles six = 0.0;
+    if (body >= 0) __builtin_memcpy(&six, x + 6 * body, 6 * sizeof *x);
+    return six;
+}
+
+// The three rows of a body times the curvature of a contact's cost: the upper triangle of a 3 × 3 matrix, row by row.
+inline void bend_six(const float* s, const Six (&rows)[3], Six (&out)[3]) {
+    out[0] = s[0] * rows[0] + s[1] * rows[1] + s[2] * rows[2];
+    out[1] = s[1] * rows[0] + s[3] * rows[1] + s[4] * rows[2];
+    out[2] = s[2] * rows[0] + s[4] * rows[1] + s[5] * rows[2];
+}
+
+}  // namespace petmjx
+#endif
+
+#endif
