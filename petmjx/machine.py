@@ -109,7 +109,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
     """The name of the device on which an engine's worlds run.
 
     Args:
-        threads: CPU threads of the engine ``mujoco``; None: all.
+        threads: of an engine on CPU threads; None: all.
     """
     if engine == "mjx-warp" and cuda_devices():
         return cuda_devices()[0]
@@ -132,4 +132,11 @@ def why_no_warp() -> str | None:
         jax_devices("cuda")
     except RuntimeError as error:
         return f"jax sees no CUDA device: {' '.join(str(error).split())}; pip install 'petmjx[cuda]'"
+    return None
+
+
+def why_no_warp_on_cpu() -> str | None:
+    """Why mjx-warp-cpu cannot run here; None if it can, unless JAX uses a GPU in this process."""
+    if importlib.util.find_spec("warp") is None:
+        return "Warp is not installed: pip install 'petmjx[warp]'"
     return None

@@ -108,13 +108,15 @@ class RunOptions(Checked):
 
     engine: Annotated[Any, CliFlag("--engine")] = Field(
         AUTO,
-        description="engine: mujoco: C MuJoCo on CPU threads; mjx-jax, mjx-warp: MJX in batches; auto: "
-        "mjx-warp where it runs and is expected to finish first, else mujoco; in Python also an engine of your own",
+        description="engine: mujoco: C MuJoCo on CPU threads; mjx-warp: kernels on a GPU; mjx-warp-cpu: the same "
+        "kernels on CPU threads; mjx-jax: MJX in batches; auto: the one expected to finish first; in Python also an "
+        "engine of your own",
     )
     threads: Annotated[int | None, within(1, 4096), CliFlag("--threads", "N")] = Field(
         None,
         ge=1,
-        description="CPU threads of the engine mujoco (of each worker, if there are workers); by default all",
+        description="CPU threads of the engines mujoco and mjx-warp-cpu (of each worker, if there are workers); by "
+        "default all",
     )
     lanes: Annotated[int | None, within(1, 1 << 20), CliFlag("--lanes", "N")] = Field(
         None,

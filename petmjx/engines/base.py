@@ -110,7 +110,7 @@ class Engine(Simulates, Protocol):
             InputError: this engine has none.
             ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
         """
-        raise InputError(f"engine {self.name} has no worlds that stay open; mujoco and mjx-warp have")
+        raise InputError(f"engine {self.name} has no worlds that stay open; mujoco, mjx-warp and mjx-warp-cpu have")
 
     def close(self) -> None:
         """Free what is held between runs, such as workers. Nothing is run after it."""

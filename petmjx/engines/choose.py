@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Any
 
 from petmjx.engines.base import Engine
 from petmjx.errors import EngineUnavailable, InputError
-from petmjx.machine import why_no_warp
+from petmjx.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.run_options import AUTO, RunOptions
 from petmjx.text import counted
 
@@ -17,12 +18,17 @@ ENGINES: dict[str, tuple[str, str]] = {
     "mujoco": ("petmjx.engines.cpu.engine", "MujocoEngine"),
     "mjx-jax": ("petmjx.engines.batch.mjx_jax", "MjxJaxEngine"),
     "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine"),
+    "mjx-warp-cpu": ("petmjx.engines.warp.cpu", "MjxWarpCpuEngine"),
 }
 """Engine name → module and class. A module is imported only when its engine is used."""
 
-
-OF_MUJOCO = ("threads", "world_timeout_s")
-"""Options that only the engine ``mujoco`` has."""
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "mujoco": ("threads", "world_timeout_s"),
+    "mjx-jax": ("lanes",),
+    "mjx-warp": ("lanes",),
+    "mjx-warp-cpu": ("threads",),
+}
+"""Engine name → the options that it has, in the order of its arguments."""
 
 
 @dataclass(frozen=True)
@@ -36,31 +42,47 @@ class Choice:
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:
     """The arguments of ``make_engine`` that a run has for an engine. With ``auto`` only those that the engine has."""
-    limits = {option: getattr(options, option) for option in (*OF_MUJOCO, "lanes")}
-    if options.engine == AUTO:
-        for option in ("lanes",) if name == "mujoco" else OF_MUJOCO:
-            del limits[option]
-    return limits
+    of_engine = OPTIONS[name] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
+    return {option: getattr(options, option) for option in of_engine}
 
 
 def choose(
-    seconds: dict[str, float], threads: int, gpus: int = 1, why_no_gpu: Callable[[], str | None] | None = None
+    seconds: dict[str, float],
+    threads: int,
+    gpus: int = 1,
+    why_no_gpu: Callable[[], str | None] | None = None,
+    why_no_kernel: Callable[[], str | None] | None = None,
 ) -> tuple[str, str]:
     """The engine ``auto`` stands for, and why.
 
     Args:
         seconds: expected time of each engine, s.
-        threads: CPU threads that ``mujoco`` would use.
+        threads: CPU threads that ``mujoco`` or ``mjx-warp-cpu`` would use.
         gpus: that ``mjx-warp`` would use.
         why_no_gpu: tells why ``mjx-warp`` cannot run; None: whether it can run on this machine.
+        why_no_kernel: the same of ``mjx-warp-cpu``.
     """
-    cpu_s, gpu_s = seconds["mujoco"], seconds["mjx-warp"]
     cpu, gpu = counted(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
-    if cpu_s <= gpu_s:
-        return "mujoco", f"about {cpu_s:.0f} s on {cpu}, {gpu} would need about {gpu_s:.0f} s"
-    if problem := (why_no_gpu or why_no_warp)():
-        return "mujoco", f"mjx-warp would be faster but cannot run: {problem}"
-    return "mjx-warp", f"about {gpu_s:.0f} s, {cpu} would need about {cpu_s:.0f} s"
+    where = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
+    problem_of_gpu = functools.cache(why_no_gpu or why_no_warp)
+    problem_of_kernel = why_no_kernel or why_no_warp_on_cpu
+
+    def problem(name: str) -> str | None:
+        if name == "mujoco":
+            return None
+        if name == "mjx-warp":
+            return problem_of_gpu()
+        return problem_of_kernel() if problem_of_gpu() else "jax uses the GPU"
+
+    by_time = sorted(where, key=lambda name: seconds[name])
+    found = next(name for name in by_time if problem(name) is None)
+    faster = by_time[: by_time.index(found)]
+    if found == "mujoco" and faster:
+        return found, f"{faster[0]} would be faster but cannot run: {problem(faster[0])}"
+    other = "mjx-warp" if found == "mujoco" else "mujoco"
+    on = "" if found == "mjx-warp" else f" on {cpu}"
+    its = other if found == "mjx-warp-cpu" else where[other]
+    return found, f"about {seconds[found]:.0f} s{on}, {its} would need about {seconds[other]:.0f} s"
 
 
 def make_engine(
@@ -69,32 +91,34 @@ def make_engine(
     """Build an engine by name.
 
     Args:
-        threads: CPU threads of ``mujoco``; None: all.
-        lanes: worlds at once of the MJX engines; None: as many as each finds good.
+        threads: CPU threads of ``mujoco`` or ``mjx-warp-cpu``; None: all.
+        lanes: worlds at once of ``mjx-jax`` or ``mjx-warp``; None: as many as each finds good.
         world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:
         InputError: no such engine, or it does not have this option.
         EngineUnavailable: it cannot run here; the line says why.
     """
-    check_options(name, threads=threads, lanes=lanes, world_timeout_s=world_timeout_s)
+    given = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
+    check_options(name, **given)
     module_name, class_name = ENGINES[name]
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    engine: Engine = getattr(module, class_name)(*((threads, world_timeout_s) if name == "mujoco" else (lanes,)))
+    engine: Engine = getattr(module, class_name)(*(given[option] for option in OPTIONS[name]))
     return engine
 
 
-def check_options(name: str, *, threads: int | None, lanes: int | None, world_timeout_s: float | None) -> None:
+def check_options(name: str, **given: Any) -> None:
     """Raises InputError if there is no such engine, or it does not have one of these options."""
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
-    on_cpu = name == "mujoco"
-    if on_cpu and lanes is not None:
-        raise InputError("lanes belong to the MJX engines; the engine mujoco has threads")
-    if threads is not None and not on_cpu:
-        raise InputError(f"threads belong to the engine mujoco; the engine {name} has lanes")
-    if world_timeout_s is not None and not on_cpu:
-        raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
+    for option, value in given.items():
+        if value is None or option in OPTIONS[name]:
+            continue
+        if option == "world_timeout_s":
+            raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
+        owners = " and ".join(each for each, options in OPTIONS.items() if option in options)
+        its_own = f"; the engine {name} has {OPTIONS[name][0]}"
+        raise InputError(f"{option} belong to the engines {owners}{its_own}")

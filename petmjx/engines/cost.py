@@ -114,6 +114,8 @@ class Costs:
         full_worlds: worlds that fill the device.
         tail_worlds: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
         gpu_start_s: time to start the device engine, with compilation, s.
+        kernel_share: time of ``mjx-warp-cpu``, as a share of that of ``mujoco`` on as many threads.
+        kernel_start_s: time to start it, with compilation, s.
     """
 
     cpu_rest_s: float = 2.4e-6
@@ -125,19 +127,24 @@ class Costs:
     full_worlds: int = 264
     tail_worlds: int = 800
     gpu_start_s: float = 17.0
+    kernel_share: float = 0.4
+    kernel_start_s: float = 12.0
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
         """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
         n_plans = len(work.boxes)
         if not n_plans:
-            return {"mujoco": 0.0, "mjx-jax": 0.0, "mjx-warp": self.gpu_start_s}
+            starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
+            return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
         jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER)
         jax_steps = float((work.placements * jax_placing + work.drives * jax_driving).sum())
         placing_s, driving_s = self._placing_s(work), self._driving_s(work.boxes, work.drive_steps)
         thread_s = float((work.placements * placing_s + work.drives * driving_s).sum())
         longest_s = float((placing_s + (driving_s if work.drives else 0.0)).max())
+        cpu_s = max(thread_s / threads, longest_s)
         return {
-            "mujoco": max(thread_s / threads, longest_s),
+            "mujoco": cpu_s,
+            "mjx-warp-cpu": self.kernel_start_s + self.kernel_share * cpu_s,
             "mjx-jax": self.jax_step_s * jax_steps,
             "mjx-warp": self.gpu_start_s
             + self._phase_s(n_plans * work.placements / gpus, float(work._placing(WARP_POWER, grows=True).mean()))

@@ -94,10 +94,16 @@ def _check_mjx_warp() -> str:
     return f"Warp on {', '.join(cuda_devices())}"
 
 
+def _check_mjx_warp_cpu() -> str:
+    engine = make_engine("mjx-warp-cpu")
+    return f"Warp's kernels on {engine.device}"
+
+
 _CHECKS: dict[str, Callable[[], str]] = {
     "mujoco": _check_mujoco,
     "mjx-jax": _check_mjx_jax,
     "mjx-warp": _check_mjx_warp,
+    "mjx-warp-cpu": _check_mjx_warp_cpu,
 }
 """Of other engines it is only known whether they can be built."""
 

@@ -17,7 +17,7 @@ from petmjx.engines.choose import make_engine
 from petmjx.text import counted
 from petmjx.world.job import Job, KeptState
 
-STAND_INS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco"}
+STAND_INS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
 """Engine → its stand-in."""
 
 

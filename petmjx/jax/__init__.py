@@ -56,11 +56,11 @@ def empty(
     made, _ = open_engine(engine, n, {})
     if made.name == "mujoco":
         return empty_host(n, sim, made, whole_of(most_boxes, "most_boxes", 1, 512))
-    if made.name == "mjx-warp":
+    if made.name in ("mjx-warp", "mjx-warp-cpu"):
         from petmjx.jax.device import empty_device  # loads Warp
 
         return empty_device(n, sim, made, whole_of(most_boxes, "most_boxes", 1, 512))
-    raise InputError(f"engine: petmjx.jax has mujoco and mjx-warp, got {made.name}")
+    raise InputError(f"engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu, got {made.name}")
 
 
 def place(

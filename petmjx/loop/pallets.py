@@ -284,7 +284,7 @@ class Pallets:
                 raise InputError("pallet: none has boxes")
             plans = [self.plan(int(row)) for row in rows]
             worlds: dict[bytes, int] = {}
-            if self._engine.name == "mjx-warp":
+            if self._engine.name in ("mjx-warp", "mjx-warp-cpu"):
                 scenes = ((build_scene(plan, self.simulation), int(row)) for plan, row in zip(plans, rows, strict=True))
                 worlds = {scene_key(Job(scene)): row for scene, row in scenes}
             settled = SettledEngine(self._engine, self._worlds, worlds, self.simulation)

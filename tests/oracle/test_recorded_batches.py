@@ -145,7 +145,7 @@ def plain_piles() -> list[Outcome]:
 def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
     room: int | None, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    engine = warp_engine(slice_ns=20_000_000)
+    engine = warp_engine(slice_ns=300_000)
     from petmjx.engines.warp import frames
 
     if room is not None:

@@ -20,6 +20,8 @@ from support.plans import heap, make_scene
 from support.tiny_worlds import (
     LONG_NS,
     SHORT,
+    SOME_NS,
+    STEP_NS,
     TINY,
     assert_equal_worlds,
     devices,
@@ -40,7 +42,7 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slice_ns", [0, 7_000_000])
+@pytest.mark.parametrize("slice_ns", [0, 300_000])
 def test_slices_of_any_length_give_the_same(slice_ns: int, crowd: dict[str, Outcome]) -> None:
     """On a CPU 7 ms are eight steps, since there each look at the clock but the first takes a millisecond."""
     some = ("hand-overhang-45", "hand-falls-off")
@@ -73,7 +75,7 @@ def test_the_next_slice_is_under_way_where_nothing_can_come_between(
     monkeypatch.setattr(Rollout, "wait", watched)
     record = Record(0.05) if kind == "a recorded world" else None
     jobs = [Job(scene, record=record) for scene in tiny_scenes(TINY[:2]).values()]
-    found = run_all(engine(slice_ns=100_000_000), GrowingJobs(jobs) if "more" in kind else jobs, SHORT)
+    found = run_all(engine(slice_ns=STEP_NS), GrowingJobs(jobs) if "more" in kind else jobs, SHORT)
     assert_equal_worlds(dict(zip(TINY[:2], found, strict=True)), crowd)
     assert len(under_way) > 3
     assert set(under_way[:-1]) == ({2} if kind == "a list" else {1})
@@ -95,7 +97,7 @@ def test_alone_and_in_any_order_as_in_company(crowd: dict[str, Outcome]) -> None
 def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
     here = Launch.here
     monkeypatch.setattr(Launch, "here", lambda *args, **options: replace(here(*args, **options), blocks=3))
-    assert_equal_worlds(simulate(engine(slice_ns=20_000_000), tiny_scenes(), SHORT), crowd)
+    assert_equal_worlds(simulate(engine(slice_ns=SOME_NS), tiny_scenes(), SHORT), crowd)
 
 
 @pytest.mark.slow
@@ -149,7 +151,7 @@ def test_blocks_of_two_sizes_at_the_same_time_give_what_each_gives_alone() -> No
 
 @pytest.mark.slow
 def test_a_run_that_is_left_early_does_not_change_the_next(crowd: dict[str, Outcome]) -> None:
-    left = engine(slice_ns=100_000_000)
+    left = engine(slice_ns=SOME_NS)
     begun = left.run([Job(scene) for scene in tiny_scenes().values()], SHORT)
     next(begun)
     begun.close()

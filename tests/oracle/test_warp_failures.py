@@ -28,6 +28,8 @@ from support.plans import make_scene
 from support.tiny_worlds import (
     LONG_NS,
     SHORT,
+    SOME_NS,
+    STEP_NS,
     TINY,
     assert_equal_worlds,
     devices,
@@ -257,7 +259,7 @@ class FailingRollout(Rollout):
 @pytest.mark.slow
 def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
     monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
-    found = run_all(engine(slice_ns=100_000_000), [Job(scene) for scene in tiny_scenes().values()], SHORT)
+    found = run_all(engine(slice_ns=SOME_NS), [Job(scene) for scene in tiny_scenes().values()], SHORT)
     assert_equal_worlds(dict(zip(TINY, found, strict=True)), crowd)
 
 
@@ -275,7 +277,7 @@ def test_a_slice_in_which_memory_runs_out_loses_nothing(
         launch(self, arrays)
 
     monkeypatch.setattr(March, "launch", fails_once)
-    begun = engine(slice_ns=100_000_000)
+    begun = engine(slice_ns=SOME_NS)
     assert_equal_worlds(simulate(begun, tiny_scenes(), SHORT), crowd)
     assert_equal_worlds(simulate(begun, tiny_scenes(TINY[:2]), SHORT), crowd)
     assert next(launched) > slice_number + 2
@@ -288,7 +290,7 @@ def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: p
 
     monkeypatch.setattr(mjx_warp, "Rollout", Full)
     two = [Job(tiny("hand-one-box")), Job(tiny("hand-bridge"))]
-    for outcome in run_all(engine(slice_ns=100_000_000), two, SHORT):
+    for outcome in run_all(engine(slice_ns=STEP_NS), two, SHORT):
         assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OUT_OF_MEMORY)
 
 
@@ -299,7 +301,7 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
     class Broken(FailingRollout):
         error = RuntimeError("INTERNAL: illegal memory access")
 
-    begun = engine(slice_ns=100_000_000)
+    begun = engine(slice_ns=SOME_NS)
     with monkeypatch.context() as patch:
         patch.setattr(mjx_warp, "Rollout", Broken)
         with pytest.raises(RuntimeError, match="illegal memory access"):

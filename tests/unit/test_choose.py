@@ -164,16 +164,27 @@ def test_the_choice_turns_once_as_plans_become_more() -> None:
 
 def test_auto_says_why_it_does_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("petmjx.engines.choose.why_no_warp", lambda: "no CUDA device")
-    assert choose({"mujoco": 700.0, "mjx-warp": 80.0}, THREADS) == (
-        "mujoco",
-        "mjx-warp would be faster but cannot run: no CUDA device",
-    )
+    monkeypatch.setattr("petmjx.engines.choose.why_no_warp_on_cpu", lambda: "Warp is not installed")
+    seconds = {"mujoco": 700.0, "mjx-warp": 80.0, "mjx-warp-cpu": 200.0}
+    assert choose(seconds, THREADS) == ("mujoco", "mjx-warp would be faster but cannot run: no CUDA device")
+    some = seconds | {"mjx-warp": 900.0}
+    assert choose(some, THREADS) == ("mujoco", "mjx-warp-cpu would be faster but cannot run: Warp is not installed")
+
+
+def test_auto_takes_kernels_on_cpu_threads_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.engines.choose.why_no_warp", lambda: "no CUDA device")
+    monkeypatch.setattr("petmjx.engines.choose.why_no_warp_on_cpu", lambda: None)
+    seconds = {"mujoco": 700.0, "mjx-warp": 80.0, "mjx-warp-cpu": 200.0}
+    reason = "about 200 s on 16 CPU threads, mujoco would need about 700 s"
+    assert choose(seconds, THREADS) == ("mjx-warp-cpu", reason)
+    assert chosen([43] * 10) == "mujoco", "ten plans do not wait for a compiler"
+    assert chosen([43] * 5000) == "mjx-warp-cpu"
 
 
 @pytest.mark.usefixtures("gpu")
 def test_the_reason_has_both_times() -> None:
     for cpu, name in ((3.0, "mujoco"), (700.0, "mjx-warp")):
-        found, reason = choose({"mujoco": cpu, "mjx-warp": 80.0}, THREADS)
+        found, reason = choose({"mujoco": cpu, "mjx-warp": 80.0, "mjx-warp-cpu": 90.0}, THREADS)
         assert found == name
         assert f"about {cpu:.0f} s" in reason
         assert "about 80 s" in reason
@@ -191,14 +202,14 @@ def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert make_engine("mjx-jax", lanes=8).name == "mjx-jax"
     with pytest.raises(EngineUnavailable, match="no CUDA device"):
         make_engine("mjx-warp")
-    with pytest.raises(InputError, match="there are mujoco, mjx-jax, mjx-warp and auto"):
+    with pytest.raises(InputError, match="there are mujoco, mjx-jax, mjx-warp, mjx-warp-cpu and auto"):
         make_engine("abacus")
     for no_engine, shown in ((MujocoEngine, "<class"), (5, "5")):
         with pytest.raises(InputError, match=f"^engine must be a name or an object with .*, got {shown}"):
             resolve_engine(RunOptions(engine=no_engine), Work(SIM, [9]))
-    with pytest.raises(InputError, match="threads belong to the engine mujoco"):
+    with pytest.raises(InputError, match="threads belong to the engines mujoco and mjx-warp-cpu"):
         make_engine("mjx-jax", threads=2)
-    with pytest.raises(InputError, match="lanes belong to the MJX engines"):
+    with pytest.raises(InputError, match="lanes belong to the engines mjx-jax and mjx-warp"):
         make_engine("mujoco", lanes=2)
 
 

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from petmjx.machine import jax_devices
+from petmjx.machine import cuda_devices, jax_devices
 
 MIN_COMPILE_S = 0.0
 """Programs that compile faster than this are not kept. A run has about a hundred small ones, together some seconds."""
@@ -59,11 +62,32 @@ def compiler_options() -> dict[str, bool]:
 def set_up_warp() -> None:
     """Put Warp's kernel cache beside JAX's, and stop Warp from printing.
 
-    Each setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.)
+    Each setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) If tiles
+    are on the stack, Warp has one pointer to them for all threads of an x86 CPU: launches in several threads would
+    write through one another's.
     """
     import warp
 
     if warp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ:
         warp.config.kernel_cache_dir = str(cache_dir() / "warp")
+    if warp.config.enable_tiles_in_stack_memory:
+        warp.config.enable_tiles_in_stack_memory = None  # by architecture: on x86 they are not
     if warp.config.log_level == warp.LOG_INFO:
         warp.config.log_level = warp.LOG_ERROR
+    if not cuda_devices():
+        with _nothing_on_stderr():
+            warp.init()
+
+
+@contextmanager
+def _nothing_on_stderr() -> Iterator[None]:
+    """Keep off the terminal what native code writes there: that there is no CUDA driver, which is known."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)

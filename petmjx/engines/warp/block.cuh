@@ -63,9 +63,37 @@ inline CUDA_CALLABLE bool any_of_all(bool mine) {
 #endif
 }
 
+// The numbers of a tile in shared memory, or of an array.
+template <class Tile>
+inline CUDA_CALLABLE float* begin_of(const Tile& tile) {
+    return tile.data.ptr;
+}
+
+inline CUDA_CALLABLE float* begin_of(const wp::array_t<float>& array) { return array.data; }
+
+// Adds to a number that all blocks share; returns its value before. Blocks come in no fixed order.
+inline CUDA_CALLABLE int add_to(int* number, int amount) {
+#if defined(__CUDA_ARCH__)
+    return atomicAdd(number, amount);
+#else
+    return __atomic_fetch_add(number, amount, __ATOMIC_RELAXED);
+#endif
+}
+
+// Replaces a number that all blocks share by a larger one.
+inline CUDA_CALLABLE void raise_to(int* number, int value) {
+#if defined(__CUDA_ARCH__)
+    atomicMax(number, value);
+#else
+    int found = __atomic_load_n(number, __ATOMIC_RELAXED);
+    while (found < value && !__atomic_compare_exchange_n(number, &found, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
+    }
+#endif
+}
+
 // Time since the first look of all lanes at a call's clock, ns; `clock` is 0 before. On a GPU it keeps when that was,
 // in units of 1,024 ns, modulo half an hour; another lane's first look may be a little earlier. On a CPU, where there is no
-// clock without a library, it counts the looks, and each takes a millisecond. To be called by one thread of a lane.
+// clock without a library, the host sets `clock` when the slice is over. To be called by one thread of a lane.
 inline CUDA_CALLABLE long long elapsed(int* clock) {
 #if defined(__CUDA_ARCH__)
     long long now;
@@ -74,7 +102,7 @@ inline CUDA_CALLABLE long long elapsed(int* clock) {
     const int passed = (at - first) & mask;
     return first && passed <= mask / 2 ? (long long)passed << 10 : 0;
 #else
-    return (long long)(*clock)++ * 1000000;
+    return __atomic_load_n(clock, __ATOMIC_RELAXED) ? 0x7fffffffffffffffLL : 0;
 #endif
 }
 

@@ -350,5 +350,8 @@ class MjxWarpEngine(Engine):
         n_boxes = run.widths[size]
         launch = Launch.here(n_boxes, run.hands, run.gives, run.wraps)
         shapes = self._boxes_of_room(run, size) + boards - 1
-        blocks = min(self.lanes or launch.blocks, launch.blocks)
-        return Fleet(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+        return Fleet(launch, self._blocks(launch), n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+
+    def _blocks(self, launch: Launch) -> int:
+        """Blocks of a launch."""
+        return min(self.lanes or launch.blocks, launch.blocks)

@@ -18,7 +18,6 @@ from petmjx.engines.warp import newton
 from petmjx.engines.warp.kernel.worlds import run_worlds
 from petmjx.engines.warp.records import (
     MAX_BOXES,
-    PANEL,
     Counts,
     FrameBuffer,
     Model,
@@ -80,13 +79,13 @@ class Launch:
 
     @classmethod
     def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
-        """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread: Warp runs the
-        threads of a block one after the other, so a barrier cannot work."""
+        """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread, and one kernel is
+        for all sizes."""
         device = wp.get_device()
         size = size_for(n_boxes)
         panels = most_panels(size.most_boxes)
         if not device.is_cuda:
-            return cls(1, 1, 1, PANEL**2, panels, hands, gives, wraps)
+            return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
         shared = min(size.shared_bytes, device.max_shared_memory_per_block // size.per_sm - newton.own_bytes(panels))
         blocks = size.per_sm * device.sm_count
         return cls(blocks, size.threads, size.per_sm, shared // 4, panels, hands, gives, wraps)
@@ -106,6 +105,7 @@ def kernel(launch: Launch) -> Any:
         threads: int,
         n_blocks: int,
         slice_ns: wp.int64,
+        first_block: int,
         # Data out:
         state: State,
         work: Workspace,
@@ -113,7 +113,11 @@ def kernel(launch: Launch) -> Any:
         counts: Counts,
     ) -> None:
         block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
-        shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
+        block += first_block
+        if wp.static(shared_words > 0):
+            shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
+        else:
+            shared = work.strip  # type: ignore[assignment]  # never used: there is no shared memory
         run_worlds(
             model, worlds,
             block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, shared, shared_words,

@@ -15,6 +15,7 @@ import itertools
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -22,6 +23,7 @@ import jax.numpy as jnp
 import warp as wp
 
 from petmjx.engines.warp import records
+from petmjx.engines.warp.blocks import Call, launch_all
 from petmjx.engines.warp.launch import Launch, kernel
 from petmjx.engines.warp.records import (
     Counts,
@@ -33,7 +35,7 @@ from petmjx.engines.warp.records import (
     array_types,
     filled,
 )
-from petmjx.engines.warp.streams import own_kernels, side_by_side
+from petmjx.engines.warp.streams import own_kernels
 
 SLICE_NS = 250_000_000
 """Time of a call: short enough for a progress bar, and to stop."""
@@ -134,15 +136,20 @@ class March:
         """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
         worlds, state, counts = (filled(kind, arrays) for kind in (Worlds, State, Counts))
         frames = filled(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
-        row = 0
-        with side_by_side(len(self.fleets)) as streams:
-            for fleet, model, stream in zip(self.fleets, self.models, streams, strict=True):
-                threads, sizes = fleet.launch.threads, fleet.sizes
-                work = filled(Workspace, records.in_buffer(arrays["workspace"], sizes, row))
-                row += records.buffer_rows(sizes)
-                inputs = [model, worlds, threads, self.blocks, self.slice_ns, state, work, frames, counts]
-                dim = fleet.blocks, threads
-                wp.launch(kernel(fleet.launch), dim=dim, inputs=inputs, block_dim=threads, stream=stream)
+        row, calls = 0, []
+        for fleet, model in zip(self.fleets, self.models, strict=True):
+            work = filled(Workspace, records.in_buffer(arrays["workspace"], fleet.sizes, row))
+            row += records.buffer_rows(fleet.sizes)
+            threads = fleet.launch.threads
+            before, after = (model, worlds, threads, self.blocks, self.slice_ns), (state, work, frames, counts)
+            arguments = partial(_with_block, before, after)
+            calls.append(Call(kernel(fleet.launch), fleet.blocks, threads, arguments))
+        launch_all(calls, arrays["clock"], self.slice_ns)
+
+
+def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: int) -> tuple[Any, ...]:
+    """The arguments of a kernel, with the number of its first block."""
+    return *before, first_block, *after
 
 
 def _of_frames(name: str) -> str:

@@ -63,13 +63,22 @@ class Simulator:
         most_boxes: of a world.
         boards: most shapes of a carrier.
         room: how much larger than usual buffers are.
+        threads: of a CPU; None: one.
     """
 
-    def __init__(self, sim: Simulation, timetable: Timetable, most_boxes: int, boards: int, room: int = 1) -> None:
+    def __init__(
+        self,
+        sim: Simulation,
+        timetable: Timetable,
+        most_boxes: int,
+        boards: int,
+        room: int = 1,
+        threads: int | None = None,
+    ) -> None:
         launch = Launch.here(most_boxes, hands=True, gives=True, wraps=True)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        fleet = Fleet(launch, launch.blocks, most_boxes, boards, pairs, contacts)
+        fleet = Fleet(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
         self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
@@ -167,11 +176,12 @@ def fork(open_: Open, sources: Int[Array, " row"], into: Int[Array, " row"]) -> 
 
 
 class WarpWorlds(OpenWorlds):
-    """Open worlds on the engine mjx-warp.
+    """Open worlds on the engines mjx-warp and mjx-warp-cpu.
 
     Args:
         scenes: of the worlds.
         most_boxes: of a world, ever.
+        threads: of a CPU on which they run.
 
     Attributes:
         open: the worlds.
@@ -179,11 +189,11 @@ class WarpWorlds(OpenWorlds):
         width: boxes for which a world has room; ``boards``: shapes for which its carrier has.
     """
 
-    def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int) -> None:
+    def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int, threads: int | None = None) -> None:
         super().__init__(scenes, sim)
         if not 1 <= most_boxes <= records.MAX_BOXES:
             raise ValueError(f"most_boxes must be from 1 to {records.MAX_BOXES}, got {most_boxes!r}")
-        self._sim = sim
+        self._sim, self._threads = sim, threads
         self.width = round_up(most_boxes)
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)
         self._timetable = build_timetable(sim, self.width)
@@ -334,7 +344,7 @@ class WarpWorlds(OpenWorlds):
         return open_
 
     def _make_simulator(self) -> None:
-        self.simulator = Simulator(self._sim, self._timetable, self.width, self.boards, self._room)
+        self.simulator = self.roomier(self._room)
         self.simulator.load()
         self._jitted_slice, self._jitted_put, self._jitted_finish, self._jitted_put_next = (
             jax.jit(function)
@@ -348,7 +358,7 @@ class WarpWorlds(OpenWorlds):
 
     def roomier(self, times: int) -> Simulator:
         """The pure functions with buffers that are so many times as large: programs of others cannot enlarge them."""
-        return Simulator(self._sim, self._timetable, self.width, self.boards, times)
+        return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads)
 
     def _constants(self, scenes: Sequence[Scene]) -> Worlds:
         """Constants of open worlds."""

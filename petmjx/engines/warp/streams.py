@@ -22,19 +22,16 @@ def _more_streams(device: str, count: int) -> list[wp.Stream]:
 
 def own_kernels(count: int) -> list[wp.Kernel]:
     """What ``side_by_side`` launches itself."""
-    return [pause] if count > 1 else []
+    return [pause] if count > 1 and wp.get_device().is_cuda else []
 
 
 @contextmanager
-def side_by_side(count: int) -> Iterator[list[wp.Stream | None]]:
+def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
     """Streams for kernels that run at the same time, between what is on the current stream before and after.
 
-    Kernels are to be launched in the order of the streams. On a CPU streams are None, and one kernel follows the other.
+    Kernels are to be launched in the order of the streams.
     """
     device = wp.get_device()
-    if not device.is_cuda:
-        yield [None] * count
-        return
     current = wp.get_stream(device)
     more = _more_streams(device.alias, count - 1)
     for number, stream in enumerate(more, start=1):

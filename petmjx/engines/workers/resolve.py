@@ -38,11 +38,18 @@ def resolve_workers(options: RunOptions, work: Work, costs: Costs) -> tuple[Work
                 None if gpus and (workers == AUTO or int(workers) <= gpus) else f"{counted(gpus, 'GPU')} in the cluster"
             )
 
-        name, reason = choose(seconds, threads, used, why_no_gpu) if asked == AUTO else (asked, "as asked for")
+        def why_no_kernel() -> str | None:
+            return "not chosen for workers"  # each would compile the kernels
+
+        name, reason = asked, "as asked for"
+        if asked == AUTO:
+            name, reason = choose(seconds, threads, used, why_no_gpu, why_no_kernel)
         limits = options_of(name, options)
         found = places(name, nodes, workers, limits.pop("threads", None))
         if name == "mujoco":
             limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
+        elif name == "mjx-warp-cpu":
+            limits["threads"] = min(place.cpus for place in found)
         pool = WorkerPool(Recipe(name, limits), found, cluster)
     except BaseException:
         cluster.close()

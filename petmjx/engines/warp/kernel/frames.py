@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernel.block import wait_for_all
+from petmjx.engines.warp.kernel.block import add_to, wait_for_all
 from petmjx.engines.warp.kernel.rules import RUNNING
 from petmjx.engines.warp.records import FrameBuffer, State, Thread, Workspace
 
@@ -15,7 +15,7 @@ def no_room(frames: FrameBuffer, blocks: int) -> bool:
 
     An atomic addition reads what all blocks have written; a plain load may read a multiprocessor's own cache.
     """
-    return wp.atomic_add(frames.used, 0, 0) + blocks > frames.of.shape[0]
+    return add_to(frames.used, 0, 0) + blocks > frames.of.shape[0]
 
 
 @wp.func
@@ -40,7 +40,7 @@ def keep_frame(
     regular = at.placed > 0 and step >= 0 and step % every == 0
     if regular or placed > at.placed or state.status[world] != RUNNING:
         if at.thread == 0:
-            work.frame[at.block] = wp.atomic_add(frames.used, 0, 1)
+            work.frame[at.block] = add_to(frames.used, 0, 1)
         wait_for_all()
         frame = work.frame[at.block]
         for box in range(at.thread, placed, at.threads):

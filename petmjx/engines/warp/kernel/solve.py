@@ -12,7 +12,7 @@ from petmjx.engines.warp.records import EFC_WORDS, PANEL, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
-    "(model, block, thread, threads, limit, changed, forces, shared.data.ptr, shared_words, work);"
+    "(model, block, thread, threads, limit, changed, forces, petmjx::begin_of(shared), shared_words, work);"
 )
 def newton(
     # Model:

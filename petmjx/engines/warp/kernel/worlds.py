@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from petmjx.engines.batch.state import Status
-from petmjx.engines.warp.kernel.block import any_of_all, elapsed, wait_for_all
+from petmjx.engines.warp.kernel.block import add_to, any_of_all, elapsed, raise_to, wait_for_all
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_constraint
 from petmjx.engines.warp.kernel.film import hold
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
@@ -112,7 +112,7 @@ def advance(
     ncon = work.pair_conadr[at.block, npair]
     if at.thread == 0:
         work.ncon[at.block] = ncon
-        wp.atomic_max(counts.contacts, 0, ncon)
+        raise_to(counts.contacts, 0, ncon)
     if ncon > model.nconmax:
         overflow(at, state)
         return -1
@@ -167,7 +167,7 @@ def run_worlds(
     late = bool(False)
     while not late:
         if thread == 0:
-            number = wp.atomic_add(counts.taken, model.queue, 1)
+            number = add_to(counts.taken, model.queue, 1)
             work.world[block] = -1
             if number < worlds.order.shape[1]:
                 work.world[block] = worlds.order[model.queue, number]
@@ -211,5 +211,5 @@ def run_worlds(
                     over = over or no_room(frames, n_blocks)
             late = any_of_all(over)
         if thread == 0:
-            wp.atomic_add(counts.steps, 0, steps)
-            wp.atomic_add(counts.iterations, 0, iterations)
+            add_to(counts.steps, 0, steps)
+            add_to(counts.iterations, 0, iterations)

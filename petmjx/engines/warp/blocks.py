@@ -1,0 +1,68 @@
+"""Launches of thread blocks: on a GPU by its scheduler, on a CPU each in a thread of its own."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from petmjx.engines.warp.streams import side_by_side
+
+
+@dataclass(frozen=True)
+class Call:
+    """A kernel, and the blocks that it is launched with.
+
+    Attributes:
+        threads: of a block.
+        arguments: those of the kernel, by the number of the first block.
+    """
+
+    kernel: Any
+    blocks: int
+    threads: int
+    arguments: Callable[[int], Sequence[Any]]
+
+    def launch(self, first: int, blocks: int, **options: Any) -> None:
+        """Some of its blocks, from this one on."""
+        dim, inputs = (blocks, self.threads), list(self.arguments(first))
+        wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
+
+
+def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
+    """Launch all blocks of some calls, on Warp's current device.
+
+    Args:
+        clock: (1,) the number that tells blocks on a CPU that the time slice is over.
+        slice_ns: the time slice, ns.
+    """
+    device = wp.get_device()
+    if device.is_cuda:
+        with side_by_side(len(calls)) as streams:
+            for call, stream in zip(calls, streams, strict=True):
+                call.launch(0, call.blocks, stream=stream)
+        return
+
+    def run(block: int) -> None:
+        for call in calls:
+            if block < call.blocks:
+                call.launch(block, 1, device=device)
+
+    blocks = max(call.blocks for call in calls)
+    running = [_threads(blocks).submit(run, block) for block in range(blocks)]
+    _, late = wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
+    if late:
+        clock.numpy()[0] = 1  # the kernels' own memory
+    for each in running:
+        each.result()
+
+
+@functools.cache
+def _threads(count: int) -> ThreadPoolExecutor:
+    """Threads for blocks, kept since each slice needs them."""
+    return ThreadPoolExecutor(count, thread_name_prefix="mjx-warp")

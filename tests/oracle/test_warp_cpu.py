@@ -1,0 +1,88 @@
+"""The engine mjx-warp-cpu: worlds on the kernels of mjx-warp, in several threads of a CPU."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+from support.fake_stepper import assert_same, run_all
+from support.plans import make_scene, stack
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+import jax
+from support.tiny_worlds import SHORT, TINY, assert_equal_worlds, in_one_slice, tiny_scenes
+from support.worlds import simulate
+
+import petmjx
+from petmjx.engines.choose import make_engine
+from petmjx.engines.warp.cpu import MjxWarpCpuEngine
+from petmjx.errors import EngineUnavailable, InputError
+from petmjx.history import Record
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="jax uses a GPU in this process")
+
+MANY = 40
+"""Worlds beside one another: enough for threads to take them at the same moment."""
+
+
+@functools.cache
+def crowd() -> dict[str, Outcome]:
+    return in_one_slice()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_worlds_are_the_same_to_the_last_bit_on_any_number_of_threads(threads: int) -> None:
+    scenes = {f"{name} {k}": scene for k in range(MANY // len(TINY)) for name, scene in tiny_scenes().items()}
+    found = simulate(MjxWarpCpuEngine(threads), scenes, SHORT)
+    assert_equal_worlds(found, {name: crowd()[name.rpartition(" ")[0]] for name in scenes})
+
+
+def test_recorded_worlds_of_several_threads_keep_their_own_frames() -> None:
+    """All blocks write into one room for frames."""
+    boxes = [stack(2), stack(3, 260.0), stack(1), stack(2, 160.0)]
+    jobs = [Job(make_scene(some, SHORT), record=Record(0.02)) for some in boxes]
+    alone, together = (run_all(MjxWarpCpuEngine(threads), jobs, SHORT) for threads in (1, 3))
+    for one, other in zip(alone, together, strict=True):
+        assert_same(one, other)
+        assert one.history is not None
+        assert other.history is not None
+        np.testing.assert_array_equal(one.history.pos, other.history.pos)
+        np.testing.assert_array_equal(one.history.time_s, other.history.time_s)
+
+
+def test_open_worlds_go_on_in_several_threads() -> None:
+    scenes = list(tiny_scenes().values())
+    found = []
+    for threads in (1, 3):
+        worlds = MjxWarpCpuEngine(threads).open(scenes, SHORT)
+        worlds.go_on()
+        found.append(worlds.finish(range(len(scenes))))
+    for one, other in zip(*found, strict=True):
+        assert_same(one, other)
+    assert [one.verdict for one in found[0]] == [crowd()[name].verdict for name in TINY]
+
+
+def test_a_score_says_what_it_ran_on_and_agrees_with_mujoco() -> None:
+    run, exact = (petmjx.score(limit=8, engine=engine) for engine in ("mjx-warp-cpu", "mujoco"))
+    assert run.info["config"]["engine"] == "mjx-warp-cpu"
+    assert "thread" in run.info["device"]
+    assert run.worlds.verdict.tolist() == exact.worlds.verdict.tolist()
+
+
+@pytest.mark.parametrize(("options", "match"), [({"lanes": 4}, "lanes"), ({"world_timeout_s": 1.0}, "timeout")])
+def test_options_of_other_engines_are_refused(options: dict[str, Any], match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        make_engine("mjx-warp-cpu", **options)
+
+
+def test_without_warp_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.engines.warp.cpu.why_no_warp_on_cpu", lambda: "Warp is not installed")
+    with pytest.raises(EngineUnavailable, match="cannot run here: Warp is not installed"):
+        make_engine("mjx-warp-cpu")
+    with pytest.raises(ValueError, match="threads must be at least 1"):
+        MjxWarpCpuEngine(0)
