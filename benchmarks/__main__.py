@@ -135,6 +135,28 @@ def real_boxes(
     print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
 
 
+@app.command("cpu-engines")
+@opt.takes("limit")
+def cpu_engines(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
+    least: Annotated[int, typer.Option(metavar="N", help="Plans of so many boxes and more.")] = 0,
+    group: Annotated[str, typer.Option(metavar="NAME", help="What the plans are.")] = "",
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """C MuJoCo against the kernels of mjx-warp on CPU threads: time and verdicts."""
+    from benchmarks.cpu_engines import compared
+    from benchmarks.record import append_line
+    from petmjx.run_options import RunOptions
+
+    limit = RunOptions(**options).limit
+    found = [plan for plan in _usable(plans, RunOptions()) if plan.n_boxes >= least][:limit]
+    line = compared(found, threads, group)
+    append_line(out, line)
+    print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
+
+
 @app.command()
 def flex(out: Out = DEFAULT_OUT) -> None:
     """How deep a load sinks into a box that gives, and into MuJoCo's own soft body of the same stiffness."""
