@@ -14,21 +14,19 @@ from petmjx.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.run_options import AUTO, RunOptions
 from petmjx.text import counted
 
-ENGINES: dict[str, tuple[str, str]] = {
-    "mujoco": ("petmjx.engines.cpu.engine", "MujocoEngine"),
-    "mjx-jax": ("petmjx.engines.batch.mjx_jax", "MjxJaxEngine"),
-    "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine"),
-    "mjx-warp-cpu": ("petmjx.engines.warp.cpu", "MjxWarpCpuEngine"),
+ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    "mujoco": ("petmjx.engines.cpu.engine", "MujocoEngine", ("threads", "world_timeout_s")),
+    "mjx-jax": ("petmjx.engines.batch.mjx_jax", "MjxJaxEngine", ("lanes",)),
+    "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine", ("lanes",)),
+    "mjx-warp-cpu": ("petmjx.engines.warp.cpu", "MjxWarpCpuEngine", ("threads",)),
 }
-"""Engine name → module and class. A module is imported only when its engine is used."""
+"""Engine name → module, class, and which options of a run it has, in the order of its arguments. A module is imported
+only when its engine is used."""
 
-OPTIONS: dict[str, tuple[str, ...]] = {
-    "mujoco": ("threads", "world_timeout_s"),
-    "mjx-jax": ("lanes",),
-    "mjx-warp": ("lanes",),
-    "mjx-warp-cpu": ("threads",),
-}
-"""Engine name → the options that it has, in the order of its arguments."""
+
+def has_option(engine: str, option: str) -> bool:
+    """Whether an engine of petmjx's has an option of a run."""
+    return option in ENGINES[engine][2]
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class Choice:
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:
     """The arguments of ``make_engine`` that a run has for an engine. With ``auto`` only those that the engine has."""
-    of_engine = OPTIONS[name] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
+    of_engine = ENGINES[name][2] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
     return {option: getattr(options, option) for option in of_engine}
 
 
@@ -101,12 +99,12 @@ def make_engine(
     """
     given = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
     check_options(name, **given)
-    module_name, class_name = ENGINES[name]
+    module_name, class_name, its_options = ENGINES[name]
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    engine: Engine = getattr(module, class_name)(*(given[option] for option in OPTIONS[name]))
+    engine: Engine = getattr(module, class_name)(*(given[option] for option in its_options))
     return engine
 
 
@@ -115,10 +113,11 @@ def check_options(name: str, **given: Any) -> None:
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
     for option, value in given.items():
-        if value is None or option in OPTIONS[name]:
+        if value is None or has_option(name, option):
             continue
         if option == "world_timeout_s":
             raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
-        owners = " and ".join(each for each, options in OPTIONS.items() if option in options)
-        its_own = f"; the engine {name} has {OPTIONS[name][0]}"
+        owners = " and ".join(engine for engine in ENGINES if has_option(engine, option))
+        other = {"threads": "lanes", "lanes": "threads"}[option]
+        its_own = f"; the engine {name} has {other}" if has_option(name, other) else ""
         raise InputError(f"{option} belong to the engines {owners}{its_own}")

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from petmjx.arguments import flag_of, number_of, text_of, whole_of
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine
-from petmjx.engines.choose import ENGINES, OPTIONS, make_engine
+from petmjx.engines.choose import ENGINES, has_option, make_engine
 from petmjx.engines.resolve import engine_for
 from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.history import History, Record
@@ -182,7 +182,7 @@ def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
     if name not in ENGINES:
         return make_engine("mujoco"), f"simulated on mujoco: the run's engine {shown(str(name))} is not petmjx's own"
     try:
-        return make_engine(name, lanes=config.get("lanes") if "lanes" in OPTIONS[name] else None), ""
+        return make_engine(name, lanes=config.get("lanes") if has_option(name, "lanes") else None), ""
     except EngineUnavailable as error:
         return make_engine("mujoco"), f"simulated on mujoco: {error}"
 

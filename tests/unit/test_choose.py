@@ -253,6 +253,6 @@ def test_an_engine_of_the_user_s_own_needs_a_name_and_a_method_and_stays_open() 
 
 
 def test_an_engine_whose_packages_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(ENGINES, "mjx-jax", ("petmjx.engines.not_there", "Engine"))
+    monkeypatch.setitem(ENGINES, "mjx-jax", ("petmjx.engines.not_there", "Engine", ()))
     with pytest.raises(EngineUnavailable, match="engine mjx-jax cannot run here: No module named"):
         make_engine("mjx-jax")
