@@ -83,6 +83,7 @@ class Episodes:
         if not len(rows):
             return
         self.pallets.reset(rows)
+        self._actions.strength_n[rows] = np.nan
         for values in (self._heights, self._loads, self._mass, self._volume, self._top, self._illegal):
             values[rows] = 0
         self._verdict[rows], self._reason[rows], self._culprit[rows], self._margin[rows] = "stable", "", -1, 1.0
@@ -123,8 +124,9 @@ class Episodes:
         table, at = self.table, (rows, actions)
         size, corner, mass, box = table.size_mm[at], table.corner_mm[at], table.mass_kg[at], table.box[at]
         told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows)
-        for row, number in zip(rows.tolist(), box.tolist(), strict=True):
-            self._queues.take(row, number)
+        last = self.pallets.n_boxes[rows] - 1
+        strengths = [self._queues.take(*each) for each in zip(rows.tolist(), box.tolist(), strict=True)]
+        self._actions.strength_n[rows, last] = strengths
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)
         self._top[rows] += higher

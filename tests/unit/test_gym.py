@@ -141,6 +141,32 @@ def test_masks_and_what_ends_an_episode() -> None:
     assert chosen["support_50"] == chosen["centre"] == chosen["physics"] == 0
 
 
+def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
+    """A box of 10 kg presses with 98 N: one that bears 90 N stays free, and one that bears 110 N does not."""
+    sizes = {"length_mm": [600, 600], "width_mm": [400, 400], "height_mm": [200, 200], "weight_kg": [10, 10]}
+    options = {**SMALL, "n_candidates": 30, "mask": "loads"}
+
+    def on_top(**given: Any) -> set[bool]:
+        """Whether the second box may stand on the first one; beside it it may."""
+        env = PalletizingEnv(**{**options, **given})
+        observed, _ = env.reset(seed=0)
+        observed, *_ = env.step(int(np.flatnonzero(observed["action_mask"])[0]))
+        return set((observed["candidates"][observed["action_mask"] == 1][:, 4] > 0).tolist())
+
+    assert on_top(orders=pd.DataFrame({**sizes, "strength_n": [90, np.nan]})) == {False}
+    assert on_top(orders=pd.DataFrame({**sizes, "strength_n": [110, np.nan]})) == {False, True}
+    table = tmp_path / "articles.toml"
+    table.write_text("[articles.a]\nstrength_n = 90\n", encoding="utf-8")
+    orders = [order((600, 400, 200), (600, 400, 200), kg=10)]
+    assert on_top(orders=orders, articles=table) == {False}
+    for wrong, message in (
+        ({"orders": orders}, "mask: loads needs strengths of boxes: the column strength_n of orders, or articles"),
+        ({"orders": pd.DataFrame({**sizes, "strength_n": [0, 1]})}, "orders: strength_n must be above 0, or empty"),
+    ):
+        with pytest.raises(InputError, match=message):
+            on_top(**wrong)
+
+
 def test_an_illegal_action_changes_nothing_and_many_end_the_episode() -> None:
     env = PalletizingEnv(**SMALL, most_illegal=2, rewards={"illegal": 3, "utilisation": 10})
     before, _ = env.reset(seed=1)
