@@ -13,9 +13,9 @@ from petmjx.errors import InputError
 from petmjx.gym.actions import FEATURES, Actions, Table
 from petmjx.gym.options import PalletizingOptions
 from petmjx.gym.queues import Queues
-from petmjx.gym.rewards import TERMS, Placement
 from petmjx.loop.heights import cells_of, cover
 from petmjx.loop.pallets import Pallets
+from petmjx.loop.rewards import TERMS, Placement
 from petmjx.loop.told import Told
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM
 from petmjx.units import FloatArray

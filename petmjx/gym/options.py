@@ -8,8 +8,8 @@ from typing import Any, Final, Self
 from petmjx.arguments import number_of, whole_of
 from petmjx.checked import got, hint
 from petmjx.errors import InputError
-from petmjx.gym.orders import ENDLESS, Orders
-from petmjx.gym.rewards import weights_of
+from petmjx.loop.orders import ENDLESS, Orders
+from petmjx.loop.rewards import weights_of
 from petmjx.statics.named import SUPPORT_SHARES
 
 CELLS: Final = "cells"
@@ -27,7 +27,7 @@ class PalletizingOptions:
     """Options of ``petmjx/Palletizing-v0``, beside those of ``petmjx.Pallets``.
 
     Attributes:
-        orders: where boxes come from (``petmjx.gym.orders.Orders``).
+        orders: where boxes come from (``petmjx.loop.orders.Orders``).
         orders_seed: of the generator.
         articles: a table of articles (docs/loads.md) with the strengths of the orders' boxes.
         look_ahead: boxes that are seen: 1 is online, as many as an order has is offline.
@@ -40,7 +40,7 @@ class PalletizingOptions:
             docs/criteria.md (``support_75``, … or ``centre``), ``physics``: those that stand when they are tried, or
             ``loads``: of these, those that load no box beyond its strength.
         max_height_mm: highest top.
-        rewards: weights of terms (``petmjx.gym.rewards.TERMS``).
+        rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: illegal actions after which an episode is truncated.
     """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.gym.orders import Boxes
+from petmjx.loop.orders import Boxes
 from petmjx.units import FloatArray
 
 

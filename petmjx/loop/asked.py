@@ -70,6 +70,18 @@ def boxes_of(size_mm: Any, pallet: Any, n: int) -> Asked:
     return Asked(sizes, np.zeros_like(sizes), np.ones(len(sizes)), _pallets(pallet, len(sizes), n))
 
 
+def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
+    """(p, 2) corners on a carrier, mm.
+
+    Raises:
+        InputError: another shape, or a corner that is off the carrier.
+    """
+    found = array_of(grid_mm, "grid_mm", (2,))
+    if ((found < 0) | (found > extent_mm)).any():
+        raise InputError("grid_mm must be corners on the carrier, {:g} × {:g} mm".format(*extent_mm))
+    return found
+
+
 def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
     """Numbers of pallets; None: all.
 

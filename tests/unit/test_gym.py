@@ -23,8 +23,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import petmjx.gym
 from petmjx.errors import InputError
 from petmjx.gym.env import PalletizingEnv
-from petmjx.gym.orders import KG_PER_M3, Orders
 from petmjx.gym.vector import PalletizingVectorEnv
+from petmjx.loop.orders import KG_PER_M3, Orders
 from petmjx.pictures.save import why_nothing_is_drawn
 from petmjx.plans.samples.orders import Item, Order
 

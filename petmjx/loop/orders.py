@@ -87,6 +87,12 @@ class Orders:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
 
+    def some(self, count: int) -> list[Boxes]:
+        """All of them; of endless ones the first."""
+        if self._all is not None:
+            return self._all
+        return [_of_order(draw_order(self._seed, number), self._articles) for number in range(count)]
+
 
 def _read(source: Any, articles: Articles | None) -> list[Boxes]:
     if isinstance(source, pd.DataFrame):
