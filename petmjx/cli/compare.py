@@ -13,6 +13,7 @@ from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
 from petmjx.cli.names import named_paths
 from petmjx.errors import InputError
+from petmjx.whole import check_free
 
 
 def compare(
@@ -44,6 +45,7 @@ def compare(
     pdf: Pdf = None,
     svg: Svg = None,
     png: Png = None,
+    overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
     """Compare two runs of the same plans: verdicts that agree, and differences of each metric.
@@ -57,7 +59,9 @@ def compare(
     """
     from petmjx.show.layout import print_each
 
-    files = figure_files(pdf, svg, png)
+    files = figure_files(pdf, svg, png, overwrite)
+    if out is not None:
+        check_free(out / "packers.parquet", overwrite)
     if packers:
         _compare_packers(runs, orders, rows, out, files, as_json)
         return

@@ -64,11 +64,13 @@ def test_a_box_over_a_gap_of_the_carrier_is_told() -> None:
 
 def test_articles_that_match_no_box_are_told(tmp_path: Path) -> None:
     table = tmp_path / "articles.csv"
-    table.write_text("article,product_group,material\nmilk,,film\njam,,film\n,dairy,film\n")
+    table.write_text(
+        "article,product_group,material,strength_n\nmilk,,film,\njam,,film,\n,dairy,film,\n,,film,9\n,,steel,9\n"
+    )
     plan = petmjx.Plan.from_boxes("a", size_mm=[[400, 300, 200]], corner_mm=[[0, 0, 0]], mass_kg=[5], article=["milk"])
     results = petmjx.score([plan], articles=table, engine="mujoco", threads=1)
     warning = next(line for line in results.info["warnings"] if "match" in line)
-    assert warning.endswith("articles.csv: 2 of 3 rows match no box: article jam, product group dairy")
+    assert warning.endswith("articles.csv: 3 of 5 rows match no box: article jam, product group dairy, material steel")
 
 
 @pytest.mark.parametrize(

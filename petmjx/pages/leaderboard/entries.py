@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.api import score
+from petmjx.arguments import path_of
 from petmjx.errors import InputError
 from petmjx.packers.load import check_names
 from petmjx.plans.plan import Plan
@@ -52,12 +53,13 @@ def named(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, P
     """Name of each packer → its run or plans. Without names they have those of their folders and files.
 
     Raises:
-        InputError: a path that is not there, a name that cannot be that of a folder, or two of one name.
+        InputError: no path, one that is not there, a name that cannot be that of a folder, or two of one name.
     """
     if isinstance(paths, Mapping):
-        pairs = [(name, Path(path)) for name, path in paths.items()]
+        pairs = [(name, path_of(path, f"packers[{name!r}]")) for name, path in paths.items()]
     else:
-        pairs = [(_name_of(Path(path)), Path(path)) for path in paths]
+        given = [path_of(path, f"packers[{number}]") for number, path in enumerate(paths)]
+        pairs = [(_name_of(path), path) for path in given]
     names = [name for name, _ in pairs]
     check_names(names)
     for number, (name, path) in enumerate(pairs):
