@@ -71,7 +71,7 @@ class Actions:
 
     Attributes:
         count: actions of an episode.
-        strength_n: (n, k) what the boxes on pallets bear, N; NaN: nobody said.
+        strength_n: (n, k) what the boxes on pallets bear, N; NaN where not given.
     """
 
     def __init__(self, pallets: Pallets, options: PalletizingOptions) -> None:
@@ -135,7 +135,7 @@ class Actions:
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) which places the mask lets through before physics is asked."""
+        """(c,) which places the mask allows before physics is asked."""
         mask = self._options.mask
         if mask in SUPPORT:
             return places.support >= SUPPORT[mask] - 1e-9
@@ -151,8 +151,8 @@ class Actions:
         box: NDArray[np.intp],
         turned: NDArray[np.bool_],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) the episode of each chosen place, and which of its actions it is: box after box, the lowest places
-        first; or by box, turn and cell."""
+        """(c,) the episode of each chosen place, and the number of its action. Candidates are numbered box after box,
+        the lowest places first; cells by box, turn and cell."""
         asked = places.row[chosen]
         row = at[asked]
         if self._grid is not None:

@@ -21,7 +21,7 @@ from petmjx.plans.fields import LARGEST_KG, LARGEST_MM
 from petmjx.units import FloatArray
 
 _MOST_ORDERS: Final = 100
-"""Orders that are drawn until one has a box that finds a place on an empty carrier."""
+"""So many orders are drawn at most until one has a box that fits on the empty carrier."""
 
 Observation = dict[str, NDArray[Any]]
 
@@ -98,7 +98,7 @@ class Episodes:
         raise InputError(f"orders: of {_MOST_ORDERS} orders no box has a legal place on the empty carrier")
 
     def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> Stepped:
-        """Place a box in each of some episodes that go on."""
+        """Place a box in each of these running episodes."""
         m = len(rows)
         legal = self.table.legal[rows, actions]
         terms: dict[str, FloatArray] = {name: np.zeros(m) for name in self.weights}
@@ -197,7 +197,7 @@ class Episodes:
         return found
 
     def told(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """What is said of episodes beside."""
+        """What the information of a step says of episodes."""
         return {
             "verdict": self._verdict[rows].astype(object),
             "reason": self._reason[rows].astype(object),

@@ -38,7 +38,7 @@ class PalletizingOptions:
         action_cell_mm: side of the cells of actions; ``cell_mm``: of those of maps.
         mask: which actions are legal, beside being on the carrier and not too high: ``geometry`` (all), a criterion of
             docs/criteria.md (``support_75``, … or ``centre``), ``physics``: those that stand when they are tried, or
-            ``loads``: of these, those that load no box beyond its strength.
+            ``loads``: those that also overload no box.
         max_height_mm: highest top.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: illegal actions after which an episode is truncated.
@@ -91,7 +91,7 @@ class PalletizingOptions:
         """The orders.
 
         Raises:
-            InputError: they cannot be read, or the mask ``loads`` has no strengths to go by.
+            InputError: they cannot be read, or the mask ``loads`` needs strengths and there are none.
         """
         found = Orders(self.orders, self.orders_seed, self.articles)
         if self.mask == LOADS and not found.have_strengths:

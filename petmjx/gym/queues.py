@@ -10,10 +10,10 @@ from petmjx.units import FloatArray
 
 
 class Queues:
-    """The boxes to come of n episodes.
+    """The boxes that n episodes have still to place.
 
     Args:
-        seen: so many of each are seen.
+        seen: how many boxes of each episode are visible.
 
     Attributes:
         left_out: (n,) boxes for which there was no place.
@@ -31,7 +31,7 @@ class Queues:
         self.left_out[row] = 0
 
     def take(self, row: int, place: int) -> float:
-        """The box at this place of a queue has been placed. Returns its strength, N; NaN: nobody said."""
+        """The box at this place of a queue has been placed. Returns its strength, N; NaN: not given."""
         return float(self._boxes[row].strength_n[self._queues[row].pop(place)])
 
     def leave_out(self, row: int, count: int) -> None:

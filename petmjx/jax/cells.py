@@ -12,7 +12,7 @@ TOUCH_MM: Final = 0.01
 """Tops closer than this have the same height: heights of 10 m in single precision are exact to 0.001 mm."""
 
 TURNS: Final = 2
-"""Ways in which a box stands: along x, and turned by 90°."""
+"""Orientations of a box: along x, and turned by 90°."""
 
 Boxes = Float[Array, "box 3"]
 

@@ -28,8 +28,8 @@ from petmjx.world.release import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
 
 ROOM: Final = 2
-"""How much larger than usual buffers are: a jitted program cannot enlarge them. Where they are too small all the same,
-a pallet is invalid by overflow."""
+"""How much larger buffers are than usual, since a jitted program cannot enlarge them. A pallet for which they are
+still too small is invalid by overflow."""
 
 
 _EPSILON: Final = float(np.finfo(np.float32).eps)
@@ -111,7 +111,7 @@ class Device:
         return after
 
     def told(self, open_: Open, known: jax.Array) -> Told:
-        """How worlds are; of those without ``known`` nothing is told."""
+        """The state of worlds. Those without ``known`` have the reason ``ended``, and no numbers."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]

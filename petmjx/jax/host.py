@@ -28,11 +28,11 @@ KEPT_PER_PALLET: Final = 4
 
 
 MOST_ASKED: Final = 64
-"""And so many more, for candidates of other pallets than those of the last states."""
+"""So many more are kept for candidates of pallets other than those of the last states."""
 
 
 _BEYOND: Final = (2, 2, 1, 0, 1, 1, 0, 0, 0)
-"""Axes beyond that of the pallets: of the arrays of boxes, of the counts, of the new boxes, and of the two masks."""
+"""How many axes follow the axis of pallets, in the arrays of boxes, counts, new boxes, and the two masks."""
 
 
 class Host:
@@ -52,7 +52,7 @@ class Host:
         self._free = list(range(slots))
 
     def place(self, *arguments: Any) -> list[NDArray[Any]]:
-        """What is told of pallets that get a box each: arguments are the boxes that they have, and the new ones."""
+        """The answers for pallets that get a box each. Arguments are the boxes that they have, and the new ones."""
         return self._of_all(arguments, keeps=True)
 
     def try_all(self, *arguments: Any) -> list[NDArray[Any]]:

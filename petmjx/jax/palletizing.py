@@ -58,8 +58,8 @@ class Observation(NamedTuple):
 
 
 class State(NamedTuple):
-    """An episode. ``order`` is its number, ``next`` that of the box that comes next; boxes on the pallet are as they
-    were asked for, and 0 beyond them."""
+    """An episode. ``order`` is its number, ``next`` that of the box that comes next; boxes on the pallet are stored as
+    requested, with 0 behind the last one."""
 
     key: jax.Array
     pallet: Pallet

@@ -67,7 +67,7 @@ def place(
         active: which pallets get one; None: all. Those that have fallen or are full stay as they are in any case.
 
     Returns:
-        The pallets, and how each is now. Of those that had fallen before nothing is told but the reason ``ended``.
+        The pallets, and how each is now. Pallets that had fallen before have only the reason ``ended``.
     """
     n = state.n
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)

@@ -49,7 +49,7 @@ def asked_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: int) ->
         n: pallets that there are. Without ``pallet`` there is one, or box i is for pallet i.
 
     Raises:
-        InputError: a wrong shape or length, a number that is not finite or not usual, or no such pallet.
+        InputError: a wrong shape or length, a number that is not finite or out of range, or no such pallet.
     """
     corners = _numbers(corner_mm, "corner_mm", (3,))
     m = len(corners)

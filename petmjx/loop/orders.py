@@ -22,7 +22,7 @@ from petmjx.text import printable
 from petmjx.units import FloatArray
 
 ENDLESS: Final = "endless"
-"""In place of orders: those of ``petmjx samples``, a new one for each episode."""
+"""The value of ``orders`` for generated orders, as of ``petmjx samples``: each episode draws a new one."""
 
 _MOST_DRAWN: Final = 200_000
 
@@ -33,7 +33,7 @@ KG_PER_M3: Final = 200.0
 """Density of boxes of which a set says no mass: an assumption, about the mean of BED-BPP's."""
 
 SET_ITEMS: Final = 50
-"""Boxes of an order where a set is one long list."""
+"""So many boxes make an order where a set is one long list."""
 
 _PG: Final = ("Length_cm", "Width_cm", "Height_cm", "Gross weight", "Pallet No", "Pick_quantity_cs")
 _DELI: Final = ("尺寸（L）", "尺寸（W）", "尺寸（H）", "3月份发货量（件）")
@@ -45,7 +45,7 @@ class Boxes:
 
     Attributes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
-        strength_n: (k,) what each bears on its top, N; NaN: nobody said.
+        strength_n: (k,) what each bears on its top, N; NaN where not given.
     """
 
     size_mm: FloatArray

@@ -37,7 +37,7 @@ from petmjx.world.next_boxes import Blank, NextBoxes
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 96
-"""Of a pallet, unless it is told otherwise."""
+"""The default for a pallet."""
 
 
 class Pallets(Closable):
@@ -45,9 +45,9 @@ class Pallets(Closable):
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
-    The rules are those of ``petmjx.score``: each box is placed when those before it rest. What ``place`` and
-    ``try_all`` tell is the first attempt's answer, when the pallet rests again; ``verdict`` and ``score`` say what a
-    score of the whole plan says. docs/loop.md has more.
+    The rules are those of ``petmjx.score``: each box is placed when those before it rest. ``place`` and ``try_all``
+    give the first attempt's answer, at the moment when the pallet rests again; ``verdict`` and ``score`` give that of
+    a score of the whole plan. docs/loop.md has more.
 
     Lengths are millimetres, masses kilograms; x and y are from the carrier's front-left corner, z = 0 is its top. Where
     a method takes m boxes, ``size_mm`` is (m, 3), as they stand, ``corner_mm`` (m, 3), the front-left-bottom corners,
@@ -61,7 +61,7 @@ class Pallets(Closable):
         carrier: what boxes stand on: not ``footprint``, which depends on the whole plan.
         engine: ``mujoco``, ``mjx-warp``, an engine that has open worlds, or ``auto``: ``mjx-warp`` for 64 pallets and
             more where there is a GPU, else ``mujoco``.
-        most_boxes: of a pallet, ever. Engines with tables on a device have room for so many.
+        most_boxes: the most that a pallet may ever get. ``mjx-warp`` reserves room for them on the device.
         options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
 
     Raises:
@@ -257,7 +257,7 @@ class Pallets(Closable):
         included; None: all of them. A pallet that has fallen is scored, too.
 
         On ``mjx-warp`` pallets go on from where they stand. On ``mujoco`` plans are simulated from their first boxes,
-        since there the boxes that wait have a part in the last digits of a score.
+        since there the boxes that wait affect the last digits of a score.
 
         Args:
             options: fields of ``petmjx.RunOptions``, such as ``out``.
@@ -309,7 +309,8 @@ class Pallets(Closable):
         grid_mm: FloatArray | None = None,
         hulls: bool = True,
     ) -> Places:
-        """Where boxes could go: at the extreme points of pallets, on what is there, inside the carrier.
+        """Where boxes could go: the extreme points of pallets that lie inside the carrier, at the heights on which a
+        box would rest.
 
         Args:
             size_mm: (m, 3) extents as they would stand; ``pallet``: (m,).

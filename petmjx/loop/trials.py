@@ -59,15 +59,15 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
 
     Args:
         drive: the name of a built-in profile, a ``Drive``, or None.
-        level: its strength, in the unit that docs/profiles.md says, such as g of ``eumos-40509``.
+        level: its strength, in the unit given in docs/profiles.md, such as g for ``eumos-40509``.
 
     Raises:
-        InputError: an unknown profile, a family, or a number that is none.
+        InputError: an unknown profile, a family, or a value that is not a number.
     """
     if drive is None:
         for value, name, usual in ((level, "level", 1.0), (direction_deg, "direction_deg", 0.0)):
             if value != usual:
-                raise InputError(f"{name} counts only with a drive")
+                raise InputError(f"{name} needs a drive")
         return None
     if isinstance(drive, Drive):
         return drive
@@ -101,7 +101,7 @@ def told_driven(
 def shares(
     open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
 ) -> FloatArray:
-    """(m,) share of worlds with errors that are stable, of those that have a verdict."""
+    """(m,) share of the worlds with errors that are stable; invalid worlds are left out."""
     found = []
     for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
         some = [worlds[row] for row in rows]

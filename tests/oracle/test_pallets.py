@@ -206,7 +206,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         (lambda: pallets.fork([0, 0], [1, 1]), "into: 1 is named twice"),
         (lambda: pallets.height_map(0.1), "cell_mm must be at least"),
         (lambda: pallets.try_all(**good, pallet=0, errors=0), "errors must be at least 1"),
-        (lambda: pallets.try_all(**good, pallet=0, level=0.3), "level counts only with a drive"),
+        (lambda: pallets.try_all(**good, pallet=0, level=0.3), "level needs a drive"),
         (lambda: pallets.places(size_mm=None), "size_mm is missing"),
         (lambda: pallets.places(size_mm=(4, 3, 2), pallet=0, max_height_mm=np.nan), "max_height_mm must be"),
         (lambda: pallets.places(size_mm=(400, 300, 200), pallet=0, hulls=3), "hulls must be true or false"),

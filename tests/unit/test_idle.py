@@ -1,4 +1,4 @@
-"""Options and tables that cannot count are told, a line each, and numbers that are text are refused."""
+"""A line each names options and tables without effect; numbers that are text are refused."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ ONE = make_plan(boxes=[((400.0, 300.0, 200.0), (0.0, 0.0, 0.0), 5.0)])
         (
             {"placing": {"name": "exact", "force_n": 50}},
             {},
-            ["placing.force_n does not count: boxes are placed by exact"],
+            ["placing.force_n has no effect: boxes are placed by exact"],
         ),
         (
             {"placing": {"name": "auto", "force_n": 50}},
             {},
-            ["placing.force_n does not count: boxes are placed by exact"],
+            ["placing.force_n has no effect: boxes are placed by exact"],
         ),
         ({"placing": {"name": "auto", "force_n": 50}}, {"errors": True}, []),
         (
             {"placing": {"name": "drop", "side_mm": 9, "tines_mm": 3, "height_mm": 9}},
             {"axes": ("placing_force_n",)},
-            ["placing.side_mm and placing.tines_mm and placing_force_n do not count: boxes are placed by drop"],
+            ["placing.side_mm and placing.tines_mm and placing_force_n have no effect: boxes are placed by drop"],
         ),
         (
             {"placing": "hand"},
             {"axes": ("tines_height_mm",)},
-            ["tines_height_mm does not count: boxes are placed by hand"],
+            ["tines_height_mm has no effect: boxes are placed by hand"],
         ),
         ({"placing": {"name": "tines", "tines_mm": 3}}, {}, []),
         (
             {"wrap": {"turns": 2}},
             {},
-            ["wrap does not count: there is no profile, and film acts only while a pallet is shaken"],
+            ["wrap has no effect: there is no profile, and film acts only while a pallet is shaken"],
         ),
         ({"wrap": {"turns": 2}}, {"driven": True}, []),
         ({"wrap": {"hat_n": 20}}, {"driven": True}, ["wrap.hat_n has no effect: there are no turns of film"]),

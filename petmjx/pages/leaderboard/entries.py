@@ -29,7 +29,7 @@ ORDERS: Final = "orders.json"
 """Folders and a file of a leaderboard."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
-"""Name of a packer → what follows its run."""
+"""Name of a packer → the watcher of its run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Entry:
 
 
 def named(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, Path]:
-    """Name of each packer → its run or plans. Without names they have those of their folders and files.
+    """Name of each packer → its run or plans. Without given names they are named as their folders and files.
 
     Raises:
         InputError: no path, one that is not there, a name that cannot be that of a folder, or two of one name.

@@ -53,7 +53,7 @@ def leaderboard(
     ``runs/`` there; what was scored already is not simulated again.
 
     Args:
-        packers: name → a run's folder, or plans. Without names they have those of their folders and files.
+        packers: name → a run's folder, or plans. Without given names they are named as their folders and files.
         out: the folder.
         orders: BED-BPP orders of the plans: what was left out and KPIs are counted with them.
         baselines: also pack the orders with each of petmjx's packers.
