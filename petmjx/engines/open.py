@@ -230,8 +230,8 @@ class OpenWorlds(ABC):
             self._keep(worlds, scenes)
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
-        """How worlds would be if one box were put into each and they went on until it rests: forks of them, which are
-        gone afterwards. A world may be named more than once, and must have paused.
+        """The state of worlds if one box were put into each and rested. This is tried on forks, which are discarded. A
+        world may be named more than once, and must have paused.
 
         Raises:
             ValueError: a world has ended.

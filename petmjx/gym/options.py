@@ -35,7 +35,7 @@ class PalletizingOptions:
         actions: ``candidates``: one of the places that are listed with their features; ``cells``: box × orientation ×
             cell of the carrier.
         n_candidates: places that are listed at most, the lowest ones of each box.
-        action_cell_mm: side of the cells of actions; ``cell_mm``: of those of maps.
+        action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
         mask: which actions are legal, beside being on the carrier and not too high: ``geometry`` (all), a criterion of
             docs/criteria.md (``support_75``, … or ``centre``), ``physics``: those that stand when they are tried, or
             ``loads``: those that also overload no box.

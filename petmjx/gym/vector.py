@@ -62,7 +62,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         """Begin all episodes, or those of ``options["reset_mask"]``, (n,) booleans.
 
         Args:
-            seed: of the first one, whose others have those that follow; or one each.
+            seed: of the first environment, where the others have the numbers that follow; or a list with one for each.
         """
         mask = None if options is None else options.get("reset_mask")
         rows = self._all if mask is None else np.flatnonzero(self._checked_mask(mask))

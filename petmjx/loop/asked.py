@@ -107,7 +107,7 @@ def once_each(pallet: NDArray[np.int64], name: str = "pallet") -> None:
     """Raises InputError if a pallet is named twice."""
     values, counts = np.unique(pallet, return_counts=True)
     if (counts > 1).any():
-        raise InputError(f"{name}: {values[counts > 1][0]} is named twice; of each pallet once in a call")
+        raise InputError(f"{name}: {values[counts > 1][0]} is named twice; name each pallet once in a call")
 
 
 def _pallets(pallet: Any, m: int, n: int) -> NDArray[np.int64]:

@@ -98,7 +98,8 @@ def _with_articles(found: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A line on the rows of a table of articles that match no box; of materials, also those that the table gives."""
+    """A line on the rows of a table of articles that match no box. Boxes may have their materials from the same
+    table."""
     from petmjx.plans.articles import material_key
 
     there = {

@@ -57,7 +57,7 @@ def leaderboard(
         out: the folder.
         orders: BED-BPP orders of the plans: what was left out and KPIs are counted with them.
         baselines: also pack the orders with each of petmjx's packers.
-        stories: pages of so many plans of each packer, first of those that do not stand while another packer's do.
+        stories: how many plans of each packer get a page. Plans that fall while another packer's stands come first.
         watch: packer → what follows its run, entered before and left after it.
         overwrite: replace a leaderboard that is there.
         options: of ``petmjx.score``, for plans that are scored.
