@@ -21,6 +21,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import petmjx.gym
+from benchmarks.episodes import SETTINGS, episodes
+from petmjx.engines.choose import make_engine
 from petmjx.errors import InputError
 from petmjx.gym.env import PalletizingEnv
 from petmjx.gym.vector import PalletizingVectorEnv
@@ -165,6 +167,14 @@ def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             on_top(**wrong)
+
+
+def test_random_episodes_in_all_settings_show_no_fault() -> None:
+    """Some of the episodes that ``python -m benchmarks loop episodes`` plays by the thousand."""
+    found = episodes(make_engine("mujoco", threads=1), 2 * len(SETTINGS), seed=5)
+    assert found["faults"] == {}
+    assert found["episodes"] >= 2 * len(SETTINGS)
+    assert found["placements"] > found["episodes"]
 
 
 def test_an_illegal_action_changes_nothing_and_many_end_the_episode() -> None:
