@@ -312,7 +312,7 @@ def loop(
     plans: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of generated samples.")] = None,
     pallets: Annotated[int, typer.Option(metavar="N", min=1, help="Pallets.")] = 1024,
     candidates: Annotated[int, typer.Option(metavar="N", min=1, help="Candidates of each pallet.")] = 16,
-    count: Annotated[int, typer.Option(metavar="N", min=1, help="Plans placed; placements for memory.")] = 2000,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Plans placed, placements, or episodes.")] = 2000,
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:

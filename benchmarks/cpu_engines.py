@@ -20,7 +20,7 @@ TURNS: Final = 2
 
 
 def compared(plans: Sequence[Plan], threads: int, group: str) -> dict[str, Any]:
-    """A line of results: first attempts at all plans on both engines, in turns, so that what else the machine does meets
+    """A line of results: first attempts at all plans on both engines, in turns, so that other work on the machine meets
     both. All is compiled before, by a run of its own; ``compile_s`` is what kernels and programs took there.
 
     Args:

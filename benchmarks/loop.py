@@ -40,7 +40,8 @@ class Loop:
 
     Attributes:
         plans: of which the first boxes are placed; None: generated ones, all packed well.
-        pallets, candidates: of the case ``candidates``; ``count``: plans of ``placed``, placements of ``memory``.
+        pallets, candidates: of the case ``candidates``; ``count``: plans of ``placed``, placements of
+            ``memory``, episodes.
         options: fields of ``petmjx.Simulation``.
     """
 
@@ -221,6 +222,13 @@ def environment(loop: Loop) -> Result:
     }
 
 
+def episodes(loop: Loop) -> Result:
+    """Random episodes of small orders, in all kinds of settings: ``count`` of them."""
+    from benchmarks.episodes import episodes as play  # needs the extra gym
+
+    return play(loop.engine, loop.count, loop.seed)
+
+
 CASES: Final[dict[str, Callable[[Loop], Result]]] = {
     "candidates": candidates,
     "one-pallet": one_pallet,
@@ -228,6 +236,7 @@ CASES: Final[dict[str, Callable[[Loop], Result]]] = {
     "placed": placed,
     "memory": memory,
     "environment": environment,
+    "episodes": episodes,
 }
 
 

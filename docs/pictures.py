@@ -47,7 +47,7 @@ def make() -> int:
         places = {"PLANS": str(plans), "REALITY": reality} | {file: str(FOLDER / file) for file in files()}
         for command in COMMANDS:
             words = [places.get(word, word) for word in shlex.split(command)]
-            if code := main([*words, "--engine", "mujoco"]):
+            if code := main([*words, "--engine", "mujoco", "--overwrite"]):
                 return code
     return 0
 

@@ -2,9 +2,9 @@
 
     python examples/label_plans.py plans.json labels.parquet --run results
 
-The run in ``results`` can be interrupted: the same command goes on with it. How long 10,000 plans take: the README's
-section on engines. With ``--confidence 16`` the label is the share of 16 worlds with errors that stands, instead of 0
-or 1.
+You can interrupt the run in ``results``: the same command goes on with it. The README says under "How fast" how long
+10,000 plans take. With ``--confidence 16`` the label is the share of 16 worlds with errors that stands, instead of 0
+or 1; that takes much longer.
 """
 
 from __future__ import annotations

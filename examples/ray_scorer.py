@@ -36,7 +36,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     plans = petmjx.load_plans(arguments.plans).plans[: arguments.limit]
-    ray.init(include_dashboard=False, log_to_driver=False)
+    ray.init("local", include_dashboard=False, log_to_driver=False)  # on a cluster: ray.init("auto")
     actors: list[Any] = [
         ray.remote(ScorerActor).options(num_cpus=1).remote(engine="mujoco", threads=1) for _ in range(arguments.actors)
     ]

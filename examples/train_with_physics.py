@@ -66,7 +66,7 @@ class Policy:
 
 @dataclass
 class Batch:
-    """Steps of all pallets: what was seen, done, and came of it."""
+    """Steps of all pallets: what was seen, what was done, and what followed."""
 
     features: Array
     mask: NDArray[Any]

@@ -20,7 +20,7 @@ def convex_hull(points: Iterable[Point], least_turn: float = 0.0) -> list[Point]
 
 
 def _half(ordered: list[Point], least_turn: float) -> list[Point]:
-    """The corners from the first of these points to the one before the last."""
+    """The corners from the first point to the last but one."""
     chain: list[Point] = []
     for x, y in ordered:
         while len(chain) > 1:

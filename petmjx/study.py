@@ -39,7 +39,7 @@ class FinishedWorld:
     """One world with its final outcome.
 
     Attributes:
-        placement: what the placement came to from which it was forked; None for a world that was simulated from its
+        placement: the outcome of the placement from which it was forked; None for a world that was simulated from its
             beginning.
         driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
             early stop it is shaken, too, but is not stable.

@@ -23,7 +23,7 @@ def check_free(file: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
         inputs: files and folders that are read, which are never replaced.
 
     Raises:
-        InputError: it is one of these, or is in one of them; or it is there.
+        InputError: it is one of the inputs or is in one of them, or it exists and may not be replaced.
     """
     if not file.is_file() or str(file.absolute()).startswith("/dev/"):  # /dev/stdout may lead to a file
         return

@@ -13,6 +13,7 @@ from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
 from petmjx.cli.names import named_paths
 from petmjx.errors import InputError
+from petmjx.whole import check_free
 
 
 def compare(
@@ -44,12 +45,13 @@ def compare(
     pdf: Pdf = None,
     svg: Svg = None,
     png: Png = None,
+    overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
     """Compare two runs of the same plans: verdicts that agree, and differences of each metric.
 
-    Differences are |b - a| with median, 95th percentile and largest; the largest one with its plan and box. Where a
-    sign means something the mean of b - a stands beside them. Plans that are not the same are left out of them.
+    Differences are |b - a| with median, 95th percentile and largest; the largest one with its plan and box. Where the
+    sign matters, the mean of b - a is shown beside them. Plans that are not the same are left out of them.
 
     With --packers it compares packers on the same orders (plan ids): the share that stands of each with its interval,
     the paired difference with interval and McNemar's exact test, orders won and lost, utilisation, and
@@ -57,7 +59,9 @@ def compare(
     """
     from petmjx.show.layout import print_each
 
-    files = figure_files(pdf, svg, png)
+    files = figure_files(pdf, svg, png, overwrite)
+    if out is not None:
+        check_free(out / "packers.parquet", overwrite)
     if packers:
         _compare_packers(runs, orders, rows, out, files, as_json)
         return

@@ -41,7 +41,7 @@ def criteria(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the tables, as Parquet and CSV.")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace tables that are there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace tables and figures that are there.")] = False,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -72,7 +72,7 @@ def criteria(
     from petmjx.show.progress import progress
     from petmjx.statics.run import criteria as ask
 
-    files = figure_files(pdf, svg, png)
+    files = figure_files(pdf, svg, png, overwrite)
     if files and run is None:
         raise InputError(f"{files[0]}: a figure compares criteria with a run: name it with --run DIR")
     bar = None

@@ -7,8 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from petmjx.cli import options as opt
 from petmjx.errors import InputError
 from petmjx.text import printable
+from petmjx.whole import check_free
 
 PANEL = "A figure for a paper"
 
@@ -22,11 +24,11 @@ Svg = Annotated[Path | None, _file("svg", "The same as SVG.")]
 Png = Annotated[Path | None, _file("png", "The same as a picture.")]
 
 
-def figure_files(pdf: Path | None, svg: Path | None, png: Path | None) -> list[Path]:
+def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool) -> list[Path]:
     """The files that were asked for, checked before anything is worked out.
 
     Raises:
-        InputError: a name that does not end as its option says, or a file that cannot be written.
+        InputError: a name that does not end as its option says, or a file that is there or cannot be written.
     """
     from petmjx.figures.save import check_figures
 
@@ -35,6 +37,7 @@ def figure_files(pdf: Path | None, svg: Path | None, png: Path | None) -> list[P
     for kind, path in files.items():
         if path.suffix.lower() != f".{kind}":
             raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
+        check_free(path, overwrite)
     paths = list(files.values())
     if paths:
         check_figures(paths)
@@ -46,6 +49,7 @@ def figure(
     pdf: Pdf = None,
     svg: Svg = None,
     png: Png = None,
+    overwrite: opt.Overwrite = False,
 ) -> None:
     """Draw the answers of a run as a figure for a paper.
 
@@ -57,7 +61,7 @@ def figure(
     from petmjx.figures.save import figure as draw
     from petmjx.results.reader import load_run
 
-    files = figure_files(pdf, svg, png)
+    files = figure_files(pdf, svg, png, overwrite)
     if not files:
         raise InputError("figure needs a file to write: --pdf FILE, --svg FILE or --png FILE")
     for path in draw(load_run(run), *files):

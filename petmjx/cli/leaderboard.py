@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "out", "overwrite", "resume", "shard",
 )  # fmt: skip
-"""Options that a leaderboard has itself, or that would make its runs incomparable."""
+"""Options that the leaderboard sets itself, and options that would make its runs incomparable."""
 
 
 @opt.takes(without=_OF_RUNS)

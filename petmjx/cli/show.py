@@ -14,6 +14,7 @@ from petmjx.cli.runs import Interrupted, stoppable
 from petmjx.errors import InputError
 from petmjx.pictures.options import PictureOptions
 from petmjx.text import printable
+from petmjx.whole import check_free
 
 if TYPE_CHECKING:
     from petmjx.story.tell import Story
@@ -47,6 +48,7 @@ def show(
         bool, typer.Option("--viewer", help="Play it in MuJoCo's viewer, on a display.", rich_help_panel=DRAWN)
     ] = False,
     variant: opt.Variant = None,
+    overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, as a film.
@@ -61,6 +63,7 @@ def show(
     for kind, path in files.items():
         if path.suffix.lower() != f".{kind}":
             raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
+        check_free(path, overwrite)
     check_drawing(list(files.values()))
     look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
     PictureOptions(**look)

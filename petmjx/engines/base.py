@@ -16,7 +16,7 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
-"""Worlds whose states mjx-warp has on its device at the same time, unless it is told otherwise; with 80 boxes each
+"""Worlds whose states mjx-warp has on its device at the same time by default; with 80 boxes each
 takes 16 kB. And the most jobs that a worker of either engine is given at once."""
 
 

@@ -93,7 +93,8 @@ def leaning_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: 
 
 
 def _passed_on(bearing: Bearing, own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) each: by which angle boxes lean because those below them do, and how far their centres move sideways."""
+    """(n,) each: the angle by which boxes lean because the boxes below them lean, and how far their centres move
+    sideways."""
     bottom, angle = bearing.boxes.bottom.tolist(), own.tolist()
     half, middle = bearing.boxes.half_size[:, 2].tolist(), bearing.boxes.target[:, 2].tolist()
     below, shift, under = [0.0] * len(angle), [0.0] * len(angle), _supports(bearing)

@@ -19,7 +19,7 @@ from petmjx.world.pairs import filled_up
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Boxes for which an open world has room, unless it is told otherwise: those of the smaller worlds of mjx-warp."""
+"""Boxes for which an open world has room by default: those of the smaller worlds of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +216,7 @@ class OpenWorlds(ABC):
             self._keep(worlds, scenes)
 
     def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
-        """Put one box into each of these worlds, of which nothing is said but its extents, its place and its mass.
+        """Put one box into each of these worlds, of which only extents, place and mass are known.
 
         Raises:
             ValueError: a world has ended.
@@ -230,8 +230,8 @@ class OpenWorlds(ABC):
             self._keep(worlds, scenes)
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
-        """How worlds would be if one box were put into each and they went on until it rests: forks of them, which are
-        gone afterwards. A world may be named more than once, and must have paused.
+        """The state of worlds if one box were put into each and rested. This is tried on forks, which are discarded. A
+        world may be named more than once, and must have paused.
 
         Raises:
             ValueError: a world has ended.

@@ -1,6 +1,6 @@
-"""How far boxes sink into what bears them because contacts are soft, as no carton is.
+"""How far boxes sink into what bears them because simulated contacts are softer than any carton.
 
-How deep a contact is at rest tells ``petmjx.world.contact``. What is needed for it is known on the host for every
+``petmjx.world.contact`` says how deep a contact is at rest. What is needed for it is known on the host for every
 engine: plans, masses and the largest force on each box. It is not read from final poses, since a column that stood on a
 box which gave way may have fallen.
 """

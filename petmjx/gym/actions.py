@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.gym.options import CANDIDATES, CENTRE, GEOMETRY, PHYSICS, SUPPORT, PalletizingOptions
+from petmjx.gym.options import CANDIDATES, CENTRE, GEOMETRY, LOADS, PHYSICS, SUPPORT, PalletizingOptions
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.places import Places
 from petmjx.units import FloatArray
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
 """Of a candidate: which of the boxes that are seen, whether it is turned by 90°, its corner and extents, mm, its mass,
-kg, the borne share of its base, and with the mask ``physics`` the pallet's margin with it (else 0)."""
+kg, the borne share of its base, and where the mask asks physics the pallet's margin with it (else 0)."""
 
 
 @dataclass(eq=False)
@@ -71,10 +71,12 @@ class Actions:
 
     Attributes:
         count: actions of an episode.
+        strength_n: (n, k) what the boxes on pallets bear, N; NaN where not given.
     """
 
     def __init__(self, pallets: Pallets, options: PalletizingOptions) -> None:
         self._pallets, self._options = pallets, options
+        self.strength_n: FloatArray = np.full((pallets.n, pallets.most_boxes), np.nan)
         cell, (x, y) = options.action_cell_mm, pallets.extent_mm
         self._cells = int(np.ceil(x / cell - 1e-9)), int(np.ceil(y / cell - 1e-9))
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
@@ -112,11 +114,13 @@ class Actions:
         margin = np.zeros(len(chosen))
         stands = np.ones(len(chosen), bool)
         asked = places.row[chosen]
-        if self._options.mask == PHYSICS and len(chosen):
+        if self._options.mask in (PHYSICS, LOADS) and len(chosen):
             told = self._pallets.try_all(
                 size_mm=sizes[asked], corner_mm=places.corner_mm[chosen], mass_kg=masses[asked], pallet=rows[row]
             )
             margin, stands = np.nan_to_num(told.margin), told.stable
+            if self._options.mask == LOADS:
+                stands = stands & ~self._overloads(rows[row], told.top_force_n)
         chosen, row, number, asked = (each[stands] for each in (chosen, row, number, asked))
         into = rows[row], number
         table.legal[into] = True
@@ -125,8 +129,13 @@ class Actions:
         table.corner_mm[into], table.support[into] = places.corner_mm[chosen], places.support[chosen]
         table.margin[into] = margin[stands]
 
+    def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
+        """(c,) whether a box that is there bears more than it can: ``force_n`` is (c, k), N. Nothing is on the last
+        one, which is the candidate."""
+        return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
+
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) which places the mask lets through before physics is asked."""
+        """(c,) which places the mask allows before physics is asked."""
         mask = self._options.mask
         if mask in SUPPORT:
             return places.support >= SUPPORT[mask] - 1e-9
@@ -142,8 +151,8 @@ class Actions:
         box: NDArray[np.intp],
         turned: NDArray[np.bool_],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) the episode of each chosen place, and which of its actions it is: box after box, the lowest places
-        first; or by box, turn and cell."""
+        """(c,) the episode of each chosen place, and the number of its action. Candidates are numbered box after box,
+        the lowest places first; cells by box, turn and cell."""
         asked = places.row[chosen]
         row = at[asked]
         if self._grid is not None:

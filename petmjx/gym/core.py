@@ -13,15 +13,15 @@ from petmjx.errors import InputError
 from petmjx.gym.actions import FEATURES, Actions, Table
 from petmjx.gym.options import PalletizingOptions
 from petmjx.gym.queues import Queues
-from petmjx.gym.rewards import TERMS, Placement
 from petmjx.loop.heights import cells_of, cover
 from petmjx.loop.pallets import Pallets
+from petmjx.loop.rewards import TERMS, Placement
 from petmjx.loop.told import Told
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM
 from petmjx.units import FloatArray
 
 _MOST_ORDERS: Final = 100
-"""Orders that are drawn until one has a box that finds a place on an empty carrier."""
+"""So many orders are drawn at most until one has a box that fits on the empty carrier."""
 
 Observation = dict[str, NDArray[Any]]
 
@@ -83,6 +83,7 @@ class Episodes:
         if not len(rows):
             return
         self.pallets.reset(rows)
+        self._actions.strength_n[rows] = np.nan
         for values in (self._heights, self._loads, self._mass, self._volume, self._top, self._illegal):
             values[rows] = 0
         self._verdict[rows], self._reason[rows], self._culprit[rows], self._margin[rows] = "stable", "", -1, 1.0
@@ -97,7 +98,7 @@ class Episodes:
         raise InputError(f"orders: of {_MOST_ORDERS} orders no box has a legal place on the empty carrier")
 
     def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> Stepped:
-        """Place a box in each of some episodes that go on."""
+        """Place a box in each of these running episodes."""
         m = len(rows)
         legal = self.table.legal[rows, actions]
         terms: dict[str, FloatArray] = {name: np.zeros(m) for name in self.weights}
@@ -123,8 +124,9 @@ class Episodes:
         table, at = self.table, (rows, actions)
         size, corner, mass, box = table.size_mm[at], table.corner_mm[at], table.mass_kg[at], table.box[at]
         told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows)
-        for row, number in zip(rows.tolist(), box.tolist(), strict=True):
-            self._queues.take(row, number)
+        last = self.pallets.n_boxes[rows] - 1
+        strengths = [self._queues.take(*each) for each in zip(rows.tolist(), box.tolist(), strict=True)]
+        self._actions.strength_n[rows, last] = strengths
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)
         self._top[rows] += higher
@@ -195,7 +197,7 @@ class Episodes:
         return found
 
     def told(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """What is said of episodes beside."""
+        """What the information of a step says of episodes."""
         return {
             "verdict": self._verdict[rows].astype(object),
             "reason": self._reason[rows].astype(object),

@@ -86,6 +86,6 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
 
 
 def check_render_mode(render_mode: str | None) -> None:
-    """Raises InputError unless pictures are asked for, or nothing."""
+    """Raises InputError unless it is None or ``rgb_array``."""
     if render_mode not in (None, "rgb_array"):
         raise InputError(f"render_mode must be None or rgb_array, got {render_mode!r}")

@@ -8,17 +8,18 @@ from typing import Any, Final, Self
 from petmjx.arguments import number_of, whole_of
 from petmjx.checked import got, hint
 from petmjx.errors import InputError
-from petmjx.gym.orders import ENDLESS, Orders
-from petmjx.gym.rewards import weights_of
+from petmjx.loop.orders import ENDLESS, Orders
+from petmjx.loop.rewards import weights_of
 from petmjx.statics.named import SUPPORT_SHARES
 
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
 PHYSICS: Final = "physics"
+LOADS: Final = "loads"
 GEOMETRY: Final = "geometry"
 CENTRE: Final = "centre"
 SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
-MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, PHYSICS)
+MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, PHYSICS, LOADS)
 
 
 @dataclass(frozen=True)
@@ -26,23 +27,26 @@ class PalletizingOptions:
     """Options of ``petmjx/Palletizing-v0``, beside those of ``petmjx.Pallets``.
 
     Attributes:
-        orders: where boxes come from (``petmjx.gym.orders.Orders``).
+        orders: where boxes come from (``petmjx.loop.orders.Orders``).
         orders_seed: of the generator.
+        articles: a table of articles (docs/loads.md) with the strengths of the orders' boxes.
         look_ahead: boxes that are seen: 1 is online, as many as an order has is offline.
         buffer: the first so many of them may be placed next.
         actions: ``candidates``: one of the places that are listed with their features; ``cells``: box × orientation ×
             cell of the carrier.
         n_candidates: places that are listed at most, the lowest ones of each box.
-        action_cell_mm: side of the cells of actions; ``cell_mm``: of those of maps.
+        action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
         mask: which actions are legal, beside being on the carrier and not too high: ``geometry`` (all), a criterion of
-            docs/criteria.md (``support_75``, … or ``centre``), or ``physics``: those that stand when they are tried.
+            docs/criteria.md (``support_75``, … or ``centre``), ``physics``: those that stand when they are tried, or
+            ``loads``: those that also overload no box.
         max_height_mm: highest top.
-        rewards: weights of terms (``petmjx.gym.rewards.TERMS``).
+        rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: illegal actions after which an episode is truncated.
     """
 
     orders: Any = ENDLESS
     orders_seed: int = 0
+    articles: Any = None
     look_ahead: int = 1
     buffer: int = 1
     actions: str = CANDIDATES
@@ -84,8 +88,15 @@ class PalletizingOptions:
         return found, {name: value for name, value in given.items() if name not in names}
 
     def read_orders(self) -> Orders:
-        """The orders."""
-        return Orders(self.orders, self.orders_seed)
+        """The orders.
+
+        Raises:
+            InputError: they cannot be read, or the mask ``loads`` needs strengths and there are none.
+        """
+        found = Orders(self.orders, self.orders_seed, self.articles)
+        if self.mask == LOADS and not found.have_strengths:
+            raise InputError(f"mask: {LOADS} needs strengths of boxes: the column strength_n of orders, or articles")
+        return found
 
     @property
     def weights(self) -> dict[str, float]:

@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.gym.orders import Boxes
+from petmjx.loop.orders import Boxes
 from petmjx.units import FloatArray
 
 
 class Queues:
-    """The boxes to come of n episodes.
+    """The boxes that n episodes have still to place.
 
     Args:
-        seen: so many of each are seen.
+        seen: how many boxes of each episode are visible.
 
     Attributes:
         left_out: (n,) boxes for which there was no place.
     """
 
     def __init__(self, n: int, seen: int) -> None:
-        self._boxes: list[Boxes] = [Boxes(np.zeros((0, 3)), np.zeros(0))] * n
+        self._boxes: list[Boxes] = [Boxes(np.zeros((0, 3)), np.zeros(0), np.zeros(0))] * n
         self._queues: list[list[int]] = [[] for _ in range(n)]
         self._seen = seen
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)
@@ -30,9 +30,9 @@ class Queues:
         self._boxes[row], self._queues[row] = boxes, list(range(len(boxes)))
         self.left_out[row] = 0
 
-    def take(self, row: int, place: int) -> None:
-        """The box at this place of a queue has been placed."""
-        del self._queues[row][place]
+    def take(self, row: int, place: int) -> float:
+        """The box at this place of a queue has been placed. Returns its strength, N; NaN: not given."""
+        return float(self._boxes[row].strength_n[self._queues[row].pop(place)])
 
     def leave_out(self, row: int, count: int) -> None:
         """The first boxes of a queue are left out."""

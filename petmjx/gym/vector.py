@@ -59,10 +59,10 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin all episodes, or those of ``options["reset_mask"]``, (n,) of yes and no.
+        """Begin all episodes, or those of ``options["reset_mask"]``, (n,) booleans.
 
         Args:
-            seed: of the first one, whose others have those that follow; or one each.
+            seed: of the first environment, where the others have the numbers that follow; or a list with one for each.
         """
         mask = None if options is None else options.get("reset_mask")
         rows = self._all if mask is None else np.flatnonzero(self._checked_mask(mask))
@@ -122,7 +122,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self._spread(rows, self.episodes.told(rows))
 
     def _spread(self, rows: NDArray[np.int64], values: dict[str, NDArray[Any]]) -> Info:
-        """What is known of some environments as Gymnasium has it: arrays of all, and whether each is known."""
+        """Values of some environments in Gymnasium's form: arrays for all environments, with masks of those that have
+        a value."""
         info: Info = {}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
@@ -149,5 +150,5 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
     def _checked_mask(self, mask: Any) -> NDArray[np.bool_]:
         found = np.asarray(mask)
         if found.shape != (self.num_envs,) or found.dtype != bool or not found.any():
-            raise InputError(f"options: reset_mask must be {self.num_envs} of yes and no, one yes at least")
+            raise InputError(f"options: reset_mask must be {self.num_envs} booleans, at least one of them true")
         return found

@@ -5,132 +5,24 @@
     told = petmjx.jax.try_all(state, size_mm, corner_mm, mass_kg, pallet)
 
 With ``mjx-warp`` the kernel runs inside the jitted program, and states never leave the device. With ``mujoco`` C MuJoCo
-runs behind a callback. Lengths are millimetres and masses kilograms, as of ``petmjx.Pallets``; docs/loop.md has more.
+runs behind a callback. Lengths are millimetres and masses kilograms, as of ``petmjx.Pallets``. ``Palletizing`` is an
+environment of such functions. docs/loop.md has more.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
-
-from petmjx.arguments import whole_of
-from petmjx.carrier import AnyCarrier
-from petmjx.checked import got
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.jax.host import empty_host
+from petmjx.jax.palletizing import Observation, Palletizing
+from petmjx.jax.program import empty, place, try_all
+from petmjx.jax.timestep import Spec, StepType, TimeStep
 from petmjx.jax.told import REASONS, Told
-from petmjx.loop.opening import check_open, open_engine
-from petmjx.run_options import AUTO
 
-__all__ = ["REASONS", "Told", "empty", "place", "try_all"]
-
-State = Any
-"""A pytree: ``petmjx.jax.host.HostState`` or ``petmjx.jax.device.DeviceState``."""
-
-
-def empty(
-    n: int,
-    *,
-    carrier: AnyCarrier | str = "euro-pallet",
-    engine: str | Any = AUTO,
-    most_boxes: int = 40,
-    **options: Any,
-) -> State:
-    """n empty pallets. Not to be called under ``jit``: it loads the engine.
-
-    Args:
-        engine: ``mujoco``, ``mjx-warp``, or ``auto`` as of ``petmjx.Pallets``.
-        most_boxes: of a pallet.
-        options: fields of ``petmjx.Simulation``.
-
-    Raises:
-        InputError: an unusable option.
-    """
-    whole_of(n, "n", 1)
-    sim = Simulation(**{"carrier": carrier, **options})
-    check_open(sim)
-    made, _ = open_engine(engine, n, {})
-    if made.name == "mujoco":
-        return empty_host(n, sim, made, whole_of(most_boxes, "most_boxes", 1, 512))
-    if made.name in ("mjx-warp", "mjx-warp-cpu"):
-        from petmjx.jax.device import empty_device  # loads Warp
-
-        return empty_device(n, sim, made, whole_of(most_boxes, "most_boxes", 1, 512))
-    raise InputError(f"engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu, got {made.name}")
-
-
-def place(
-    state: State,
-    size_mm: Float[Array, "pallet 3"],
-    corner_mm: Float[Array, "pallet 3"],
-    mass_kg: Float[Array, " pallet"],
-    active: Bool[Array, " pallet"] | None = None,
-) -> tuple[State, Told]:
-    """Put a box onto each pallet, and let them rest.
-
-    Args:
-        size_mm: as they stand; ``corner_mm``: front-left-bottom corners.
-        active: which pallets get one; None: all. Those that have fallen or are full stay as they are in any case.
-
-    Returns:
-        The pallets, and how each is now. Of those that had fallen before nothing is told but the reason ``ended``.
-    """
-    n = state.n
-    boxes = _boxes(size_mm, corner_mm, mass_kg, n)
-    gets = jnp.ones(n, bool) if active is None else _of_kind(active, "active", jnp.bool_, "true or false")
-    if gets.shape not in ((), (n,)):
-        raise InputError(f"active must have the shape ({n},), got {gets.shape}")
-    gets = jnp.broadcast_to(gets, (n,))
-    found: tuple[State, Told] = state.place(*boxes, gets)
-    return found
-
-
-def try_all(
-    state: State,
-    size_mm: Float[Array, "candidate 3"],
-    corner_mm: Float[Array, "candidate 3"],
-    mass_kg: Float[Array, " candidate"],
-    pallet: Int[Array, " candidate"],
-) -> Told:
-    """What would become of pallets with one box more each, a pallet perhaps more than once.
-
-    A candidate for a pallet that has fallen, is full, or is not there does not stand, and its reason is ``ended``.
-    """
-    rows = _of_kind(pallet, "pallet", jnp.integer, "whole numbers").astype(jnp.int32)
-    if rows.ndim != 1:
-        raise InputError(f"pallet must have the shape (m,), got {rows.shape}")
-    found: Told = state.try_all(*_boxes(size_mm, corner_mm, mass_kg, len(rows)), rows)
-    return found
-
-
-def _of_kind(values: Any, name: str, kind: Any, what: str) -> jax.Array:
-    """Raises InputError for arrays of another kind."""
-    try:
-        array = jnp.asarray(values)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of {what}, {got(values)}") from error
-    if not jnp.issubdtype(array.dtype, kind):
-        raise InputError(f"{name} must be an array of {what}, got {array.dtype}")
-    return array
-
-
-def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Raises InputError for wrong shapes; numbers are not known under ``jit``."""
-    found = []
-    for name, values, shape in (
-        ("size_mm", size_mm, (m, 3)),
-        ("corner_mm", corner_mm, (m, 3)),
-        ("mass_kg", mass_kg, (m,)),
-    ):
-        try:
-            array = jnp.asarray(values, jnp.float32)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{name} must be an array of numbers, {got(values)}") from error
-        if array.shape != shape:
-            raise InputError(f"{name} must have the shape {shape}, got {array.shape}")
-        found.append(array)
-    return found[0], found[1], found[2]
+__all__ = [
+    "REASONS",
+    "Observation",
+    "Palletizing",
+    "Spec",
+    "StepType",
+    "TimeStep",
+    "Told",
+    "empty",
+    "place",
+    "try_all",
+]

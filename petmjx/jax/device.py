@@ -28,8 +28,8 @@ from petmjx.world.release import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
 
 ROOM: Final = 2
-"""How much larger than usual buffers are: a jitted program cannot enlarge them. Where they are too small all the same,
-a pallet is invalid by overflow."""
+"""How much larger buffers are than usual, since a jitted program cannot enlarge them. A pallet for which they are
+still too small is invalid by overflow."""
 
 
 _EPSILON: Final = float(np.finfo(np.float32).eps)
@@ -86,13 +86,32 @@ class Device:
         return support, target[:, 2] - jnp.where(support != NOTHING, depth, 0.0)
 
     def placed(self, open_: Open, box: NewBox, gets: jax.Array) -> Open:
-        """Worlds with a box more each, at rest; rows without ``gets`` stay as they are."""
-        n = len(gets)
-        rows = jnp.where(gets, jnp.arange(n), n)
-        return self.simulator.go_on(self.simulator.put_next(open_, rows, box), self.still)
+        """Worlds with a box more each, at rest; rows without ``gets`` stay as they are.
+
+        Under ``jax.vmap`` the worlds of all states are simulated side by side.
+        """
+
+        @jax.custom_batching.custom_vmap
+        def placed(open_: Open, box: NewBox, gets: jax.Array) -> Open:
+            n = len(gets)
+            rows = jnp.where(gets, jnp.arange(n), n)
+            return self.simulator.go_on(self.simulator.put_next(open_, rows, box), self.still)
+
+        @placed.def_vmap
+        def of_all(count: int, batched: Any, *arguments: Any) -> tuple[Open, Any]:
+            def flat(values: jax.Array, is_batched: bool) -> jax.Array:
+                each = values if is_batched else jnp.broadcast_to(values, (count, *values.shape))
+                return each.reshape(-1, *each.shape[2:])
+
+            found = placed(*jax.tree.map(flat, arguments, tuple(batched)))
+            found = jax.tree.map(lambda values: values.reshape(count, -1, *values.shape[1:]), found)
+            return found, jax.tree.map(lambda _: True, found)
+
+        after: Open = placed(open_, box, gets)
+        return after
 
     def told(self, open_: Open, known: jax.Array) -> Told:
-        """How worlds are; of those without ``known`` nothing is told."""
+        """The state of worlds. Those without ``known`` have the reason ``ended``, and no numbers."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]

@@ -28,7 +28,11 @@ KEPT_PER_PALLET: Final = 4
 
 
 MOST_ASKED: Final = 64
-"""And so many more, for candidates of other pallets than those of the last states."""
+"""So many more are kept for candidates of pallets other than those of the last states."""
+
+
+_BEYOND: Final = (2, 2, 1, 0, 1, 1, 0, 0, 0)
+"""How many axes follow the axis of pallets, in the arrays of boxes, counts, new boxes, and the two masks."""
 
 
 class Host:
@@ -38,17 +42,34 @@ class Host:
         self.most_boxes = most_boxes
         slots = KEPT_PER_PALLET * n + MOST_ASKED
         self._lock = threading.Lock()
-        self._pallets = Pallets(slots, engine=engine, most_boxes=most_boxes, **dict(sim))
+        self._engine, self._sim = engine, sim
+        self._begin(slots)
+
+    def _begin(self, slots: int) -> None:
+        """Have room for so many settled worlds, and none of them."""
+        self._pallets = Pallets(slots, engine=self._engine, most_boxes=self.most_boxes, **dict(self._sim))
         self._slots: OrderedDict[bytes, int] = OrderedDict()
         self._free = list(range(slots))
 
-    def place(self, size: Any, corner: Any, mass: Any, count: Any, *box: Any) -> list[NDArray[Any]]:
-        """What is told of pallets that get a box each: arguments are the boxes that they have, and the new ones."""
-        return self._asked(np.asarray(size), np.asarray(corner), np.asarray(mass), np.asarray(count), box, keeps=True)
+    def place(self, *arguments: Any) -> list[NDArray[Any]]:
+        """The answers for pallets that get a box each. Arguments are the boxes that they have, and the new ones."""
+        return self._of_all(arguments, keeps=True)
 
-    def try_all(self, size: Any, corner: Any, mass: Any, count: Any, *box: Any) -> list[NDArray[Any]]:
+    def try_all(self, *arguments: Any) -> list[NDArray[Any]]:
         """The same, and nothing is kept of it."""
-        return self._asked(np.asarray(size), np.asarray(corner), np.asarray(mass), np.asarray(count), box, keeps=False)
+        return self._of_all(arguments, keeps=False)
+
+    def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
+        """Under ``jax.vmap`` arrays have axes in front, of 1 where they are the same for all: all rows in one call."""
+        arrays = [(np.asarray(each), beyond) for each, beyond in zip(arguments, _BEYOND, strict=True)]
+        shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
+        rows = []
+        for values, beyond in arrays:
+            own = values.shape[values.ndim - beyond :]
+            rows.append(np.broadcast_to(values, (*shape, *own)).reshape(-1, *own))
+        size, corner, mass, count, *box = rows
+        told = self._asked(size, corner, mass, count, box, keeps=keeps)
+        return [values.reshape(*shape, *values.shape[1:]) for values in told]
 
     def _asked(
         self,
@@ -64,6 +85,10 @@ class Host:
         told = nothing(len(count), self.most_boxes)
         rows, others = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
         with self._lock:
+            used = np.flatnonzero(gets | stands)
+            many = len(used) if keeps else len({_key(size[row], corner[row], mass[row]) for row in used})
+            if (needed := KEPT_PER_PALLET * many + MOST_ASKED) > len(self._pallets):
+                self._begin(needed)
             pinned: set[int] = set()
             if len(others):
                 there = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
@@ -193,4 +218,4 @@ def empty_host(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> Host
 def _called(function: Any, m: int, k: int, *arguments: jax.Array) -> Told:
     struct: Any = jax.ShapeDtypeStruct
     kinds = [struct(shape, kind) for shape, kind in shapes(m, k)]
-    return Told(*jax.pure_callback(function, kinds, *arguments, vmap_method="sequential"))
+    return Told(*jax.pure_callback(function, kinds, *arguments, vmap_method="expand_dims"))

@@ -49,7 +49,7 @@ def asked_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: int) ->
         n: pallets that there are. Without ``pallet`` there is one, or box i is for pallet i.
 
     Raises:
-        InputError: a wrong shape or length, a number that is not finite or not usual, or no such pallet.
+        InputError: a wrong shape or length, a number that is not finite or out of range, or no such pallet.
     """
     corners = _numbers(corner_mm, "corner_mm", (3,))
     m = len(corners)
@@ -68,6 +68,18 @@ def boxes_of(size_mm: Any, pallet: Any, n: int) -> Asked:
     """
     sizes = _numbers(size_mm, "size_mm", (3,))
     return Asked(sizes, np.zeros_like(sizes), np.ones(len(sizes)), _pallets(pallet, len(sizes), n))
+
+
+def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
+    """(p, 2) corners on a carrier, mm.
+
+    Raises:
+        InputError: another shape, or a corner that is off the carrier.
+    """
+    found = array_of(grid_mm, "grid_mm", (2,))
+    if ((found < 0) | (found > extent_mm)).any():
+        raise InputError("grid_mm must be corners on the carrier, {:g} × {:g} mm".format(*extent_mm))
+    return found
 
 
 def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
@@ -95,7 +107,7 @@ def once_each(pallet: NDArray[np.int64], name: str = "pallet") -> None:
     """Raises InputError if a pallet is named twice."""
     values, counts = np.unique(pallet, return_counts=True)
     if (counts > 1).any():
-        raise InputError(f"{name}: {values[counts > 1][0]} is named twice; of each pallet once in a call")
+        raise InputError(f"{name}: {values[counts > 1][0]} is named twice; name each pallet once in a call")
 
 
 def _pallets(pallet: Any, m: int, n: int) -> NDArray[np.int64]:

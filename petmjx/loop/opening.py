@@ -22,7 +22,7 @@ OF_RUN: Final = ("threads", "lanes")
 
 
 def check_open(sim: Simulation) -> None:
-    """Raises InputError for what pallets that stay open cannot have."""
+    """Raises InputError for options that open pallets cannot have."""
     if extent_m(sim.carrier) is None:
         raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
     if sim.check is not Check.ONE_BY_ONE:
@@ -45,7 +45,7 @@ def ready_engine(asked: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> t
         gpu: whether ``auto`` takes ``mjx-warp`` where it runs.
 
     Raises:
-        InputError: neither, or an option that it has not.
+        InputError: neither a name nor an engine, or an option that it does not have.
         EngineUnavailable: it cannot run here.
     """
     if not isinstance(asked, str):

@@ -3,53 +3,51 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.arguments import array_of, number_of, whole_of
+from petmjx.arguments import flag_of, number_of, text_of, whole_of
 from petmjx.carrier import AnyCarrier, extent_m
 from petmjx.checked import got
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.errors import InputError
-from petmjx.loop.asked import Asked, asked_of, boxes_of, once_each, pallets_of
+from petmjx.loop.asked import Asked, asked_of, boxes_of, grid_of, once_each, pallets_of
+from petmjx.loop.closing import Closable
 from petmjx.loop.heights import height_maps
 from petmjx.loop.opening import OF_RUN, check_open, open_engine
 from petmjx.loop.places import Places, free_places
 from petmjx.loop.settled import SettledEngine, scene_key
 from petmjx.loop.stock import Stock
 from petmjx.loop.told import Told
-from petmjx.loop.trials import Errors, all_errors, drive_of
+from petmjx.loop.trials import Errors, drive_of, shares, told_driven
 from petmjx.plans.plan import Plan
 from petmjx.results.reader import RunResults
 from petmjx.run_options import AUTO, RunOptions, sorted_options
 from petmjx.simulate import simulate
 from petmjx.study import Nominal
 from petmjx.units import MM_PER_M, FloatArray
-from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.next_boxes import Blank, NextBoxes
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 96
-"""Of a pallet, unless it is told otherwise."""
-
-_AT_ONCE: Final = 1024
-"""Worlds with errors or drives that are held at a time."""
+"""The default for a pallet."""
 
 
-class Pallets:
+class Pallets(Closable):
     """n pallets that stay settled, for a packer that places box after box.
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
-    The rules are those of ``petmjx.score``: each box is placed when those before it rest. What ``place`` and
-    ``try_all`` tell is the first attempt's answer, when the pallet rests again; ``verdict`` and ``score`` say what a
-    score of the whole plan says. docs/loop.md has more.
+    The rules are those of ``petmjx.score``: each box is placed when those before it rest. ``place`` and ``try_all``
+    give the first attempt's answer, at the moment when the pallet rests again; ``verdict`` and ``score`` give that of
+    a score of the whole plan. docs/loop.md has more.
 
     Lengths are millimetres, masses kilograms; x and y are from the carrier's front-left corner, z = 0 is its top. Where
     a method takes m boxes, ``size_mm`` is (m, 3), as they stand, ``corner_mm`` (m, 3), the front-left-bottom corners,
@@ -63,7 +61,7 @@ class Pallets:
         carrier: what boxes stand on: not ``footprint``, which depends on the whole plan.
         engine: ``mujoco``, ``mjx-warp``, an engine that has open worlds, or ``auto``: ``mjx-warp`` for 64 pallets and
             more where there is a GPU, else ``mujoco``.
-        most_boxes: of a pallet, ever. Engines with tables on a device have room for so many.
+        most_boxes: the most that a pallet may ever get. ``mjx-warp`` reserves room for them on the device.
         options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
 
     Raises:
@@ -100,6 +98,13 @@ class Pallets:
     def __len__(self) -> int:
         return self.n
 
+    @contextmanager
+    def _using(self) -> Iterator[None]:
+        """One thread at a time, until they are closed."""
+        with self._lock:
+            self._check_open()
+            yield
+
     @property
     def engine(self) -> str:
         """The engine's name."""
@@ -130,7 +135,7 @@ class Pallets:
         Raises:
             InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
         """
-        with self._lock:
+        with self._using():
             asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
             once_each(asked.pallet)
             return self._place(asked)
@@ -161,9 +166,10 @@ class Pallets:
         Raises:
             InputError: wrong shapes, units or numbers, a pallet that has fallen or is full, or an unknown profile.
         """
+        self._check_open()
         shaken = drive_of(drive, level, direction_deg, self.simulation)
         number = None if errors is None else whole_of(errors, "errors", 1, 100_000)
-        with self._lock:
+        with self._using():
             asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
             if not len(asked):
                 return Told.of_readings(asked.pallet, self._worlds.readings([]), self.simulation.thresholds)
@@ -172,31 +178,10 @@ class Pallets:
                 found = self._worlds.try_next(worlds, boxes)
                 told = Told.of_readings(asked.pallet, found, self.simulation.thresholds)
             else:
-                parts = []
-                for rows in _chunks(len(asked), _AT_ONCE):
-                    some = [worlds[row] for row in rows]
-                    scenes = self._worlds.with_next(some, boxes.take(rows))
-                    outcomes = self._worlds.try_scenes(some, scenes, [shaken] * len(some))
-                    parts.append(Told.of_outcomes(asked.pallet[rows], outcomes, self.simulation.thresholds))
-                told = Told.joined(parts)
+                told = told_driven(self._worlds, asked.pallet, boxes, shaken, self.simulation.thresholds)
             if number is None:
                 return told
-            errors_of = Errors(number, self.simulation)
-            shares = [
-                self._shares([worlds[row] for row in rows], boxes.take(rows), errors_of, shaken)
-                for rows in _chunks(len(asked), max(_AT_ONCE // number, 1))
-            ]
-            return told.with_share(np.concatenate(shares))
-
-    def _shares(self, worlds: list[int], boxes: NextBoxes, errors: Errors, drive: Any) -> FloatArray:
-        """(m,) share of worlds with errors that are stable, of those that have a verdict."""
-        scenes = all_errors(self._worlds.with_next(worlds, boxes), errors)
-        each = [world for world in worlds for _ in range(len(errors))]
-        outcomes = self._worlds.try_scenes(each, scenes, [drive] * len(each))
-        verdicts = np.array([str(outcome.verdict) for outcome in outcomes]).reshape(len(worlds), -1)
-        known = (verdicts != str(Verdict.INVALID)).sum(axis=1)
-        stable = (verdicts == str(Verdict.STABLE)).sum(axis=1)
-        return np.where(known > 0, stable / np.maximum(known, 1), np.nan)
+            return told.with_share(shares(self._worlds, worlds, boxes, Errors(number, self.simulation), shaken))
 
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets, which are then as they were before it came, to the last bit; None: all
@@ -205,7 +190,7 @@ class Pallets:
         Raises:
             InputError: a pallet has no box.
         """
-        with self._lock:
+        with self._using():
             rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
             once_each(rows)
             if (bare := rows[self._boxes.count[rows] == 0]).size:
@@ -228,7 +213,7 @@ class Pallets:
         Raises:
             InputError: no such pallet, as many sources as others are needed, or one named twice in ``into``.
         """
-        with self._lock:
+        with self._using():
             these, those = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")
             if len(these) != len(those):
                 raise InputError(f"into must name as many pallets as sources, {len(these)}, got {len(those)}")
@@ -242,7 +227,7 @@ class Pallets:
 
     def reset(self, pallet: Any = None) -> None:
         """Empty some pallets; None: all."""
-        with self._lock:
+        with self._using():
             rows = pallets_of(pallet, self.n)
             once_each(rows)
             self._empty_worlds(rows)
@@ -252,7 +237,7 @@ class Pallets:
 
     def told(self, pallet: Any = None) -> Told:
         """How pallets are now; None: all."""
-        with self._lock:
+        with self._using():
             rows = pallets_of(pallet, self.n)
             return Told.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
 
@@ -262,15 +247,17 @@ class Pallets:
         Raises:
             InputError: no such pallet, or one without boxes.
         """
-        number = self._one(pallet)
-        return self._boxes.plan(number, f"pallet-{number}" if plan_id is None else plan_id)
+        with self._using():
+            number = self._one(pallet)
+            name = f"pallet-{number}" if plan_id is None else text_of(plan_id, "plan_id")
+            return self._boxes.plan(number, name)
 
     def score(self, pallet: Any = None, **options: Any) -> RunResults:
         """What ``petmjx.score`` says of the plans of pallets that have boxes, to the last bit, further attempts
         included; None: all of them. A pallet that has fallen is scored, too.
 
         On ``mjx-warp`` pallets go on from where they stand. On ``mujoco`` plans are simulated from their first boxes,
-        since there the boxes that wait have a part in the last digits of a score.
+        since there the boxes that wait affect the last digits of a score.
 
         Args:
             options: fields of ``petmjx.RunOptions``, such as ``out``.
@@ -278,7 +265,7 @@ class Pallets:
         Raises:
             InputError: a pallet without boxes was named.
         """
-        with self._lock:
+        with self._using():
             rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
             if not len(rows):
                 raise InputError("pallet: none has boxes")
@@ -293,23 +280,25 @@ class Pallets:
 
     def verdict(self, pallet: int = 0) -> str:
         """The verdict of a score of one pallet: "stable", "unstable" or "invalid". See ``score``."""
-        return str(self.score(self._one(pallet)).worlds.verdict.iloc[0])
+        with self._using():
+            return str(self.score(self._one(pallet)).worlds.verdict.iloc[0])
 
     def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
         """(m, x, y) height of the highest top over each cell of the carrier, mm, of boxes as planned; 0: none.
 
         A cell is covered by a box that covers more of it than its edge.
         """
-        with self._lock:
+        with self._using():
             rows = pallets_of(pallet, self.n)
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as they were asked for; NaN
         behind a pallet's own."""
-        rows = pallets_of(pallet, self.n)
-        k = int(self._boxes.count[rows].max(initial=0))
-        return self._boxes.size_mm[rows, :k], self._boxes.corner_mm[rows, :k], self._boxes.mass_kg[rows, :k]
+        with self._using():
+            rows = pallets_of(pallet, self.n)
+            k = int(self._boxes.count[rows].max(initial=0))
+            return self._boxes.size_mm[rows, :k], self._boxes.corner_mm[rows, :k], self._boxes.mass_kg[rows, :k]
 
     def places(
         self,
@@ -320,19 +309,23 @@ class Pallets:
         grid_mm: FloatArray | None = None,
         hulls: bool = True,
     ) -> Places:
-        """Where boxes could go: at the extreme points of pallets, on what is there, inside the carrier.
+        """Where boxes could go: the extreme points of pallets that lie inside the carrier, at the heights on which a
+        box would rest.
 
         Args:
             size_mm: (m, 3) extents as they would stand; ``pallet``: (m,).
             max_height_mm: highest top.
-            grid_mm: (p, 2) corners instead of the extreme points.
+            grid_mm: (p, 2) corners on the carrier instead of the extreme points.
             hulls: whether ``Places.centred`` is asked for, which takes as long as the rest.
+
+        Raises:
+            InputError: wrong shapes or numbers, corners off the carrier, or no such pallet.
         """
-        with self._lock:
+        with self._using():
             asked = boxes_of(size_mm, pallet, self.n)
             highest = number_of(max_height_mm, "max_height_mm", 0.0)
-            grid = None if grid_mm is None else array_of(grid_mm, "grid_mm", (2,))
-            return free_places(self._boxes, asked, self.extent_mm, highest, grid, hulls=hulls)
+            grid = None if grid_mm is None else grid_of(grid_mm, self.extent_mm)
+            return free_places(self._boxes, asked, self.extent_mm, highest, grid, hulls=flag_of(hulls, "hulls"))
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
         """(height, width, 3) a picture of a pallet as it stands. Boxes have colours by their order.
@@ -342,18 +335,21 @@ class Pallets:
         """
         from petmjx.loop.picture import picture  # loads OpenGL
 
+        text_of(view, "view")
         if not isinstance(size, Sequence) or len(size) != 2:
             raise InputError(f"size must be two whole numbers of pixels, {got(size)}")
         size = (whole_of(size[0], "size", 16, 8192), whole_of(size[1], "size", 16, 8192))
-        with self._lock:
+        with self._using():
             number = self._one(pallet, may_be_empty=True)
             (reading,) = self._worlds.read([number])
             return picture(self._worlds.scene(number), reading, self.simulation, size, view)
 
     def close(self) -> None:
-        """Free what the engine holds. Nothing is asked after it."""
-        if self._own:
-            self._engine.close()
+        """Free what the engine holds. Whatever is asked afterwards is an InputError."""
+        with self._lock:
+            self._is_closed = True
+            if self._own:
+                self._engine.close()
 
     # ------------------------------------------------------------------ steps
 
@@ -399,7 +395,3 @@ class Pallets:
         if not may_be_empty and not self._boxes.count[number]:
             raise InputError(f"pallet: {number} has no boxes")
         return int(number)
-
-
-def _chunks(count: int, most: int) -> Sequence[NDArray[np.intp]]:
-    return [np.arange(first, min(first + most, count)) for first in range(0, count, most)]

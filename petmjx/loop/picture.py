@@ -1,4 +1,4 @@
-"""Pictures of pallets as they stand, by the painter of stories. The camera stays where it is while a pallet grows."""
+"""Pictures of pallets as they stand, drawn as stories are. The camera stays where it is while a pallet grows."""
 
 from __future__ import annotations
 

@@ -88,9 +88,9 @@ def free_places(
 
 
 def _points(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(w, p, 2) corners, mm: the origin, and of each of k boxes three corners, each also moved towards the carrier's
-    edges as far as the boxes before it let it, beside the box and on it; NaN where a pallet has fewer boxes, and where
-    a point is there already.
+    """(w, p, 2) corners, mm: the origin, and points beside and on each of k boxes: its corners, and the same corners
+    slid towards the carrier's edges until an earlier box is in the way. NaN where a pallet has fewer boxes, and for
+    repeated points.
 
     Args:
         low, high: (w, k, 3) ends of boxes.

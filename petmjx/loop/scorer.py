@@ -18,6 +18,7 @@ from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.retry import World, WorldResult, score_worlds
 from petmjx.errors import InputError, PlanWarning
+from petmjx.loop.closing import Closable
 from petmjx.loop.opening import OF_RUN, ready_engine
 from petmjx.loop.told import Told
 from petmjx.plans.forms import SupportsArrow
@@ -43,7 +44,7 @@ class Scored:
     attempts: pd.DataFrame
 
 
-class Scorer:
+class Scorer(Closable):
     """Scores plans as ``petmjx.score`` does, to the last bit, with an engine that is there already.
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
@@ -82,6 +83,7 @@ class Scorer:
         Raises:
             InputError: files, or a plan that cannot be used: none is skipped.
         """
+        self._check_open()
         found = self._results(self._usable(plans))
         part = Part(0)
         for result in found:
@@ -111,12 +113,14 @@ class Scorer:
         Raises:
             InputError: wrong shapes or numbers; the line names the argument, or plan and field.
         """
+        self._check_open()
         plans = _plans_of(*_arrays(size_mm, corner_mm, mass_kg))
         outcomes = [result.outcome for result in self._results(self._usable(plans))]
         return Told.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
 
     def close(self) -> None:
-        """Free what the engine holds. Nothing is scored after it."""
+        """Free what the engine holds. Whatever is asked afterwards is an InputError."""
+        self._is_closed = True
         if self._own:
             self._engine.close()
 

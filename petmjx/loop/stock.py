@@ -27,7 +27,7 @@ class Stock:
         self.mass_kg: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
 
     def add(self, asked: Asked) -> None:
-        """One box each for some pallets."""
+        """Put one box on each of some pallets."""
         rows, at = asked.pallet, self.count[asked.pallet]
         while at.max(initial=0) >= self.size_mm.shape[1]:
             for name in ("size_mm", "corner_mm", "mass_kg"):

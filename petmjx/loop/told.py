@@ -34,7 +34,7 @@ class Told:
         moving: (m,) whether boxes still moved when the world's time was up.
         top_force_n: (m, k) force on each box's top, at rest in the last step, N.
         middle_mm: (m, k, 3) where the boxes' middles are, mm; ``quat``: (m, k, 4) orientations (w, x, y, z).
-        share: (m,) share of worlds with errors that are stable; NaN where it was not asked for.
+        share: (m,) share of the worlds with errors in which the pallet stands; NaN where it was not asked for.
     """
 
     pallet: NDArray[np.int64]
@@ -57,7 +57,7 @@ class Told:
         return len(self.pallet)
 
     def __getitem__(self, rows: Any) -> Told:
-        """Some of them: a slice, or an array of row numbers or of yes and no."""
+        """Some of them, by a slice, an array of row numbers, or a boolean array."""
         which = np.atleast_1d(np.arange(len(self))[rows])
         return Told(**{each.name: getattr(self, each.name)[which] for each in fields(self)})
 

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.arguments import number_of, text_of
 from petmjx.checked import got
-from petmjx.config import Simulation
+from petmjx.config import Simulation, Thresholds
+from petmjx.engines.open import OpenWorlds
 from petmjx.errors import InputError
+from petmjx.loop.told import Told
 from petmjx.sweeps.confidence import confidence_sweep
 from petmjx.sweeps.design import Design
-from petmjx.units import deg_to_rad
+from petmjx.units import FloatArray, deg_to_rad
+from petmjx.verdict import Verdict
 from petmjx.world.job import Drive
+from petmjx.world.next_boxes import NextBoxes
 from petmjx.world.profiles.base import Strength
 from petmjx.world.profiles.registry import resolve
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant, apply
+
+_AT_ONCE: Final = 1024
+"""Worlds with errors or drives that are held at a time."""
 
 _NAME = "candidate"
 """In place of a plan's id in random numbers: all candidates have the same errors, and can be compared."""
@@ -49,15 +59,15 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
 
     Args:
         drive: the name of a built-in profile, a ``Drive``, or None.
-        level: its strength, in the unit that docs/profiles.md says, such as g of ``eumos-40509``.
+        level: its strength, in the unit given in docs/profiles.md, such as g for ``eumos-40509``.
 
     Raises:
-        InputError: an unknown profile, a family, or a number that is none.
+        InputError: an unknown profile, a family, or a value that is not a number.
     """
     if drive is None:
         for value, name, usual in ((level, "level", 1.0), (direction_deg, "direction_deg", 0.0)):
             if value != usual:
-                raise InputError(f"{name} counts only with a drive")
+                raise InputError(f"{name} needs a drive")
         return None
     if isinstance(drive, Drive):
         return drive
@@ -76,6 +86,36 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
     return Drive(excitation, strength, deg_to_rad(number_of(direction_deg, "direction_deg")), sim.rest_s)
 
 
-def all_errors(scenes: Sequence[Scene], errors: Errors) -> list[Scene]:
-    """Scene after scene with each error."""
-    return [changed for scene in scenes for changed in errors.scenes(scene)]
+def told_driven(
+    open_worlds: OpenWorlds, pallets: NDArray[np.int64], boxes: NextBoxes, drive: Drive, thresholds: Thresholds
+) -> Told:
+    """What becomes of (m,) pallets with a box more each that are then shaken."""
+    parts = []
+    for rows in _chunks(len(pallets), _AT_ONCE):
+        some = pallets[rows].tolist()
+        outcomes = open_worlds.try_scenes(some, open_worlds.with_next(some, boxes.take(rows)), [drive] * len(some))
+        parts.append(Told.of_outcomes(pallets[rows], outcomes, thresholds))
+    return Told.joined(parts)
+
+
+def shares(
+    open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
+) -> FloatArray:
+    """(m,) share of the worlds with errors that are stable; invalid worlds are left out."""
+    found = []
+    for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
+        some = [worlds[row] for row in rows]
+        scenes = [
+            changed for scene in open_worlds.with_next(some, boxes.take(rows)) for changed in errors.scenes(scene)
+        ]
+        each = [world for world in some for _ in range(len(errors))]
+        outcomes = open_worlds.try_scenes(each, scenes, [drive] * len(each))
+        verdicts = np.array([str(outcome.verdict) for outcome in outcomes]).reshape(len(some), -1)
+        known = (verdicts != str(Verdict.INVALID)).sum(axis=1)
+        stable = (verdicts == str(Verdict.STABLE)).sum(axis=1)
+        found.append(np.where(known > 0, stable / np.maximum(known, 1), np.nan))
+    return np.concatenate(found)
+
+
+def _chunks(count: int, most: int) -> list[NDArray[np.intp]]:
+    return [np.arange(first, min(first + most, count)) for first in range(0, count, most)]

@@ -17,7 +17,7 @@ from petmjx.results.reader import RunResults
 from petmjx.text import counted, printable, shown
 
 KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
-"""Columns of which means are told. kpi_3 is the height, which is there without orders; kpi_6 is for a static check."""
+"""Columns of which means are shown. kpi_3 is the height, which is there without orders; kpi_6 is for a static check."""
 
 
 def kpis_of_runs(runs: Mapping[str, RunResults], file: Path) -> tuple[pd.DataFrame, list[str]]:

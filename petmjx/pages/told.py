@@ -1,4 +1,4 @@
-"""Stories with their pages: what ``petmjx.tell`` gives shows itself in a notebook, to play and turn."""
+"""Stories with their pages: in a notebook, the result of ``petmjx.tell`` is a page to play and turn."""
 
 from __future__ import annotations
 

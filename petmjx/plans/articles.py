@@ -279,7 +279,8 @@ def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def with_articles(plan: Plan, articles: Articles) -> Plan:
-    """The plan with materials, centres of mass, stiffness and strength of its boxes; the same object if nothing is said
+    """The plan with materials, centres of mass, stiffness and strength of its boxes; the same object if the table says
+    nothing
     of them.
 
     What the plan says of a box itself comes before what the table says.

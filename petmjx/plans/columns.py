@@ -70,7 +70,8 @@ class InputColumn:
         return np.asarray(array.is_null())
 
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) numbers, NaN where there is none, and where one is usable as a number. Ranges are not looked at."""
+        """(n,) numbers, NaN where there is none; and a mask of values that are usable as numbers. Ranges are not
+        checked."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _each(array, _float, np.nan, np.float64)
@@ -82,7 +83,7 @@ class InputColumn:
         return np.asarray(numbers.fill_null(np.nan)), np.asarray(numbers.is_valid())
 
     def whole(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """(n,) whole numbers, 0 where there is none, and where there is one."""
+        """(n,) whole numbers, 0 where there is none; and a mask of where there is one."""
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
         whole = np.where(usable, numbers, 0).astype(np.int64)
@@ -94,7 +95,7 @@ class InputColumn:
         return np.where(known, np.asarray(exact.fill_null(0)), whole), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
-        """(n,) names, "" where there is none, and where there is a usable one. Equal ones share one string."""
+        """(n,) names, "" where there is none; and a mask of usable ones. Equal ones share one string."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _each(array, _name, "", np.object_)

@@ -36,10 +36,10 @@ SPARSE: Final = {
     "stiffness_n_mm": (0.01, 1e6, "N/mm"),
     "strength_n": (0.01, 1e9, "N"),
 }
-"""Numbers that few placements have: limits and unit. Corrugated boxes have 100 to 500 N/mm."""
+"""Optional numbers of placements: limits and unit. Corrugated boxes have 100 to 500 N/mm."""
 SHEET: Final = "sheet"
 KINDS: Final = ("box", SHEET)
-"""What an item may be; where nothing is said it is a box."""
+"""What an item may be; by default it is a box."""
 LONGEST_NAME: Final = 1000
 """Characters of a plan id, an item id, an article or a product group."""
 

@@ -93,17 +93,25 @@ def _with_articles(found: PlanSet, file: Path, strict: bool) -> PlanSet:
             changed += kept[-1] is not plan
     name = printable(str(file))
     idle = [f"{name}: says nothing of how the boxes of these plans are"]
-    notes = _idle_rows(articles, found.plans, name) if changed else idle
+    notes = _idle_rows(articles, [*found.plans, *kept], name) if changed else idle
     return replace(found, plans=kept, skipped=skipped, notes=[*found.notes, *notes])
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A line on the rows of a table of articles that match no box."""
+    """A line on the rows of a table of articles that match no box. Boxes may have their materials from the same
+    table."""
+    from petmjx.plans.articles import material_key
+
     there = {
         "article": {each for plan in plans for each in plan.articles},
         "product group": {each for plan in plans for each in plan.product_groups},
+        "material": {material_key(each) for plan in plans for each in plan.materials or ()},
     }
-    asked = {"article": articles.by_article, "product group": articles.by_group}
+    asked = {
+        "article": articles.by_article,
+        "product group": articles.by_group,
+        "material": articles.by_material,
+    }
     idle = [f"{kind} {shown(each)}" for kind, rows in asked.items() for each in rows if each not in there[kind]]
     total = sum(map(len, asked.values()))
     if not idle:

@@ -30,15 +30,15 @@ class Plan:
         mass_kg: (n,).
         item_ids, articles: n names each.
         sequence: (n,) number of each item in the customer's order.
-        orientation: (n,) 0 or 1: whether the item's own length lies along x or along y; None: nobody said, and the
+        orientation: (n,) 0 or 1: whether the item's own length lies along x or along y; None: not given, and the
             extents are taken as the item's own sizes.
         product_groups: n names, "" where an item has none; empty: no item has one.
-        materials: n names, by which friction is known (petmjx.materials), "" where nothing is said; empty: nowhere.
+        materials: n names, by which friction is known (petmjx.materials), "" where not given; empty: given for no box.
         mass_center_mm: (n, 3) centres of mass, seen from the boxes' middles along x, y and z; None: in the middles.
-        approach_deg: (n,) level direction in which each box goes to its place, from +x to +y; NaN where nobody said;
-            None: nobody said of any. Used where boxes are carried (``petmjx.placing``).
+        approach_deg: (n,) level direction in which each box goes to its place, from +x to +y; NaN where not given;
+            None: given for no box. Used where boxes are carried (``petmjx.placing``).
         stiffness_n_mm: (n,) force on each box's top per compression, as in a press; NaN: it is rigid; None: all are.
-        strength_n: (n,) what each box bears on its top; NaN: nobody said; None: of none.
+        strength_n: (n,) what each box bears on its top, N; NaN where not given; None: given for no box.
         kinds: n times "box" or "sheet", an interlayer sheet; empty: all are boxes.
     """
 

@@ -28,7 +28,7 @@ _OTHER_VALUES: Final = {
 }
 
 _SHOWN_ID: Final = 1000
-"""Bytes of the id of a damaged plan that are told."""
+"""Bytes of a damaged plan's id that are shown."""
 LONGEST_VALUE: Final = 4 << 20
 """Bytes of one plan's text. A plan of BED-BPP takes 10,000 to 25,000; decoded it takes up to 30 times its text."""
 _FIRST_WINDOW: Final = 1 << 15

@@ -70,7 +70,7 @@ class Refused(NamedTuple):
 
 
 class LostRow(NamedTuple):
-    """A row that is none, by its number; ``plan_id`` is None where it is not known."""
+    """A row that cannot be read, by its number; ``plan_id`` is None where it is not known."""
 
     number: int
     plan_id: str | None
@@ -192,7 +192,7 @@ class _Reading:
 
     @cached_property
     def _com(self) -> dict[str, FloatArray]:
-        """Centres of mass along the items' sides, mm; 0 where nothing is said, NaN where a value cannot be used."""
+        """Centres of mass along the items' sides, mm; 0 where not given, NaN where a value cannot be used."""
         found = {}
         for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:
@@ -233,7 +233,7 @@ class _Reading:
 
     @cached_property
     def _sparse(self) -> dict[str, FloatArray]:
-        """Numbers that few placements have; NaN where a value cannot be used or is not given."""
+        """Optional numbers of placements; NaN where a value is unusable or missing."""
         found = {}
         for name, (low, high, _) in SPARSE.items():
             if name in self.table.columns:

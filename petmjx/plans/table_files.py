@@ -141,7 +141,7 @@ class _CsvReader:
         return bytearray(b"\n").join(kept), np.array(damaged, dtype=np.int64)
 
     def _plan_of(self, line: str) -> str | None:
-        """The plan id in a row that is none; None where it has too few fields for one."""
+        """The plan id in a row that cannot be read; None where it has too few fields for one."""
         try:
             fields = next(csv.reader([line.partition("\n")[0]], delimiter=self._delimiter), [])
         except csv.Error:

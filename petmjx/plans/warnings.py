@@ -105,7 +105,7 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
     """(n,) how far each box is above what is under it, the carrier's top or a box, mm; 0 where one reaches into it.
 
     Args:
-        in_order: whether only boxes that are placed before it are there; else all of them.
+        in_order: whether only boxes placed before it are considered; else all are.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     tolerance = DEFAULT_TOLERANCE_MM

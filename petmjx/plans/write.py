@@ -24,7 +24,7 @@ from petmjx.units import FloatArray
 from petmjx.whole import gzipped, whole_file
 
 _PLANS_AT_A_TIME: Final = 1_000
-"""Of which a table is in memory: about 43,000 rows."""
+"""Plans whose rows are in memory at a time: about 43,000 rows."""
 _JSON: Final = (".json", ".json.gz")
 _CSV: Final = (".csv", ".csv.gz")
 _PARQUET: Final = (".parquet",)

@@ -55,4 +55,4 @@ COLUMNS: Final = (
 """First BED-BPP's own, then petmjx's."""
 
 MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
-"""Columns of which a mean is told."""
+"""Columns of which the mean is shown."""

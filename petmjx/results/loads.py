@@ -108,8 +108,8 @@ def loads(
 
     Args:
         run: a run's folder, or what ``petmjx.score`` returned.
-        articles: table of strengths (``petmjx.plans.articles.read_articles``). Where it says nothing of a box, what its
-            plan says counts, or the table of the run. None: those alone.
+        articles: table of strengths (``petmjx.plans.articles.read_articles``). For boxes that it does not cover, the
+            plan's own values count, or the table of the run. None: those alone.
         plans: the plans of the run, for sizes and product groups; None: the files that the run names.
 
     Raises:

@@ -22,8 +22,8 @@ class ShownColumn:
 
     Attributes:
         name: of the data frame's column.
-        head: what stands above it, with the unit.
-        decimals: of numbers that are not whole.
+        head: its heading, with the unit.
+        decimals: digits of fractional numbers.
         factor: to the head's unit.
     """
 

@@ -45,7 +45,7 @@ class RunResults:
     Attributes:
         parts: the files of the tables, for reading some columns only.
         info: ``run.json``.
-        held: the plans by id, if the run was given them as objects, which are in no file.
+        held: the plans by id, if they were given as objects instead of files.
     """
 
     parts: Parts

@@ -2,8 +2,8 @@
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
-Transactions on Graphics 28(5). At each corner of each contact area there is a force that presses, and friction within μ
-times it; a stack is balanced if such forces exist for which every box has neither a force nor a moment left over.
+Transactions on Graphics 28(5). At each corner of each contact area there is a force that presses, and friction of at
+most μ times that force. A stack is balanced if there are such forces whose sum and moment are zero on every box.
 
 The slack is a pure number. Let each of the n corners under a box be asked to carry at least s times the n-th part of
 the box's own weight; the slack is the largest s for which the stack is balanced. With 1 every box rests on all its

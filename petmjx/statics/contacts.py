@@ -25,9 +25,10 @@ N_CORNERS: Final = 4
 class PlanContacts:
     """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
 
-    A box lies on the carrier if its bottom is not above the carrier's top: with its whole base, as the carrier is taken
-    to reach under all boxes; or, if the carrier is made of boards, on those of its deck that it overlaps along x and y,
-    each an area of its own. It lies on another box if that one was placed before, its top is at the height of
+    A box lies on the carrier if its bottom is not above the carrier's top. It lies there with its whole base, since
+    the carrier is taken to reach under all boxes. On a carrier made of boards it lies on those boards of the deck that
+    it overlaps along x and y; each is an area of its own. It lies on another box if that one was placed before, its
+    top is at the height of
     the bottom, and the two overlap along x and y. A box that is pushed in under another one later bears nothing:
     what hangs in the air until then has fallen.
 

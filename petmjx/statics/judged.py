@@ -56,7 +56,7 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
 
 
 def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The plans that the run has a verdict of, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics."""
+    """The plans for which the run has a verdict, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     physics = judged[["plan_id", "culprit", "reason", "margin"]].assign(
         stands=judged["verdict"] == Verdict.STABLE.value

@@ -39,7 +39,7 @@ def thresholds_of(story: Story) -> Thresholds:
 
 
 def sinks_of(story: Story) -> FloatArray | None:
-    """(n,) how far each box was meant to come down, m; None: not at all."""
+    """(n,) how far each box comes down by design, m; None: not at all."""
     physics = story.options.get("physics", {})
     gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
     return sinks_m(story.scene, gravity)

@@ -97,7 +97,7 @@ class Range(Checked, Generic[Number]):
     """A range of numbers: with a step, with a count, or (mode ``sample``) all numbers between its ends."""
 
     low: Number = Field(alias="from", description="the first value")
-    high: Number = Field(alias="to", description="the last value, where the step leads there")
+    high: Number = Field(alias="to", description="the last value, if the steps reach it")
     step: Annotated[StrictFloat, Field(gt=0)] | None = Field(None, description="from one value to the next")
     count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="how many values")
 
@@ -130,7 +130,7 @@ class DirectionRange(Range[Direction]):
     """A range of directions."""
 
     low: Direction = Field(alias="from", description="the first direction")
-    high: Direction = Field(alias="to", description="the last direction, where the step leads there")
+    high: Direction = Field(alias="to", description="the last direction, if the steps reach it")
 
 
 Positives = Annotated[

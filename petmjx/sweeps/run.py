@@ -74,7 +74,7 @@ class _Placing(World):
 
 @dataclass(frozen=True, eq=False)
 class _Driving(World):
-    """A fork as a world that the engine simulates; ``test``: the test of a search that it is."""
+    """A fork as a world that the engine simulates; ``test``: which test of a search it is."""
 
     settled: Settled
     change: Variant

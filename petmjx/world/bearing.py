@@ -251,7 +251,7 @@ def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
 
 
 def together(bearings: Sequence[Bearing]) -> Bearing:
-    """Those of several scenes as one, whose boxes come one scene after the other: numbers are found for all at once."""
+    """The bearings of several scenes as one, with the boxes scene after scene, so that all are computed at once."""
     boxes = Boxes.together([bearing.boxes for bearing in bearings])
     first = boxes.first.tolist()
     lower = [np.where(b.lower == CARRIER, CARRIER, b.lower + k) for b, k in zip(bearings, first, strict=False)]

@@ -48,9 +48,9 @@ class Body:
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
         """Boards that are solid boxes.
 
-        Their axes are taken for the body's principal ones. Where boards do not balance, the products of inertia that
-        are left out (of a pallet without one of its outer deck boards a few per cent of the moments) count only for
-        how a carrier turns, and it stands on the floor.
+        Their axes are taken for the body's principal ones. Of boards that do not balance, products of inertia are left
+        out: a few per cent of the moments for a pallet without one of its outer deck boards. They would matter only if
+            the carrier turned, and it stands on the floor.
 
         Args:
             center: (s, 3) of each board, m.

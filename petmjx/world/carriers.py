@@ -158,20 +158,20 @@ def body_of(found: Pallet, physics: Physics) -> Body:
 
 
 def carrier_notes(sim: Simulation) -> Iterator[str]:
-    """What of the options does not count with this carrier, a line each."""
+    """A line for each option that has no effect with this carrier."""
     found, physics = pallet(sim.carrier), sim.physics
     if found is None:
         return
     name = shown(sim.carrier if isinstance(sim.carrier, Carrier) else sim.carrier.name or "the carrier")
     idle = [field for field in OF_SLABS if getattr(physics, field) != Physics.model_fields[field].default]
     if idle:
-        verb = "does" if len(idle) == 1 else "do"
+        verb = "has" if len(idle) == 1 else "have"
         these = " and ".join(f"physics.{field}" for field in idle)
-        yield f"{these} {verb} not count: {name} is made of boards, which have their own height and mass"
+        yield f"{these} {verb} no effect: {name} is made of boards, which have their own height and mass"
     own = [friction for friction in found.frictions if friction is not None]
     if not physics.has_own_friction and own and min(own) < physics.box_friction[0]:
         why = f"between two the larger counts, and boxes have {physics.box_friction[0]:g}"
-        yield f"friction {min(own):g} of boards of {name} does not count with pyramidal cones: {why}"
+        yield f"friction {min(own):g} of boards of {name} has no effect with pyramidal cones: {why}"
 
 
 def carrier_friction(sim: Simulation) -> float:

@@ -3,8 +3,8 @@
 A box of stiffness k gives way by F/k between a load F on its top and what it stands on: half of it at either face, as
 in a column, so that it comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler 1867, "Die Lehre
 von der Elasticität und Festigkeit"), 2k/A for each area of the face A. Where two faces press on one another their beds
-are in series; what they share of their areas, as planned, says how stiff the contact is. So a box sinks deeper the less
-of it is borne, and what is narrow presses deeper in.
+are in series; what they share of their areas, as planned, says how stiff the contact is. So a box sinks deeper if less
+of its base is supported, and a narrow box presses deeper into what bears it.
 
 MuJoCo's contact of impedance d and time constant τ at rest is the spring f = x / (τ²·ζ²·(1 − d)·A), with A the sum of
 the inverse masses (petmjx/world/contact.py). So a stiffness is an impedance; where that would be below

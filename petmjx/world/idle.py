@@ -1,4 +1,4 @@
-"""What of a run's options and plans cannot count, or does not mean what it seems to: a line each."""
+"""Lines on options that have no effect, and on options and plans that do not mean what they seem to."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def _placing_notes(placing: Placing, axes: Collection[str], errors: bool) -> Ite
     idle = [f"placing.{name}" for name in given if name not in _USES[way]]
     idle += [name for name, changed in _AXES.items() if name in axes and changed not in _USES[way]]
     if idle:
-        verb = "does" if len(idle) == 1 else "do"
-        yield f"{' and '.join(idle)} {verb} not count: boxes are placed by {way}"
+        verb = "has" if len(idle) == 1 else "have"
+        yield f"{' and '.join(idle)} {verb} no effect: boxes are placed by {way}"
 
 
 def _default(name: str) -> object:
@@ -77,7 +77,7 @@ def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool) -> Iterator[str
     given = [name for name in Wrap.model_fields if getattr(wrap, name) != Wrap.model_fields[name].default]
     holds = wrap.turns > 0 or "wrap_turns" in axes
     if holds and not driven:
-        yield "wrap does not count: there is no profile, and film acts only while a pallet is shaken"
+        yield "wrap has no effect: there is no profile, and film acts only while a pallet is shaken"
     elif given and not holds:
         verb = "has" if len(given) == 1 else "have"
         yield f"{' and '.join(f'wrap.{name}' for name in given)} {verb} no effect: there are no turns of film"

@@ -64,8 +64,8 @@ class Drive:
 
 
 class EngineState(Protocol):
-    """A world whose placement has settled, as an engine keeps it to go on from there. What else is in it is the
-    engine's own."""
+    """A world whose placement has settled, as an engine keeps it to go on from there. Its other contents belong to the
+    engine."""
 
     @property
     def step(self) -> SupportsInt:

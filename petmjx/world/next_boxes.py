@@ -102,7 +102,7 @@ class Blank:
         self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
-        """A scene with one box more, of which nothing is said but its extents, its place and its mass."""
+        """A scene with one box more, of which only extents, place and mass are known."""
         place = boxes.target[row]
         own = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}

@@ -1,7 +1,7 @@
 """Friction by pairs: which coefficient counts between two shapes, where it is not the larger one of the two.
 
 Shapes have surfaces, numbered from 1; a table has the coefficient of sliding friction of each pair of surfaces. Surface
-0 is that of all shapes of which nothing is said, and of the floor.
+0 is that of the floor, and of all shapes without a surface of their own.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def scaled_pairs(
 ) -> FloatArray | None:
     """(k, k) a table with other friction of boxes and carrier, whose boards have surfaces of their own.
 
-    Between two the larger factor counts, as the larger coefficient does where nothing is said of a pair.
+    Between two the larger factor counts, as the larger coefficient does for a pair without an entry.
     """
     if table is None:
         return None

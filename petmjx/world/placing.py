@@ -51,7 +51,8 @@ FREE_M: Final = 0.0003
 softness of contacts, and less than would push them apart visibly."""
 
 MOST_TILTED: Final = 0.5
-"""Tines tilt a box by at most this share of the threshold of tilt: how it was let go must not be taken for a sign."""
+"""Tines tilt a box by at most this share of the threshold of tilt, so that its release is not taken for a first
+sign."""
 
 MOST_SIDESTEPS: Final = 8
 """How often a box goes aside before it goes up."""

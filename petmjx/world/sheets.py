@@ -4,7 +4,7 @@ A sheet of cardboard or paper between two layers is an item of its own. As a rig
 hole in the layer below, which no sheet does. So it bears only where, by the plan, something bears it: its body has a
 shape for each area in which it lies on a box or a board, or up to a centimetre above one, and none over the gaps. It
 stays one body, which holds these pieces together: it ties boxes of a layer by friction, as sheets do, and it does not
-sag or tear. One that lies on nothing is whole.
+sag or tear. A sheet that lies on nothing is not divided.
 """
 
 from __future__ import annotations

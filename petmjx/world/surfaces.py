@@ -18,7 +18,7 @@ from petmjx.world.carriers import pallet
 from petmjx.world.pairs import LARGER, MOST_SURFACES, no_pairs
 
 _NOT_SAID: Final = ""
-"""The material of a box of which nothing is said."""
+"""The material of a box for which none is given."""
 
 _Board = tuple[float | None, str]
 """A board's own friction, and its material."""
@@ -78,7 +78,7 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
 
 
 def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
-    """Whether friction between all materials of all plans is known; a line where materials or stiffness do not count.
+    """Whether friction between all materials of all plans is known; a line where materials or stiffness have no effect.
 
     Raises:
         InputError: as ``find_surfaces``.
@@ -87,11 +87,11 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
     with_materials = [plan for plan in plans if plan.materials]
     notes = []
     if not sim.physics.has_own_friction and any(plan.stiffness_n_mm is not None for plan in plans):
-        notes.append("stiffness does not count: with pyramidal cones all contacts are those of physics")
+        notes.append("stiffness has no effect: with pyramidal cones all contacts follow physics alone")
     if not with_materials:
         return notes
     if not sim.physics.has_own_friction:
-        return [*notes, "materials do not count: with pyramidal cones friction is that of boxes and carrier alone"]
+        return [*notes, "materials have no effect: with pyramidal cones only the friction of boxes and carrier counts"]
     found = pallet(sim.carrier)
     for plan in with_materials:
         find_surfaces(plan, sim, 1 if found is None else len(found.boards))

@@ -74,6 +74,11 @@ def test_on_mjx_warp_the_kernel_runs_inside_the_program() -> None:
     told, tried = check_program(engine(), STEPS[:1], (SIZE, corners, MASS, np.array([0, 1])), 4)
     assert told.stable.tolist() == [[True, True]]
     assert tried.stable.tolist() == [True, False]
+    one = petmjx.jax.empty(1, engine=engine(), most_boxes=4)
+    place = jax.jit(jax.vmap(lambda *box: petmjx.jax.place(one, *box)[1]))
+    vmapped = place(SIZE[:, None], STEPS[0][:, None].astype(np.float32), MASS[:, None])
+    for ours, theirs in zip(jax.tree.leaves(vmapped), jax.tree.leaves(told), strict=True):
+        np.testing.assert_array_equal(ours[:, 0], theirs[0])
 
 
 def test_what_cannot_get_a_box_stays_as_it_is() -> None:

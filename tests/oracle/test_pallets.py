@@ -206,10 +206,13 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         (lambda: pallets.fork([0, 0], [1, 1]), "into: 1 is named twice"),
         (lambda: pallets.height_map(0.1), "cell_mm must be at least"),
         (lambda: pallets.try_all(**good, pallet=0, errors=0), "errors must be at least 1"),
-        (lambda: pallets.try_all(**good, pallet=0, level=0.3), "level counts only with a drive"),
+        (lambda: pallets.try_all(**good, pallet=0, level=0.3), "level needs a drive"),
         (lambda: pallets.places(size_mm=None), "size_mm is missing"),
         (lambda: pallets.places(size_mm=(4, 3, 2), pallet=0, max_height_mm=np.nan), "max_height_mm must be"),
+        (lambda: pallets.places(size_mm=(400, 300, 200), pallet=0, hulls=3), "hulls must be true or false"),
+        (lambda: pallets.places(size_mm=(400, 300, 200), pallet=0, grid_mm=[(-5, 0)]), "grid_mm must be corners on"),
         (lambda: pallets.show(0, size=(0, 0)), "size must be at least 16"),
+        (lambda: pallets.show(0, view=None), "view must be text"),  # type: ignore[arg-type]
         (pallets.score, "pallet: none has boxes"),
         (lambda: pallets.try_all(**good, pallet=0, drive="eumos"), "unknown profile 'eumos'"),
         (lambda: pallets.try_all(**good, pallet=0, drive="en-12195-1"), "drive: en-12195-1 stands for several"),
@@ -261,3 +264,26 @@ def test_height_maps_and_places_are_those_of_the_packers() -> None:
             middle = np.array([x, y]) * 50 + 25
             covers = ((pile._low[: pile.n, :2] < middle) & (middle < pile._high[: pile.n, :2])).all(axis=1)
             assert heights[row, x, y] == pile._high[: pile.n, 2][covers].max(initial=0)
+
+
+def test_after_close_all_methods_say_so() -> None:
+    pallets, scorer = petmjx.Pallets(1, engine="mujoco"), petmjx.Scorer(engine="mujoco")
+    good = carton((0, 0, 0))
+    pallets.place(**good)
+    plan = pallets.plan()
+    for each in (pallets, scorer):
+        each.close()
+        each.close()
+    for call in (
+        lambda: pallets.place(**good),
+        lambda: pallets.try_all(**good, drive="unknown"),
+        lambda: pallets.places(size_mm=(400, 300, 200)),
+        lambda: pallets.fork(0, 0),
+        *(getattr(pallets, name) for name in ("take_back", "reset", "told", "plan", "score", "verdict")),
+        *(getattr(pallets, name) for name in ("height_map", "boxes", "show")),
+    ):
+        with pytest.raises(InputError, match=r"^petmjx\.Pallets: closed; make a new one$"):
+            call()
+    for call in (lambda: scorer.score(plan), lambda: scorer.tell(size_mm=1, corner_mm=2, mass_kg=3)):
+        with pytest.raises(InputError, match=r"^petmjx\.Scorer: closed; make a new one$"):
+            call()

@@ -195,5 +195,5 @@ def test_plans_and_tables_say_how_stiff_boxes_are() -> None:
     assert found.stiffness_n_mm is not None
     assert found.stiffness_n_mm.tolist() == [150.0, 300.0, 80.0]
     np.testing.assert_array_equal(build_scene(found, SIM).stiffness, [150e3, 300e3, 80e3])
-    assert check_surfaces([found], Simulation(physics="reference"))[0].startswith("stiffness does not count")
+    assert check_surfaces([found], Simulation(physics="reference"))[0].startswith("stiffness has no effect")
     assert build_scene(found, Simulation(physics="reference")).stiffness is None

@@ -307,7 +307,7 @@ def test_examples_of_the_loop_run(tmp_path: Path) -> None:
     assert re.search(r"1\d boxes, \d left out: stable", run_in(tmp_path, "\n".join(blocks("loop.md", "python"))))
 
 
-LESSONS = ("start.md", *(f"tutorials/{name}.md" for name in ("score", "see", "sweep", "packers")))
+LESSONS = ("start.md", *(f"tutorials/{name}.md" for name in ("score", "see", "sweep", "packers", "train")))
 
 
 def program_of(document: str) -> str:
@@ -327,9 +327,12 @@ def program_of(document: str) -> str:
 def test_lessons_run(document: str, tmp_path: Path) -> None:
     """As a newcomer types them, in an empty folder with the files that the pages show."""
     pytest.importorskip("scipy")
+    pytest.importorskip("gymnasium")
     (tmp_path / "plans.csv").write_text(blocks("start.md", "csv")[0], encoding="utf-8")
     (tmp_path / "tilted.toml").write_text(blocks("tutorials/sweep.md", "toml")[0], encoding="utf-8")
     printed = run_in(tmp_path, program_of(document))
+    if found := re.search(r"(\d+)% stood before training, and (\d+)% stand now", printed):
+        assert int(found[1]) + 30 < int(found[2])
     shown = [line for body in blocks(document, "console") for line in body.splitlines() if not line.startswith("$")]
     assert not [line for line in shown if line.split() and " ".join(line.split()) not in " ".join(printed.split())]
 

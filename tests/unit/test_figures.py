@@ -141,6 +141,14 @@ def test_the_command_line_draws_packers(packers: list[Path], capsys: pytest.Capt
     out = " ".join(capsys.readouterr().out.split())
     assert "Plans of $b$ stand more often than plans of a" in out
     assert file.read_bytes().startswith(b"%PDF")
+    again = ["compare", "--packers", a, b, "--pdf", str(file)]
+    assert main(again) == 2
+    assert "packers.pdf: exists already; name another file, or pass --overwrite" in capsys.readouterr().err
+    assert main([*again, "--overwrite"]) == 0
+    tables = ["compare", "--packers", a, b, "-o", str(file.parent / "tables")]
+    assert [main(tables), main(tables), main([*tables, "--overwrite"])] == [0, 2, 0]
+    assert "packers.parquet: exists already" in capsys.readouterr().err
+    file = file.with_name("other.pdf")
     assert main(["compare", a, b, "--pdf", str(file)]) == 2
     assert "use --packers" in capsys.readouterr().err
     assert main(["figure", a, "--pdf", "x.png"]) == 2

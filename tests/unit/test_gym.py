@@ -21,10 +21,12 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import petmjx.gym
+from benchmarks.episodes import SETTINGS, episodes
+from petmjx.engines.choose import make_engine
 from petmjx.errors import InputError
 from petmjx.gym.env import PalletizingEnv
-from petmjx.gym.orders import KG_PER_M3, Orders
 from petmjx.gym.vector import PalletizingVectorEnv
+from petmjx.loop.orders import KG_PER_M3, Orders
 from petmjx.pictures.save import why_nothing_is_drawn
 from petmjx.plans.samples.orders import Item, Order
 
@@ -139,6 +141,40 @@ def test_masks_and_what_ends_an_episode() -> None:
             assert not observed["action_mask"].any()
     assert chosen["geometry"] > 0
     assert chosen["support_50"] == chosen["centre"] == chosen["physics"] == 0
+
+
+def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
+    """A box of 10 kg presses with 98 N: one that bears 90 N stays free, and one that bears 110 N does not."""
+    sizes = {"length_mm": [600, 600], "width_mm": [400, 400], "height_mm": [200, 200], "weight_kg": [10, 10]}
+    options = {**SMALL, "n_candidates": 30, "mask": "loads"}
+
+    def on_top(**given: Any) -> set[bool]:
+        """Whether the second box may stand on the first one; beside it it may."""
+        env = PalletizingEnv(**{**options, **given})
+        observed, _ = env.reset(seed=0)
+        observed, *_ = env.step(int(np.flatnonzero(observed["action_mask"])[0]))
+        return set((observed["candidates"][observed["action_mask"] == 1][:, 4] > 0).tolist())
+
+    assert on_top(orders=pd.DataFrame({**sizes, "strength_n": [90, np.nan]})) == {False}
+    assert on_top(orders=pd.DataFrame({**sizes, "strength_n": [110, np.nan]})) == {False, True}
+    table = tmp_path / "articles.toml"
+    table.write_text("[articles.a]\nstrength_n = 90\n", encoding="utf-8")
+    orders = [order((600, 400, 200), (600, 400, 200), kg=10)]
+    assert on_top(orders=orders, articles=table) == {False}
+    for wrong, message in (
+        ({"orders": orders}, "mask: loads needs strengths of boxes: the column strength_n of orders, or articles"),
+        ({"orders": pd.DataFrame({**sizes, "strength_n": [0, 1]})}, "orders: strength_n must be above 0, or empty"),
+    ):
+        with pytest.raises(InputError, match=message):
+            on_top(**wrong)
+
+
+def test_random_episodes_in_all_settings_show_no_fault() -> None:
+    """Some of the episodes that ``python -m benchmarks loop episodes`` plays by the thousand."""
+    found = episodes(make_engine("mujoco", threads=1), 2 * len(SETTINGS), seed=5)
+    assert found["faults"] == {}
+    assert found["episodes"] >= 2 * len(SETTINGS)
+    assert found["placements"] > found["episodes"]
 
 
 def test_an_illegal_action_changes_nothing_and_many_end_the_episode() -> None:

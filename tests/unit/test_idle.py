@@ -1,4 +1,4 @@
-"""Options and tables that cannot count are told, a line each, and numbers that are text are refused."""
+"""A line each names options and tables without effect; numbers that are text are refused."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ ONE = make_plan(boxes=[((400.0, 300.0, 200.0), (0.0, 0.0, 0.0), 5.0)])
         (
             {"placing": {"name": "exact", "force_n": 50}},
             {},
-            ["placing.force_n does not count: boxes are placed by exact"],
+            ["placing.force_n has no effect: boxes are placed by exact"],
         ),
         (
             {"placing": {"name": "auto", "force_n": 50}},
             {},
-            ["placing.force_n does not count: boxes are placed by exact"],
+            ["placing.force_n has no effect: boxes are placed by exact"],
         ),
         ({"placing": {"name": "auto", "force_n": 50}}, {"errors": True}, []),
         (
             {"placing": {"name": "drop", "side_mm": 9, "tines_mm": 3, "height_mm": 9}},
             {"axes": ("placing_force_n",)},
-            ["placing.side_mm and placing.tines_mm and placing_force_n do not count: boxes are placed by drop"],
+            ["placing.side_mm and placing.tines_mm and placing_force_n have no effect: boxes are placed by drop"],
         ),
         (
             {"placing": "hand"},
             {"axes": ("tines_height_mm",)},
-            ["tines_height_mm does not count: boxes are placed by hand"],
+            ["tines_height_mm has no effect: boxes are placed by hand"],
         ),
         ({"placing": {"name": "tines", "tines_mm": 3}}, {}, []),
         (
             {"wrap": {"turns": 2}},
             {},
-            ["wrap does not count: there is no profile, and film acts only while a pallet is shaken"],
+            ["wrap has no effect: there is no profile, and film acts only while a pallet is shaken"],
         ),
         ({"wrap": {"turns": 2}}, {"driven": True}, []),
         ({"wrap": {"hat_n": 20}}, {"driven": True}, ["wrap.hat_n has no effect: there are no turns of film"]),
@@ -64,11 +64,13 @@ def test_a_box_over_a_gap_of_the_carrier_is_told() -> None:
 
 def test_articles_that_match_no_box_are_told(tmp_path: Path) -> None:
     table = tmp_path / "articles.csv"
-    table.write_text("article,product_group,material\nmilk,,film\njam,,film\n,dairy,film\n")
+    table.write_text(
+        "article,product_group,material,strength_n\nmilk,,film,\njam,,film,\n,dairy,film,\n,,film,9\n,,steel,9\n"
+    )
     plan = petmjx.Plan.from_boxes("a", size_mm=[[400, 300, 200]], corner_mm=[[0, 0, 0]], mass_kg=[5], article=["milk"])
     results = petmjx.score([plan], articles=table, engine="mujoco", threads=1)
     warning = next(line for line in results.info["warnings"] if "match" in line)
-    assert warning.endswith("articles.csv: 2 of 3 rows match no box: article jam, product group dairy")
+    assert warning.endswith("articles.csv: 3 of 5 rows match no box: article jam, product group dairy, material steel")
 
 
 @pytest.mark.parametrize(

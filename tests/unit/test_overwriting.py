@@ -14,8 +14,9 @@ WRITERS = {
     "convert": ["convert", "plans.json", "--out"],
     "samples": ["samples", "-n", "1", "--workers", "1", "--out"],
     "export": ["export", "00000001", "plans.json", "--out"],
+    "show": ["show", "00000001", "plans.json", "--engine", "mujoco", "--html"],
 }
-ENDINGS = {"convert": "csv", "samples": "json", "export": "xml"}
+ENDINGS = {"convert": "csv", "samples": "json", "export": "xml", "show": "html"}
 
 
 @pytest.fixture

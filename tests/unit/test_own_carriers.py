@@ -203,12 +203,12 @@ def test_what_does_not_count_is_told() -> None:
     assert list(carrier_notes(Simulation(physics=physics))) == []
     notes = list(carrier_notes(Simulation(carrier="epal-1", physics=physics)))
     assert notes == [
-        "physics.floor_z_m and physics.carrier_mass_kg do not count: epal-1 is made of boards, which have their own "
+        "physics.floor_z_m and physics.carrier_mass_kg have no effect: epal-1 is made of boards, which have their own "
         "height and mass"
     ]
     assert list(carrier_notes(Simulation(carrier=carrier))) == []
     slippery = (
-        "friction 0.3 of boards of half pallet does not count with pyramidal cones: between two the larger counts, "
+        "friction 0.3 of boards of half pallet has no effect with pyramidal cones: between two the larger counts, "
     )
     options = {"engine": "mujoco", "threads": 1, "carrier": carrier, "physics": "reference"}
     assert f"{slippery}and boxes have 0.5" in petmjx.score([PLAN], **options).info["warnings"]

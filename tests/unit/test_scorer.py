@@ -47,7 +47,7 @@ def test_it_says_what_a_score_says_and_writes_nothing(monkeypatch: pytest.Monkey
 def test_several_threads_and_a_data_frame() -> None:
     with petmjx.Scorer(engine="mujoco", threads=1) as scorer, ThreadPoolExecutor(3) as pool:
         each = list(pool.map(lambda plan: scorer.score(plan).worlds, PLANS))
-    whole = scorer.score(PLANS).worlds
+        whole = scorer.score(PLANS).worlds
     for row, frame in enumerate(each):
         pd.testing.assert_series_equal(frame.margin, whole.margin[row : row + 1].reset_index(drop=True))
     columns = {
@@ -59,7 +59,7 @@ def test_several_threads_and_a_data_frame() -> None:
         "weight_kg": 5,
     }
     frame = pd.DataFrame(columns | {"x_mm": 0, "y_mm": 0, "z_mm": [0, 200], "sequence": [1, 2]})
-    assert scorer.score(frame).worlds.verdict.tolist() == ["stable"]
+    assert petmjx.Scorer(engine="mujoco").score(frame).worlds.verdict.tolist() == ["stable"]
 
 
 def test_arrays() -> None:

@@ -86,7 +86,7 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
-    """For each step, the first one at which at least ``wait_s`` have passed since; beyond the tables' end one more."""
+    """For each step, the first step that is at least ``wait_s`` later; beyond the end of the tables, one more."""
     n = len(clock) - 1
     # searchsorted compares a time with (earlier time + wait), which rounds differently from the difference of times in
     # the rule. So its answer is corrected with the comparison of the rule.

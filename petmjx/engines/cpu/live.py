@@ -225,7 +225,7 @@ class LiveWorld:
         return twin
 
     def give_back(self) -> None:
-        """Lend model and data to other worlds. This one is not used any more."""
+        """Lend the model and its data to other worlds. This one is not used any more."""
         if self._templates is not None and self._templates.fits(self.scene):
             self._templates.give_back(Filled(self.model, self.data), self.scene, self.capacity)
 

@@ -71,8 +71,8 @@ def _size(job: Job) -> int:
 
 
 def _most_room(size: int) -> int:
-    """Boxes for which a world of a size may have contacts and pairs at most: the same in all runs, so that the largest
-    plan of a run has no say in which of its worlds are given up."""
+    """Boxes for which a world of a size may have contacts and pairs at most: the same in all runs, so that which
+    worlds are given up does not depend on the largest plan of a run."""
     return MAX_GROWTH * (size + MORE_BOXES)
 
 

@@ -1,4 +1,4 @@
-"""One box more for each of many open worlds, in arrays: no scene is made of a candidate."""
+"""The next box of each of many open worlds, in arrays. No scene is built for a candidate."""
 
 from __future__ import annotations
 

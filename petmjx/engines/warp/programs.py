@@ -110,7 +110,8 @@ class Programs:
         self._compiling = Lock()
 
     def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
-        """The program for arguments of these sizes: those of ``_advance``. ``progress`` is told what compiling took."""
+        """The program for arguments of these sizes: those of ``_advance``. ``progress`` learns how long compiling
+        took."""
         table, _, _, profiles, order, frames = arguments
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         with self._compiling:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.api import score
+from petmjx.arguments import path_of
 from petmjx.errors import InputError
 from petmjx.packers.load import check_names
 from petmjx.plans.plan import Plan
@@ -28,7 +29,7 @@ ORDERS: Final = "orders.json"
 """Folders and a file of a leaderboard."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
-"""Name of a packer → what follows its run."""
+"""Name of a packer → the watcher of its run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +50,16 @@ class Entry:
 
 
 def named(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, Path]:
-    """Name of each packer → its run or plans. Without names they have those of their folders and files.
+    """Name of each packer → its run or plans. Without given names they are named as their folders and files.
 
     Raises:
-        InputError: a path that is not there, a name that cannot be that of a folder, or two of one name.
+        InputError: no path, one that is not there, a name that cannot be that of a folder, or two of one name.
     """
     if isinstance(paths, Mapping):
-        pairs = [(name, Path(path)) for name, path in paths.items()]
+        pairs = [(name, path_of(path, f"packers[{name!r}]")) for name, path in paths.items()]
     else:
-        pairs = [(_name_of(Path(path)), Path(path)) for path in paths]
+        given = [path_of(path, f"packers[{number}]") for number, path in enumerate(paths)]
+        pairs = [(_name_of(path), path) for path in given]
     names = [name for name, _ in pairs]
     check_names(names)
     for number, (name, path) in enumerate(pairs):

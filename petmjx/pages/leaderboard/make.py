@@ -53,11 +53,11 @@ def leaderboard(
     ``runs/`` there; what was scored already is not simulated again.
 
     Args:
-        packers: name → a run's folder, or plans. Without names they have those of their folders and files.
+        packers: name → a run's folder, or plans. Without given names they are named as their folders and files.
         out: the folder.
         orders: BED-BPP orders of the plans: what was left out and KPIs are counted with them.
         baselines: also pack the orders with each of petmjx's packers.
-        stories: pages of so many plans of each packer, first of those that do not stand while another packer's do.
+        stories: how many plans of each packer get a page. Plans that fall while another packer's stands come first.
         watch: packer → what follows its run, entered before and left after it.
         overwrite: replace a leaderboard that is there.
         options: of ``petmjx.score``, for plans that are scored.

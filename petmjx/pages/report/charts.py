@@ -144,7 +144,7 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """Bars beside each other's names. Long names are cut; all of a name is told when pointed at.
+    """Bars beside each other's names. Long names are cut; pointing at one shows all of it.
 
     Args:
         names: width that names have, pixels.
@@ -213,7 +213,7 @@ def stacked(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]
 
 
 def _row_name(name: str, y: float) -> Markup:
-    """A row's name; all of it is told when pointed at."""
+    """A row's name; pointing at it shows all of it."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"
     return element("text", element("title", name), short, x=0, y=y, class_="halo")

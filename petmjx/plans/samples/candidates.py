@@ -96,7 +96,8 @@ class Candidates:
     def _corners(
         self, corner: tuple[float, float, float], ends: tuple[float, float, float]
     ) -> list[tuple[float, float]]:
-        """Three corners of the newest box, each also moved towards the carrier's edges, beside the box and on it."""
+        """Three corners of the newest box, and the same corners slid towards the carrier's edges, beside the box and
+        on it."""
         (x, y, z), (x_end, y_end, top) = corner, ends
         # slides along −y from the ends of x beside the box and from x on it, along −x from the ends of y likewise
         start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])

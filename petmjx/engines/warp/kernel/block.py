@@ -35,6 +35,6 @@ def elapsed(clock: wp.array[int]) -> wp.int64: ...
 def warp_by_warp(at: Thread) -> int:
     """A thread's number when those of different warps alternate: threads 0, 32, 64, … come first, then 1, 33, …
 
-    So warps share evenly what is too little for all threads. On a CPU, with one thread, it is 0.
+    So warps share work evenly where there is too little for all threads. On a CPU, with one thread, it is 0.
     """
     return at.thread % 32 * (at.threads // 32) + at.thread // 32

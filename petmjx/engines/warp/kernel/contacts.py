@@ -238,7 +238,7 @@ def _friction(worlds: Worlds, world: int, geom: int) -> float:
 
 @wp.func
 def _surface(worlds: Worlds, world: int, geom: int) -> int:
-    """Surface of a geom; the floor has 0, of which nothing is said."""
+    """Surface of a geom; the floor has 0, the surface without entries."""
     if geom == 0:
         return 0
     return worlds.shape_surface[world, geom - 1]

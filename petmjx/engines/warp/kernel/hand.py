@@ -133,7 +133,7 @@ def take_up(
     # Data out:
     state: State,
 ) -> None:
-    """Move a box, which is where it is to be let go, to where it begins; a hand may then have it. By one thread."""
+    """Move a box from where it will be released to where its way begins. A hand may then hold it. By one thread."""
     end = center(state, world, box + 1)
     q = orientation(state, world, box + 1)
     offset = wp.vec3(

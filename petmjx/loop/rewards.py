@@ -21,7 +21,7 @@ class Placement:
 
     Attributes:
         volume_mm3: (m,) of the box; ``mass_kg``: (m,) of all boxes on the pallet.
-        room_mm3: of the carrier up to the largest height.
+        room_mm3: volume over the carrier up to ``max_height_mm``.
         higher_mm: (m,) by how much the pallet has grown; ``max_height_mm``.
     """
 

@@ -14,24 +14,26 @@ import pandas as pd
 from petmjx.arguments import list_of, path_of
 from petmjx.checked import got
 from petmjx.errors import InputError
+from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 from petmjx.plans.samples.order_files import read_orders
-from petmjx.plans.samples.orders import Order, draw_order
+from petmjx.plans.samples.orders import Item, Order, draw_order
 from petmjx.text import printable
 from petmjx.units import FloatArray
 
 ENDLESS: Final = "endless"
-"""In place of orders: those of ``petmjx samples``, a new one for each episode."""
+"""The value of ``orders`` for generated orders, as of ``petmjx samples``: each episode draws a new one."""
 
 _MOST_DRAWN: Final = 200_000
 
 _COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
+_STRENGTH: Final = "strength_n"
 
 KG_PER_M3: Final = 200.0
 """Density of boxes of which a set says no mass: an assumption, about the mean of BED-BPP's."""
 
 SET_ITEMS: Final = 50
-"""Boxes of an order where a set is one long list."""
+"""So many boxes make an order where a set is one long list."""
 
 _PG: Final = ("Length_cm", "Width_cm", "Height_cm", "Gross weight", "Pallet No", "Pick_quantity_cs")
 _DELI: Final = ("尺寸（L）", "尺寸（W）", "尺寸（H）", "3月份发货量（件）")
@@ -43,10 +45,12 @@ class Boxes:
 
     Attributes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
+        strength_n: (k,) what each bears on its top, N; NaN where not given.
     """
 
     size_mm: FloatArray
     mass_kg: FloatArray
+    strength_n: FloatArray
 
     def __len__(self) -> int:
         return len(self.mass_kg)
@@ -57,45 +61,64 @@ class Orders:
 
     Args:
         source: ``endless``; a file of BED-BPP orders (JSON), a table of boxes (CSV, Parquet or a data frame with
-            ``length_mm``, ``width_mm``, ``height_mm``, ``weight_kg`` and perhaps ``order_id``), one of RoboBPP's sets
-            (``pg.xlsx``, ``deli.xlsx``, ``opai.txt``); or a list of ``Order``.
+            ``length_mm``, ``width_mm``, ``height_mm``, ``weight_kg`` and perhaps ``order_id`` and ``strength_n``), one
+            of RoboBPP's sets (``pg.xlsx``, ``deli.xlsx``, ``opai.txt``); or a list of ``Order``.
         seed: of the generator's catalogue.
+        articles: a table of articles, which gives the boxes of orders their strengths.
+
+    Attributes:
+        have_strengths: whether a strength can be known of some box.
 
     Raises:
         InputError: something else, or a file that cannot be used.
     """
 
-    def __init__(self, source: Any = ENDLESS, seed: int = 0) -> None:
+    def __init__(self, source: Any = ENDLESS, seed: int = 0, articles: Any = None) -> None:
         self._seed = seed
-        self._all: list[Boxes] | None = None if isinstance(source, str) and source == ENDLESS else _read(source)
+        self._articles = None if articles is None else read_articles(path_of(articles, "articles"))
+        endless = isinstance(source, str) and source == ENDLESS
+        self._all: list[Boxes] | None = None if endless else _read(source, self._articles)
+        each = self._all or ()
+        self.have_strengths = articles is not None or any(np.isfinite(boxes.strength_n).any() for boxes in each)
 
     def draw(self, rng: np.random.Generator) -> Boxes:
         """One of them, or a new one."""
         if self._all is None:
-            return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))))
+            return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
 
+    def some(self, count: int) -> list[Boxes]:
+        """All of them; of endless ones the first."""
+        if self._all is not None:
+            return self._all
+        return [_of_order(draw_order(self._seed, number), self._articles) for number in range(count)]
 
-def _read(source: Any) -> list[Boxes]:
+
+def _read(source: Any, articles: Articles | None) -> list[Boxes]:
     if isinstance(source, pd.DataFrame):
         return _of_table(source, "orders")
     if isinstance(source, str | PathLike):
-        return _of_file(path_of(source, "orders"))
-    found = [_of_order(order) for order in list_of(source, "orders", Order, "orders")]
+        return _of_file(path_of(source, "orders"), articles)
+    found = [_of_order(order, articles) for order in list_of(source, "orders", Order, "orders")]
     if not found:
         raise InputError("orders must hold one at least")
     return found
 
 
-def _of_order(order: Order) -> Boxes:
+def _of_order(order: Order, articles: Articles | None) -> Boxes:
     rows = np.array([[item.length_mm, item.width_mm, item.height_mm, item.weight_kg] for item in order.items], float)
-    return Boxes(rows[:, :3], rows[:, 3])
+    return Boxes(rows[:, :3], rows[:, 3], np.array([_strength(item, articles) for item in order.items], float))
 
 
-def _of_file(path: Path) -> list[Boxes]:
+def _strength(item: Item, articles: Articles | None) -> float:
+    found = None if articles is None else articles.find(item.article, item.product_group).strength
+    return np.nan if found is None else found.of_box(item.length_mm, item.width_mm)
+
+
+def _of_file(path: Path, articles: Articles | None) -> list[Boxes]:
     name, kind = printable(str(path)), path.suffix.lower()
     if kind in (".json", ".gz"):
-        return [_of_order(order) for _, order in read_orders(path)]
+        return [_of_order(order, articles) for _, order in read_orders(path)]
     try:
         if kind == ".txt":
             return _of_lengths(np.loadtxt(path, ndmin=2), name)
@@ -112,7 +135,9 @@ def _of_table(table: pd.DataFrame, name: str) -> list[Boxes]:
     if missing := [column for column in _COLUMNS if column not in table.columns]:
         raise InputError(f"{name}: column {missing[0]} is missing")
     groups = [group for _, group in table.groupby("order_id", sort=False)] if "order_id" in table else [table]
-    return _checked([(group[list(_COLUMNS[:3])], group[_COLUMNS[3]]) for group in groups], name)
+    if _STRENGTH in table and not (table[_STRENGTH].dropna() > 0).all():
+        raise InputError(f"{name}: {_STRENGTH} must be above 0, or empty")
+    return _checked([(each[list(_COLUMNS[:3])], each[_COLUMNS[3]], each.get(_STRENGTH)) for each in groups], name)
 
 
 def _of_sheet(table: pd.DataFrame, name: str) -> list[Boxes]:
@@ -123,7 +148,7 @@ def _of_sheet(table: pd.DataFrame, name: str) -> list[Boxes]:
         each = columns.loc[columns.index.repeat(many)]
         groups = [group for _, group in each.groupby(_PG[4], sort=False)]
         return _checked(
-            [(group[list(_PG[:3])].astype(float) * 10, group[_PG[3]].astype(float)) for group in groups], name
+            [(group[list(_PG[:3])].astype(float) * 10, group[_PG[3]].astype(float), None) for group in groups], name
         )
     if set(_DELI) <= set(table.columns):
         sides = table[list(_DELI[:3])].apply(pd.to_numeric, errors="coerce").dropna().to_numpy()
@@ -138,11 +163,18 @@ def _of_lengths(sides_cm: FloatArray, name: str) -> list[Boxes]:
     sides = sides_cm[:, :3] * 10.0
     mass = sides.prod(axis=1) * 1e-9 * KG_PER_M3
     pieces = [slice(first, first + SET_ITEMS) for first in range(0, len(sides), SET_ITEMS)]
-    return _checked([(sides[piece], mass[piece]) for piece in pieces], name)
+    return _checked([(sides[piece], mass[piece], None) for piece in pieces], name)
 
 
-def _checked(groups: Sequence[tuple[Any, Any]], name: str) -> list[Boxes]:
-    found = [Boxes(np.asarray(sizes, float), np.asarray(masses, float)) for sizes, masses in groups]
+def _checked(groups: Sequence[tuple[Any, Any, Any]], name: str) -> list[Boxes]:
+    found = [
+        Boxes(
+            np.asarray(sizes, float),
+            np.asarray(masses, float),
+            np.full(len(masses), np.nan) if strengths is None else np.asarray(strengths, float),
+        )
+        for sizes, masses, strengths in groups
+    ]
     found = [boxes for boxes in found if len(boxes)]
     if not found:
         raise InputError(f"{name}: holds no box")

@@ -1,0 +1,74 @@
+"""Which cells of a carrier a box may be put on, as an array program. In single precision, as all of ``petmjx.jax``."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+TOUCH_MM: Final = 0.01
+"""Tops closer than this have the same height: heights of 10 m in single precision are exact to 0.001 mm."""
+
+TURNS: Final = 2
+"""Orientations of a box: along x, and turned by 90°."""
+
+Boxes = Float[Array, "box 3"]
+
+
+class Ways(NamedTuple):
+    """What there is to do with a box: turn after turn, and of each the cells along x, then along y.
+
+    Attributes:
+        legal: (a,).
+        size_mm, corner_mm: (a, 3) as it would stand.
+    """
+
+    legal: Bool[Array, " action"]
+    size_mm: Float[Array, "action 3"]
+    corner_mm: Float[Array, "action 3"]
+
+
+class Cells:
+    """The cells of a carrier.
+
+    Args:
+        side_mm: of a cell; ``least_support``: share of a base that must rest on something, None: any.
+
+    Attributes:
+        count: actions.
+    """
+
+    def __init__(
+        self, extent_mm: tuple[float, float], side_mm: float, max_height_mm: float, least_support: float | None
+    ) -> None:
+        cells = [int(np.ceil(length / side_mm - 1e-9)) for length in extent_mm]
+        corners = np.indices(cells).reshape(2, -1).T * side_mm
+        self._corners = jnp.asarray(np.tile(corners, (TURNS, 1)), jnp.float32)
+        self._turned = jnp.repeat(jnp.array([False, True]), len(corners))
+        self._extent, self._highest = jnp.asarray(extent_mm, jnp.float32), max_height_mm
+        self._least = least_support
+        self.count = TURNS * len(corners)
+
+    def ways(self, size_mm: Float[Array, " 3"], boxes_mm: Boxes, corners_mm: Boxes, there: Bool[Array, " box"]) -> Ways:
+        """What there is to do with a box of this size; none if it is 0.
+
+        Args:
+            boxes_mm, corners_mm: of the boxes on the pallet, where they are ``there``.
+        """
+        size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
+        low, high = self._corners, self._corners + size[:, :2]
+        start = jnp.maximum(low[:, None], corners_mm[None, :, :2])
+        end = jnp.minimum(high[:, None], (corners_mm + boxes_mm)[None, :, :2])
+        side = end - start
+        area = jnp.where((side > TOUCH_MM).all(axis=2) & there[None], side[..., 0] * side[..., 1], 0.0)
+        tops = jnp.broadcast_to((corners_mm + boxes_mm)[None, :, 2], area.shape)
+        z = jnp.where(area > 0, tops, 0.0).max(axis=1)
+        carried = jnp.where(jnp.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)
+        support = jnp.where(z > 0, carried / jnp.maximum(size[:, 0] * size[:, 1], 1.0), 1.0)
+        legal = (high <= self._extent[None] + TOUCH_MM).all(axis=1) & (z + size[:, 2] <= self._highest + TOUCH_MM)
+        legal &= ~(self._turned & (size_mm[0] == size_mm[1])) & (size_mm[2] > 0)
+        if self._least is not None:
+            legal &= support >= self._least - 1e-6
+        return Ways(legal, size, jnp.concatenate([self._corners, z[:, None]], axis=1))

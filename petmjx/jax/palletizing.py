@@ -1,0 +1,331 @@
+"""``petmjx.jax.Palletizing``: an environment of pure functions, for ``jax.jit``, ``jax.vmap`` and ``jax.lax.scan``."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.arguments import number_of, text_of, whole_of
+from petmjx.carrier import AnyCarrier, extent_m
+from petmjx.checked import hint
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.jax.cells import Cells
+from petmjx.jax.program import State as Pallet
+from petmjx.jax.program import empty, place
+from petmjx.jax.timestep import Spec, StepType, TimeStep
+from petmjx.jax.told import Told
+from petmjx.loop.heights import cells_of
+from petmjx.loop.orders import ENDLESS, Boxes, Orders
+from petmjx.loop.rewards import weights_of
+from petmjx.run_options import AUTO
+from petmjx.statics.named import SUPPORT_SHARES
+from petmjx.units import MM_PER_M, STANDARD_GRAVITY
+
+GEOMETRY: Final = "geometry"
+MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
+"""Mask → the share of a base that must rest on something; None: any."""
+
+_DRAWN: Final = 256
+"""Orders that stand for endless ones: a program has arrays of fixed sizes."""
+
+_EDGE: Final = 1e-4
+"""Share of a cell: a box that ends this near to a cell's edge ends there, in single precision."""
+
+_LARGEST: Final = float(np.finfo(np.float32).max)
+
+
+class Observation(NamedTuple):
+    """What is seen of a pallet.
+
+    Attributes:
+        height_map: highest top over each cell of the carrier, mm; ``load_map``: largest force on a box's top, N.
+        boxes: of those that come next: length, width, height, mm, and mass, kg; 0 where there are fewer.
+        left: boxes left; ``mass``: on the pallet, kg.
+        action_mask: (a,) whether an action is legal.
+    """
+
+    height_map: Float[Array, "x y"]
+    load_map: Float[Array, "x y"]
+    boxes: Float[Array, "seen 4"]
+    left: Int[Array, ""]
+    mass: Float[Array, ""]
+    action_mask: Bool[Array, " action"]
+
+
+class State(NamedTuple):
+    """An episode. ``order`` is its number, ``next`` that of the box that comes next; boxes on the pallet are stored as
+    requested, with 0 behind the last one."""
+
+    key: jax.Array
+    pallet: Pallet
+    order: Int[Array, ""]
+    next: Int[Array, ""]
+    size_mm: Float[Array, "box 3"]
+    corner_mm: Float[Array, "box 3"]
+    mass_kg: Float[Array, " box"]
+    force_n: Float[Array, " box"]
+    volume_mm3: Float[Array, ""]
+    placed: Int[Array, ""]
+    left_out: Int[Array, ""]
+    illegal: Int[Array, ""]
+    over: Bool[Array, ""]
+    mask: Bool[Array, " action"]
+
+
+class Palletizing:
+    """One pallet, a box a step, as ``petmjx/Palletizing-v0`` with the actions ``cells``: the box that comes next × two
+    turns × cell of the carrier.
+
+    ``state, timestep = env.reset(key)``; ``state, timestep = env.step(state, action)``. Both are pure. Methods and
+    classes are named as jumanji's, which is not needed. Under ``jax.vmap`` all pallets are simulated in one call.
+
+    Args:
+        orders: as of ``petmjx/Palletizing-v0``; ``endless``: 256 of the generator's.
+        orders_seed: of the generator; ``look_ahead``: boxes that are seen.
+        mask: ``geometry``, or ``support_50`` … ``support_100``.
+        action_cell_mm, cell_mm: side of the cells of actions, and of maps.
+        rewards: weights of terms.
+        most_illegal: illegal actions until an episode is truncated; one changes nothing.
+        most_boxes: of a pallet.
+        carrier, engine: as of ``petmjx.jax.empty``.
+        options: fields of ``petmjx.Simulation``.
+
+    Raises:
+        InputError: an unusable option, or orders of which no box fits on the carrier.
+    """
+
+    def __init__(
+        self,
+        *,
+        orders: Any = ENDLESS,
+        orders_seed: int = 0,
+        look_ahead: int = 1,
+        mask: str = "support_75",
+        action_cell_mm: float = 100.0,
+        cell_mm: float = 50.0,
+        max_height_mm: float = 1800.0,
+        rewards: Any = None,
+        most_illegal: int = 20,
+        most_boxes: int = 40,
+        carrier: AnyCarrier | str = "euro-pallet",
+        engine: str | Any = AUTO,
+        **options: Any,
+    ) -> None:
+        if text_of(mask, "mask") not in MASKS:
+            raise InputError(f"unknown mask {mask!r}; {hint(mask, MASKS)}")
+        self._seen = whole_of(look_ahead, "look_ahead", 1, 512)
+        self._most_illegal, self._most_boxes = whole_of(most_illegal, "most_illegal", 1), most_boxes
+        self._highest = number_of(max_height_mm, "max_height_mm", 1.0, 20_000.0)
+        side = number_of(action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
+        self._weights = weights_of(rewards)
+        self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
+        found = extent_m(Simulation(carrier=carrier).carrier)
+        assert found is not None  # else ``empty`` has refused it
+        self._extent = found[0] * MM_PER_M, found[1] * MM_PER_M
+        self._cells = Cells(self._extent, side, self._highest, MASKS[mask])
+        self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
+        of_orders = self._usable(Orders(orders, whole_of(orders_seed, "orders_seed", 0)))
+        self._counts = jnp.array([len(each) for each in of_orders], jnp.int32)
+        longest = int(self._counts.max()) + self._seen  # so that nothing is seen beyond an order's end
+        rows = [np.column_stack([each.size_mm, each.mass_kg]) for each in of_orders]
+        self._boxes = jnp.array([np.pad(each, ((0, longest - len(each)), (0, 0))) for each in rows], jnp.float32)
+
+    def _usable(self, orders: Orders) -> list[Boxes]:
+        """Orders of which some box fits on the empty carrier."""
+        found = orders.some(_DRAWN)
+        ways = np.sort(self._extent)
+
+        def fits(each: Boxes) -> bool:
+            low = np.sort(each.size_mm[:, :2], axis=1) <= ways
+            return bool((low.all(axis=1) & (each.size_mm[:, 2] <= self._highest)).any())
+
+        usable = [each for each in found if fits(each)]
+        if not usable:
+            raise InputError("orders: of none a box fits on the empty carrier")
+        return usable
+
+    # ------------------------------------------------------------------ what happens
+
+    def reset(self, key: jax.Array) -> tuple[State, TimeStep[Observation]]:
+        """Begin an episode with an order that is drawn by ``key``; with the same key the same one."""
+        key, own = jax.random.split(key)
+        k, none = self._most_boxes, jnp.int32(0)
+        state = State(
+            key=key,
+            pallet=self._empty,
+            order=jax.random.randint(own, (), 0, len(self._counts)),
+            next=none,
+            size_mm=jnp.zeros((k, 3)),
+            corner_mm=jnp.zeros((k, 3)),
+            mass_kg=jnp.zeros(k),
+            force_n=jnp.zeros(k),
+            volume_mm3=jnp.float32(0.0),
+            placed=none,
+            left_out=none,
+            illegal=none,
+            over=jnp.array(False),
+            mask=jnp.zeros(self._cells.count, bool),
+        )
+        state = self._looked(state)
+        extras = {**self._about(state), "reason": none, "culprit": jnp.int32(-1), "margin": jnp.float32(1.0)}
+        extras |= {f"reward_{name}": jnp.float32(0.0) for name in self._weights}
+        first = jnp.int8(StepType.FIRST)
+        return state, TimeStep(first, jnp.float32(0.0), jnp.float32(1.0), self._observed(state), extras)
+
+    def step(self, state: State, action: Int[Array, ""] | int) -> tuple[State, TimeStep[Observation]]:
+        """Put the next box onto the pallet. An action that the mask excludes changes nothing, as does one after the
+        end."""
+        chosen = jnp.asarray(action)
+        if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):
+            raise InputError(f"action must be a whole number, got {chosen.dtype} of shape {chosen.shape}")
+        there = (chosen >= 0) & (chosen < self._cells.count)
+        at = jnp.clip(chosen, 0, self._cells.count - 1)
+        legal = there & state.mask[at] & ~state.over
+        ways, mass = self._ways(state), self._boxes[state.order, state.next, 3]
+        size, corner = ways.size_mm[at], ways.corner_mm[at]
+        pallet, told = place(state.pallet, size[None], corner[None], mass[None], legal[None])
+        told = jax.tree.map(lambda values: values[0], told)
+        row = jnp.where(legal, state.placed, self._most_boxes)  # beyond: dropped
+        after = state._replace(
+            pallet=pallet,
+            next=state.next + legal,
+            size_mm=state.size_mm.at[row].set(size, mode="drop"),
+            corner_mm=state.corner_mm.at[row].set(corner, mode="drop"),
+            mass_kg=state.mass_kg.at[row].set(mass, mode="drop"),
+            force_n=jnp.where(legal, told.top_force_n, state.force_n),
+            volume_mm3=state.volume_mm3 + jnp.where(legal & told.stable, size.prod(), 0.0),
+            placed=state.placed + legal,
+            illegal=state.illegal + ~legal,
+        )
+        after = after._replace(over=state.over | (legal & ~told.stable) | (after.placed >= self._most_boxes))
+        after = self._looked(after)
+        terminated = after.over | ~after.mask.any()
+        truncated = ~terminated & (after.illegal >= self._most_illegal)
+        after = after._replace(over=terminated | truncated)
+        terms = self._terms(state, after, told, legal)
+        reward = sum((self._weights[name] * value for name, value in terms.items()), start=jnp.float32(0.0))
+        extras = {
+            **self._about(after),
+            "reason": jnp.where(legal, told.reason, 0),
+            "culprit": jnp.where(legal, told.culprit, -1),
+            "margin": jnp.where(legal, told.margin, 1.0),
+            **{f"reward_{name}": value for name, value in terms.items()},
+        }
+        kind = jnp.where(after.over, StepType.LAST, StepType.MID).astype(jnp.int8)
+        return after, TimeStep(kind, reward, jnp.where(terminated, 0.0, 1.0), self._observed(after), extras)
+
+    def _ways(self, state: State) -> Any:
+        """What there is to do with the next box."""
+        there = jnp.arange(self._most_boxes) < state.placed
+        size = self._boxes[state.order, state.next, :3]
+        return self._cells.ways(size, state.size_mm, state.corner_mm, there)
+
+    def _looked(self, state: State) -> State:
+        """With the mask for the next box. Boxes that have no legal place are left out."""
+
+        def stuck(state: State) -> jax.Array:
+            return (state.next < self._counts[state.order]) & ~state.mask.any() & ~state.over
+
+        def next_one(state: State) -> State:
+            after = state._replace(next=state.next + 1, left_out=state.left_out + 1)
+            return after._replace(mask=self._ways(after).legal)
+
+        state = state._replace(mask=self._ways(state).legal & ~state.over)
+        carried = jax.lax.while_loop(stuck, next_one, state._replace(pallet=None))
+        return carried._replace(pallet=state.pallet)
+
+    def _terms(self, before: State, after: State, told: Told, legal: jax.Array) -> dict[str, jax.Array]:
+        """Of the reward, not weighted, as of ``petmjx.loop.rewards.TERMS``."""
+        stands = legal & told.stable
+        tops = [(state.corner_mm + state.size_mm)[:, 2].max() for state in (before, after)]
+        found = {
+            "placed": stands.astype(jnp.float32),
+            "utilisation": (after.volume_mm3 - before.volume_mm3) / self._room_mm3,
+            "fall": -(legal & ~told.stable).astype(jnp.float32),
+            "margin": jnp.where(legal, jnp.clip(told.margin, -1.0, 1.0), 0.0),
+            "load": jnp.where(
+                legal, -told.top_force_n.max() / (STANDARD_GRAVITY * jnp.maximum(after.mass_kg.sum(), 1e-6)), 0.0
+            ),
+            "height": (tops[0] - tops[1]) / self._highest,
+            "illegal": -(~legal).astype(jnp.float32),
+        }
+        return {name: found[name] for name in self._weights}
+
+    # ------------------------------------------------------------------ what is seen
+
+    def _observed(self, state: State) -> Observation:
+        covers = self._covers(state)
+        tops = (state.corner_mm + state.size_mm)[:, 2, None, None]
+        coming = jax.lax.dynamic_slice_in_dim(self._boxes[state.order], state.next, self._seen)
+        return Observation(
+            height_map=jnp.where(covers, tops, 0.0).max(axis=0),
+            load_map=jnp.where(covers, state.force_n[:, None, None], 0.0).max(axis=0),
+            boxes=coming,
+            left=self._counts[state.order] - state.next,
+            mass=state.mass_kg.sum(),
+            action_mask=state.mask,
+        )
+
+    def _covers(self, state: State) -> Bool[Array, "box x y"]:
+        """Over which cells each box stands: those of which it covers more than the edge."""
+        low = jnp.floor(state.corner_mm / self._side + _EDGE)
+        high = jnp.ceil((state.corner_mm + state.size_mm) / self._side - _EDGE)
+        along = []
+        for axis, count in enumerate(self._maps):
+            cell = jnp.arange(count)[None]
+            along.append((cell >= low[:, axis, None]) & (cell < high[:, axis, None]))
+        covers: Bool[Array, "box x y"] = along[0][:, :, None] & along[1][:, None, :]
+        return covers
+
+    def _about(self, state: State) -> dict[str, jax.Array]:
+        return {
+            "placed": state.placed,
+            "left_out": state.left_out,
+            "illegal": state.illegal,
+            "utilisation": state.volume_mm3 / self._room_mm3,
+        }
+
+    @property
+    def _room_mm3(self) -> float:
+        return self._extent[0] * self._extent[1] * self._highest
+
+    # ------------------------------------------------------------------ specs
+
+    @property
+    def num_actions(self) -> int:
+        """Actions that there are, legal or not."""
+        return self._cells.count
+
+    @property
+    def action_spec(self) -> Spec:
+        """A whole number: (turn × cells along x + x) × cells along y + y."""
+        return Spec("action", (), jnp.int32, 0, self.num_actions - 1, self.num_actions)
+
+    @property
+    def observation_spec(self) -> dict[str, Spec]:
+        """Of each field of an observation."""
+        longest = int(self._boxes.shape[1])
+        specs = (
+            Spec("height_map", self._maps, jnp.float32, 0.0, self._highest + 1.0),
+            Spec("load_map", self._maps, jnp.float32, 0.0, _LARGEST),
+            Spec("boxes", (self._seen, 4), jnp.float32, 0.0, float(self._boxes.max())),
+            Spec("left", (), jnp.int32, 0, longest),
+            Spec("mass", (), jnp.float32, 0.0, _LARGEST),
+            Spec("action_mask", (self.num_actions,), jnp.bool_, 0, 1),
+        )
+        return {spec.name: spec for spec in specs}
+
+    @property
+    def reward_spec(self) -> Spec:
+        """Any number."""
+        return Spec("reward", (), jnp.float32, -_LARGEST, _LARGEST)
+
+    @property
+    def discount_spec(self) -> Spec:
+        """0 or 1."""
+        return Spec("discount", (), jnp.float32, 0.0, 1.0)

@@ -1,0 +1,66 @@
+"""What an environment for jitted programs answers with: classes that are named as those of dm_env and jumanji."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Generic, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+ObservationT = TypeVar("ObservationT")
+
+
+class StepType:
+    """Which step of an episode it is."""
+
+    FIRST: Final = 0
+    MID: Final = 1
+    LAST: Final = 2
+
+
+class TimeStep(NamedTuple, Generic[ObservationT]):
+    """What a step made of an episode.
+
+    Attributes:
+        step_type: of ``StepType``.
+        reward: of this step; 0 of the first one.
+        discount: 0 where the episode has terminated, else 1: also where it was truncated.
+        observation: what is seen.
+        extras: what is said beside, by name.
+    """
+
+    step_type: Int[Array, ""]
+    reward: Float[Array, ""]
+    discount: Float[Array, ""]
+    observation: ObservationT
+    extras: dict[str, jax.Array]
+
+    def first(self) -> Bool[Array, ""]:
+        """Whether it is the first one of an episode."""
+        return self.step_type == StepType.FIRST
+
+    def mid(self) -> Bool[Array, ""]:
+        """Whether it is neither the first one nor the last one."""
+        return self.step_type == StepType.MID
+
+    def last(self) -> Bool[Array, ""]:
+        """Whether the episode is over."""
+        return self.step_type == StepType.LAST
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Shape, type and range of an array. ``num_values``: of an action, how many there are; else None."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: Any
+    minimum: float
+    maximum: float
+    num_values: int | None = None
+
+    def generate_value(self) -> jax.Array:
+        """An array that it allows."""
+        return jnp.full(self.shape, self.minimum, self.dtype)
