@@ -137,7 +137,7 @@ def test_wrong_shapes_are_one_line() -> None:
         ),
         (lambda: petmjx.jax.place(state, SIZE, STEPS[0], MASS, [1, 0]), "active must be an array of true or false"),
         (lambda: petmjx.jax.empty(0), "n must be at least 1"),
-        (lambda: petmjx.jax.empty(1, engine="mjx-jax"), "engine: petmjx.jax has mujoco and mjx-warp"),
+        (lambda: petmjx.jax.empty(1, engine="mjx-jax"), "engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu"),
     ):
         with pytest.raises(InputError, match=message):
             call()
