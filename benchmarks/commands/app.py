@@ -1,0 +1,73 @@
+"""The command line itself, and what commands have in common."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from petmjx.errors import InputError
+from petmjx.text import counted
+
+if TYPE_CHECKING:
+    from petmjx.plans.plan import Plan
+    from petmjx.run_options import RunOptions
+
+app = typer.Typer(
+    help="Measures speed and agreement; benchmarks/README.md says what and how.",
+    add_completion=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["--help", "-h"]},
+)
+
+Out = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Results are appended here, a JSON line each.")]
+DEFAULT_OUT = Path("petmjx-results/bench.jsonl")
+
+
+def usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
+    """The plans of files; what cannot be used is counted on standard error.
+
+    Raises:
+        InputError: no usable plan.
+    """
+    from petmjx.config import Simulation
+    from petmjx.plans.gather import usable_plans
+
+    found = usable_plans(list(files), Simulation(), options)
+    if found.skipped:
+        skipped = counted(len(found.skipped), "unusable plan")
+        print(f"{skipped} left out; the first: {found.skipped[0].message}", file=sys.stderr)
+    return list(found.plans)
+
+
+def make_folder(folder: Path | None) -> None:
+    """Make a folder for tables, if there is to be one.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write tables there: {error.strerror or error}") from error
+
+
+def known(names: list[str], there: Mapping[str, object], what: str) -> list[str]:
+    """The names, which must be there.
+
+    Raises:
+        InputError: one is not.
+    """
+    for name in names:
+        if name not in there:
+            raise InputError(f"no {what} {name!r}; there are: {'; '.join(there)}")
+    return names
+
+
+def words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]

@@ -1,0 +1,74 @@
+"""Other simulators."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.commands.app import DEFAULT_OUT, Out, app, usable, words
+from petmjx.cli import options as opt
+from petmjx.config import Check
+
+
+@app.command()
+@opt.takes("limit", "threads")
+def crossengine(
+    plans: Annotated[
+        list[Path] | None, typer.Argument(metavar="PLANS...", help="Plan files; default: bundled.")
+    ] = None,
+    name: Annotated[str, typer.Option(metavar="NAME", help="Of these plans, for results.")] = "bundled",
+    check: Annotated[list[Check] | None, typer.Option(help="Only this check; repeatable.")] = None,
+    referees: Annotated[str, typer.Option(metavar="NAMES", help="With commas; the first is the sieve.")] = "",
+    smallest: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Only the plans with the fewest boxes.")
+    ] = None,
+    reference: Annotated[bool, typer.Option(help="Also physics reference: what it alone calls unstable.")] = False,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Plans in other simulators: does any of petmjx's verdicts stand alone? Needs the extra "referees"."""
+    from benchmarks.crossengine import Court, by_softness, summaries
+    from benchmarks.record import append_line, environment
+    from benchmarks.referees.base import REFEREES, referee
+    from petmjx.config import Simulation
+    from petmjx.plans.samples import bundled_path
+    from petmjx.run_options import RunOptions
+
+    asked = [referee(each) for each in words(referees) or REFEREES]
+    found = usable(plans or [bundled_path()], RunOptions(**options))
+    found = sorted(found, key=lambda plan: plan.n_boxes)[:smallest] if smallest else found
+    options.pop("limit", None)
+    for each in check or list(Check):
+        court = Court(asked, Simulation(check=each))
+        judged = []
+        for one in court.judge(found, **options):
+            judged.append(one)
+            if one.trial.verdicts != {one.trial.ours}:
+                print(one.record(), file=sys.stderr, flush=True)
+        case = {"case": f"crossengine-{name}-{each.value}", "group": "crossengine", "set": name, "check": each.value}
+        lines = [*summaries(judged, court)]
+        if reference:
+            lines.append(by_softness(judged, found, each, **options))
+        for line in lines:
+            append_line(out, {**case, **line, **environment()})
+            told = {key: value for key, value in line.items() if key not in ("settings", "differ")}
+            print(f"{name}, {each.value}: {told}", flush=True)
+
+
+@app.command("cross-forces")
+def cross_forces(
+    referees: Annotated[str, typer.Option(metavar="NAMES", help="With commas; default: all.")] = "",
+    out: Out = DEFAULT_OUT,
+) -> None:
+    """Forces on boxes of small piles, in other simulators and by statics. Needs the extra "referees"."""
+    from benchmarks.record import append_line, environment
+    from benchmarks.referees.base import REFEREES, referee
+    from benchmarks.stack_forces import differences
+
+    for line in differences({each: referee(each) for each in words(referees) or REFEREES}):
+        append_line(out, {"case": "cross-forces", "group": "crossengine", "engine": "mujoco", **line, **environment()})
+        told = {who: f"{100 * share:.2g} %" for who, share in line["differs"].items()}
+        print(f"{line['pile']}, {line['check']}: {told}", flush=True)

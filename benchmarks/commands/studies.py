@@ -1,0 +1,136 @@
+"""Studies of plans: drift, sensitivity, criteria, statics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, make_folder, usable
+from petmjx.cli import options as opt
+
+
+@app.command()
+@opt.takes("limit", "threads")
+def drift(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    variant: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this variant; repeatable.")] = None,
+    begin: Annotated[float, typer.Option(metavar="S", help="After settling.")] = 10.0,
+    end: Annotated[float, typer.Option(metavar="S", help="After settling.")] = 60.0,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps a Parquet table of all boxes.")] = None,
+    **options: Any,
+) -> None:
+    """How fast the boxes of resting pallets drift, and why."""
+    from benchmarks.drift import VARIANTS, Window, describe, summaries
+    from petmjx.machine import cpu_threads
+    from petmjx.run_options import RunOptions
+
+    limits, window = RunOptions(**options), Window(begin, end)
+    chosen = known(variant or list(VARIANTS), VARIANTS, "variant")
+    found = usable(plans, limits)
+    make_folder(out)
+    for name, check, table in summaries(found, chosen, window, limits.threads or cpu_threads()):
+        print(f"{name}, {check}: {describe(table)}", flush=True)
+        if out is not None:
+            table.to_parquet(out / f"{list(VARIANTS).index(name):02}-{check}.parquet")
+
+
+@app.command()
+@opt.takes("limit", "lanes", "threads")
+def sensitivity(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    change: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this change; repeatable.")] = None,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps Parquet tables of all worlds.")] = None,
+    **options: Any,
+) -> None:
+    """How many verdicts change with timestep, tolerance, friction, sizes, masses, …"""
+    from benchmarks.sensitivity import CHANGES, describe
+    from benchmarks.sensitivity import sensitivity as runs
+    from petmjx.run_options import RunOptions
+
+    chosen = known(change or list(CHANGES), CHANGES, "change")
+    found = usable(plans, RunOptions(**options))
+    options.pop("limit", None)
+    make_folder(out)
+    for number, (name, before, after) in enumerate(runs(found, chosen, engine=engine, **options)):
+        print(f"{name}: {describe(before, after)}", flush=True)
+        if out is not None:
+            for side, table in (("before", before), ("after", after)):
+                table.to_parquet(out / f"{number:02}-{side}.parquet")
+
+
+@app.command()
+def criteria(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    of: Annotated[Path, typer.Option("--run", metavar="DIR", help="Results of petmjx score of these plans.")],
+    into: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Markdown file whose tables are replaced; else printed.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps the tables of all boxes and plans.")] = None,
+    processes: Annotated[int | None, typer.Option(metavar="N", help="Processes; by default all CPU threads.")] = None,
+) -> None:
+    """Which closed-form criterion of stability tells what physics tells (docs/criteria.md)."""
+    from benchmarks.criteria_study import BEGIN, END, study
+    from benchmarks.table import write_between_markers
+    from petmjx.machine import cpu_threads
+    from petmjx.results.reader import load_run
+    from petmjx.statics.run import criteria as ask
+
+    physics = load_run(of)
+    results = ask(list(plans), run=physics, out=out, overwrite=True, processes=processes or cpu_threads())
+    text = study(results, physics)
+    if into is None:
+        print(text)
+    else:
+        write_between_markers(into, text, BEGIN, END)
+
+
+@app.command("small-stacks")
+@opt.takes("threads")
+def small_stacks(
+    count: Annotated[int, typer.Option("--count", "-n", metavar="N", min=1, help="Stacks.")] = 3000,
+    seed: Annotated[int, typer.Option(metavar="N", help="Other stacks.")] = 0,
+    check: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this check; repeatable.")] = None,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Stacks of two to six boxes that statics decides, and what petmjx says of them."""
+    from benchmarks.record import append_line, environment, timed
+    from benchmarks.small_stacks import CHECKS, cases, judge, summary
+
+    found = list(cases(count, seed))
+    for name in known(check or list(CHECKS), CHECKS, "check"):
+        with timed() as clock:
+            told = summary(judge(found, name, engine=engine, **options))
+        print(f"{name}: {told}", flush=True)
+        case = {"case": f"small-stacks-{name.replace(' ', '-')}", "group": "small-stacks", "engine": engine}
+        append_line(out, {**case, "seed": seed, **told, "cpu_s": clock.cpu_s, **environment()})
+
+
+@app.command()
+@opt.takes("limit")
+def balance(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    of: Annotated[Path, typer.Option("--run", metavar="DIR", help="Results of petmjx score of these plans.")],
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Whether the worlds that a run calls stable balance where they have come to rest."""
+    from benchmarks.balance import balances, summary
+    from benchmarks.record import append_line, environment, timed
+    from petmjx.config import Simulation
+    from petmjx.results.reader import load_run
+    from petmjx.run_options import RunOptions
+
+    run = load_run(of)
+    with timed() as clock:
+        sim = Simulation(**run.info["config"]["simulation"])
+        told = summary(balances(usable(plans, RunOptions(**options)), run, sim))
+    print(told)
+    engine = str(run.info["config"]["engine"])
+    append_line(
+        out, {"case": "balance", "group": "balance", "engine": engine, **told, "cpu_s": clock.cpu_s, **environment()}
+    )

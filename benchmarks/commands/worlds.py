@@ -1,0 +1,112 @@
+"""What kinds of worlds cost, and whether engines agree about them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, usable
+from petmjx.cli import options as opt
+from petmjx.placing import Way
+
+
+@app.command()
+@opt.takes("limit", "lanes", "threads", "carrier")
+def placing(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    way: Annotated[list[Way] | None, typer.Option(metavar="NAME", help="Only this placing; repeatable.")] = None,
+    worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors of each plan.")] = 16,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    **options: Any,
+) -> None:
+    """What worlds with errors cost, and how many stand, if boxes appear at their places and if a hand carries them."""
+    from benchmarks.placing import WAYS, placings
+    from petmjx.run_options import RunOptions
+
+    limit = {"limit": options.pop("limit")} if "limit" in options else {}
+    found = usable(plans, RunOptions(**limit))
+    for name, values in placings(found, worlds, way or WAYS, engine=engine, **options):
+        print(f"{name}: {', '.join(f'{what} {value:g}' for what, value in values.items())}", flush=True)
+
+
+@app.command("real-boxes")
+@opt.takes("limit", "lanes", "threads")
+def real_boxes(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mjx-warp",
+    oracle: Annotated[str, typer.Option(metavar="NAME", help="Engine to compare with.")] = "mujoco",
+    soft: Annotated[bool, typer.Option(help="Boxes have the stiffness of their materials, too.")] = False,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Plans of boxes of three materials on epal-1, set down by tines: do two engines agree?"""
+    from benchmarks.real_boxes import compared
+    from benchmarks.record import append_line
+    from petmjx.run_options import RunOptions
+
+    limit = {"limit": options.pop("limit")} if "limit" in options else {}
+    found = usable(plans, RunOptions(**limit))
+    line = compared(found, engine, oracle, gives=soft, **options)
+    append_line(out, line)
+    print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
+
+
+@app.command("cpu-engines")
+@opt.takes("limit")
+def cpu_engines(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
+    threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
+    least: Annotated[int, typer.Option(metavar="N", help="Plans of so many boxes and more.")] = 0,
+    group: Annotated[str, typer.Option(metavar="NAME", help="What the plans are.")] = "",
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """C MuJoCo against the kernels of mjx-warp on CPU threads: time and verdicts."""
+    from benchmarks.cpu_engines import compared
+    from benchmarks.record import append_line
+    from petmjx.run_options import RunOptions
+
+    limit = RunOptions(**options).limit
+    found = [plan for plan in usable(plans, RunOptions()) if plan.n_boxes >= least][:limit]
+    line = compared(found, threads, group)
+    append_line(out, line)
+    print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
+
+
+@app.command()
+def flex(out: Out = DEFAULT_OUT) -> None:
+    """How deep a load sinks into a box that gives, and into MuJoCo's own soft body of the same stiffness."""
+    from benchmarks.flex import compared
+    from benchmarks.record import append_line
+
+    for line in compared():
+        append_line(out, line)
+        print({name: value for name, value in line.items() if name not in ("cpu", "versions")}, flush=True)
+
+
+@app.command()
+@opt.takes("lanes", "threads")
+def loop(
+    names: Annotated[list[str] | None, typer.Argument(metavar="CASES...", help="Cases; default: all.")] = None,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    plans: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of generated samples.")] = None,
+    pallets: Annotated[int, typer.Option(metavar="N", min=1, help="Pallets.")] = 1024,
+    candidates: Annotated[int, typer.Option(metavar="N", min=1, help="Candidates of each pallet.")] = 16,
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Plans placed, placements, or episodes.")] = 2000,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """Physics in the loop: candidates a second, one candidate's time, placing against scoring, memory."""
+    from benchmarks.loop import CASES, Loop, measured
+    from benchmarks.record import append_line, environment
+    from petmjx.engines.choose import make_engine
+    from petmjx.run_options import RunOptions
+
+    chosen = known(names or list(CASES), CASES, "case")
+    found = None if plans is None else usable([plans], RunOptions())
+    case = Loop(make_engine(engine, **options), found, pallets, candidates, count)
+    for line in measured(case, chosen):
+        append_line(out, {**line, **environment()})
+        print(line, flush=True)
