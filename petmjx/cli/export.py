@@ -33,7 +33,7 @@ def export(
 
     Of a run in DIR it is the world that the run simulated; else the options given here say what it is like.
     """
-    from petmjx.world.model import to_mjcf
+    from petmjx.world.mjcf import to_mjcf
 
     if out is not None:
         check_free(out, overwrite, source or ())
