@@ -133,11 +133,26 @@ class EdgeLaw:
 def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_s: float) -> EdgeLaw:
     """For a box between plates to be a spring of this stiffness, or as stiff as the timestep lets it be (inf)."""
     most = MOST_RATE / timestep_s**2
-    kappa = stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
+    kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
     impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
     if rate == most:
         impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)  # κ = d²k / (1 − d), for d
     return EdgeLaw((-rate, -2 * rate**0.5), (impedance, impedance, 0.001))
+
+
+@lru_cache(maxsize=1)
+def _mujocos_share() -> float:
+    """What MuJoCo takes for the inverse mass of an edge, as a share of it: 1/2 of points whose bodies have nothing but
+    slides (3.17), so that edges are twice as stiff as by its documentation. It is asked, since that may change."""
+    spec = mujoco.MjSpec()
+    mass = shares()
+    _add_points(spec, "probe", POINTS, mass)
+    flex = _add_flex(spec, "probe")
+    flex.radius = MOST_ROUNDING
+    spec.add_equality(type=mujoco.mjtEq.mjEQ_FLEX, name1=flex.name)
+    model = spec.compile()
+    one, two = model.flex_edge[0]
+    return float(model.flexedge_invweight0[0] / (1 / mass[one] + 1 / mass[two]))
 
 
 @lru_cache(maxsize=4096)
@@ -161,37 +176,50 @@ def _network_kg(length: float, width: float, height: float) -> float:
     return float(moved @ matrix @ moved)
 
 
-def point_name(box: int, point: int) -> str:
-    """Name of the body of a point."""
-    return f"box_{box}_point_{point}"
+def point_name(box: str, point: int) -> str:
+    """Name of the body of a box's point."""
+    return f"{box}_point_{point}"
 
 
-def add_soft_box(
-    spec: mujoco.MjSpec, scene: Scene, physics: Physics, box: int, friction: Triple, rgba: Sequence[float]
-) -> None:
-    """Add a soft box at its place, as the last bodies of a spec: 27, with three slides each."""
-    half = scene.half_size[box]
-    (turn,) = rotations(scene.start_quat[box, None])
-    places = scene.start_pos[box] + points_of(half) @ turn.T
-    mass = float(scene.mass[box]) * shares()
-    for number in range(len(POINTS)):
-        body = spec.worldbody.add_body(name=point_name(box, number), pos=places[number])
+def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatArray) -> list[mujoco.MjsBody]:
+    """Bodies with three slides each, as the last of a spec."""
+    bodies = []
+    for number, place in enumerate(places):
+        body = spec.worldbody.add_body(name=point_name(box, number), pos=place)
         body.explicitinertial = True
         body.mass = mass[number]
         body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
         body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # it does not turn
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        if POINTS[number].any():
-            ball = body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[rounding_m(half), 0.0, 0.0], rgba=rgba)
-            ball.contype, ball.conaffinity = _BALLS, 0
-            _set_contact(ball, physics, friction)
-    flex = spec.add_flex(name=f"box_{box}")
+        bodies.append(body)
+    return bodies
+
+
+def _add_flex(spec: mujoco.MjSpec, box: str) -> mujoco.MjsFlex:
+    flex = spec.add_flex(name=box)
     flex.dim = 3
-    flex.radius = max(rounding_m(half) - BALL_M, 0.5 * rounding_m(half))
     flex.vertbody = [point_name(box, number) for number in range(len(POINTS))]
     flex.elem = tetrahedra().ravel().tolist()
     flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
+    return flex
+
+
+def add_soft_box(
+    spec: mujoco.MjSpec, scene: Scene, physics: Physics, box: int, friction: Triple, rgba: Sequence[float]
+) -> None:
+    """Add a soft box at its place, as the last bodies of a spec: 27, with three slides each."""
+    half, name = scene.half_size[box], f"box_{box}"
+    (turn,) = rotations(scene.start_quat[box, None])
+    places = scene.start_pos[box] + points_of(half) @ turn.T
+    radius = rounding_m(half)
+    for number, body in enumerate(_add_points(spec, name, places, float(scene.mass[box]) * shares())):
+        if POINTS[number].any():
+            ball = body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=rgba)
+            ball.contype, ball.conaffinity = _BALLS, 0
+            _set_contact(ball, physics, friction)
+    flex = _add_flex(spec, name)
+    flex.radius = max(radius - BALL_M, 0.5 * radius)
     flex.rgba = np.array(rgba)
     flex.contype, flex.conaffinity = _ELEMENTS, _ELEMENTS | _BALLS
     _set_contact(flex, physics, friction)

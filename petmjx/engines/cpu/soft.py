@@ -69,7 +69,7 @@ class SoftWorld(LiveWorld):
         self._rigid_q = self._first_q + first_q[self._rigid, None] + np.arange(7)
         self._rigid_v = self._first_v + first_v[self._rigid, None] + np.arange(6)
         name, body = point_name, self.model.body
-        self._point_bodies = np.array([[body(name(box, each)).id for each in range(COUNT)] for box in self._soft], int)
+        self._point_bodies = np.array([[body(name(box_name(box), each)).id for each in range(COUNT)] for box in self._soft], int)
         self._point_bodies = self._point_bodies.reshape(-1, COUNT)
         self._rigid_bodies = np.array([body(box_name(box)).id for box in self._rigid], int)
         self._home = self.model.body_pos[self._point_bodies]
