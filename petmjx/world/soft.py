@@ -9,8 +9,8 @@ The points' masses are those of half cells, 1 : 2 : 1 along each axis. So an edg
 stiff as one in a corner, as its share of the face is four times as large: loads that lie flat press alike everywhere.
 
 MuJoCo gives an element one point of contact, which on a flat face jumps from step to step, and boxes tremble. So each
-point has a ball of its own, a little larger than the elements' radius: flat faces rest on balls, and the elements bear
-where edges cross.
+point has a ball of its own, and elements touch a little later than balls: flat faces rest on balls, and the elements
+bear where edges cross.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ ROUNDING_M: Final = 0.001
 reach into one another, where it finds no good normals."""
 
 BALL_M: Final = 0.0002
-"""By how much balls stick out of the elements' faces: more than contacts are deep."""
+"""How much deeper than balls elements must be to touch: more than contacts are deep. Elements have half of it as a
+negative margin and rigid shapes as well, and balls have it as a positive one; margins add up."""
 
 MOST_ROUNDING: Final = 0.1
 """Of the shortest half size."""
@@ -54,9 +55,10 @@ MOST_RATE: Final = 0.05
 
 MOST_IMPEDANCE: Final = 0.9999
 
-CONTACT_SOLREF: Final = (0.01, 1.0)
+CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (0.9999, 0.9999, 0.001)
-"""Of contacts of soft boxes, whose points weigh a 64th of a box and more: they are a hundredth of a millimetre deep."""
+"""Of contacts of soft boxes, whose points weigh a 64th of a box and more: as stiff as the timestep lets them be. Under
+1,000 times its own weight a box's contacts are 0.1 mm deep."""
 
 _ELEMENTS: Final = 2
 _BALLS: Final = 4
@@ -217,9 +219,10 @@ def add_soft_box(
         if POINTS[number].any():
             ball = body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=rgba)
             ball.contype, ball.conaffinity = _BALLS, 0
+            ball.margin = BALL_M / 2
             _set_contact(ball, physics, friction)
     flex = _add_flex(spec, name)
-    flex.radius = max(radius - BALL_M, 0.5 * radius)
+    flex.radius, flex.margin = radius, -BALL_M / 2
     flex.rgba = np.array(rgba)
     flex.contype, flex.conaffinity = _ELEMENTS, _ELEMENTS | _BALLS
     _set_contact(flex, physics, friction)
@@ -244,7 +247,8 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
         if geom.contype == _BALLS:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
-        if physics.has_own_friction:  # rigid shapes touch one another in declared pairs, which have a law of their own
+        if physics.has_own_friction:
+            geom.margin -= BALL_M / 2  # rigid shapes touch one another in declared pairs, which have margins and laws of their own
             sliding = frictions.of_geom(geom.parent.name)
             own = geom.friction.tolist()
             _set_contact(geom, physics, (own[0] if sliding is None else sliding, own[1], own[2]))
