@@ -1,8 +1,9 @@
 """Boxes that give against MuJoCo's soft bodies: how deep loads sink into cartons, and which stacks stand.
 
-``compared``: a load on one carton, by closed form, by the contact law, as a soft box of petmjx (``--soft``: edges held by
-equality), and as a bare flex of 3 × 3 × 3 points with linear elasticity (Young's modulus k·h / A, so that between two
-plates it is a spring of the stiffness k), which petmjx does not use. ``stacks``: two to five boxes by law and as soft boxes.
+``compared``: a load on one carton, by closed form, by the contact law, as a soft box of petmjx (``--soft``: edges held
+by equality), and as a bare flex of 3 × 3 × 3 points with linear elasticity (Young's modulus k·h / A, so that between
+two plates it is a spring of the stiffness k), which petmjx does not use. ``stacks``, ``piles``: two to five boxes by the
+law and as soft boxes.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.plan import Plan
 from petmjx.units import STANDARD_GRAVITY
-from petmjx.verdict import Outcome
+from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
@@ -99,6 +100,37 @@ def stacks() -> Iterator[dict[str, Any]]:
             **rows,
             **environment(),
         }
+
+
+PILES: Final = 24
+SEED: Final = 7
+
+
+def piles() -> dict[str, Any]:
+    """A line about random piles of two to four boxes, each up to 35 % of its length aside: how many agree."""
+    rng = np.random.default_rng(SEED)
+    seconds = np.zeros(2)
+    found: list[list[Verdict]] = []
+    for _ in range(PILES):
+        count = int(rng.integers(2, 5))
+        size = np.column_stack([10.0 * rng.integers(low, high, count) for low, high in ((20, 45), (20, 35), (10, 25))])
+        corner = np.zeros((count, 3))
+        corner[1:, 0] = np.cumsum(rng.uniform(-0.35, 0.35, count - 1) * size[1:, 0])
+        corner[1:, 2] = np.cumsum(size[:-1, 2])
+        plan = Plan.from_boxes("a", size_mm=size, corner_mm=corner, mass_kg=rng.uniform(2, 15, count))
+        plan = replace(plan, stiffness_n_mm=rng.choice([30.0, 60.0, 100.0, 200.0], count))
+        both = [_simulated(plan, soft) for soft in (False, True)]
+        found.append([outcome.verdict for outcome, _ in both])
+        seconds += [each for _, each in both]
+    return {
+        "case": "soft-piles",
+        "group": "flex",
+        "piles": PILES,
+        "stand": {way: sum(each[k] is Verdict.STABLE for each in found) for k, way in enumerate(("law", "soft"))},
+        "agree": sum(law is soft for law, soft in found),
+        "cpu_s": dict(zip(("law", "soft"), seconds.round(1).tolist(), strict=True)),
+        **environment(),
+    }
 
 
 def _simulated(plan: Plan, soft: bool) -> tuple[Outcome, float]:

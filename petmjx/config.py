@@ -336,8 +336,8 @@ class Simulation(Checked):
     )
     soft: Annotated[bool, CliFlag("--soft")] = Field(
         False,
-        description="simulate boxes that have a stiffness as flex bodies of MuJoCo, which bend and twist, instead of by "
-        "a contact law; engine mujoco only, a hundred times as slow",
+        description="simulate boxes that have a stiffness as flex bodies of MuJoCo, which bend and twist, instead of "
+        "by a contact law; on mujoco alone, and up to a hundred times as slow",
     )
     attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
         Attempts.RIGID,
@@ -410,7 +410,9 @@ class Simulation(Checked):
     def _soft_boxes_appear(self) -> Self:
         for name, asked in (("soft", self.soft), ("attempts", self.attempts is Attempts.SOFT)):
             if asked and self.placing.name not in (Way.AUTO, Way.EXACT):
-                raise complaint(f"needs placing exact: soft boxes appear at their places, got {self.placing.name}", name)
+                raise complaint(
+                    f"needs placing exact: soft boxes appear at their places, got {self.placing.name}", name
+                )
         return self
 
     @property

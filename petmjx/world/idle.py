@@ -109,7 +109,9 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
     """Stiffness that lets boxes sink through themselves, and soft boxes of which there are none."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
-        raise InputError("soft: a hand places boxes with errors, and soft boxes appear at their places; name placing exact")
+        raise InputError(
+            "soft: a hand places boxes with errors, and soft boxes appear at their places; name placing exact"
+        )
     giving = [plan for plan in plans if plan.stiffness_n_mm is not None]
     if sim.soft and (not giving or not sim.physics.has_own_friction):
         yield "soft does not count: no box has a stiffness that counts"

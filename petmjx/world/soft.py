@@ -1,12 +1,13 @@
 """Soft boxes: boxes as MuJoCo flex bodies, 3 × 3 × 3 points whose edges are held by equality constraints.
 
-MuJoCo 3.17 takes no elasticity beside such constraints, so that the constraints are the springs. At rest a constraint of
+MuJoCo 3.17 takes no elasticity beside such constraints, so that the constraints are the springs. At rest one of
 impedance d and stiffness k (solref −k, −b) is the spring κ·μ, with κ = d²k / (1 − d) and μ the harmonic mass
 1 / (1/m₁ + 1/m₂) of its two points. The stiffness of the whole network between two plates is then κ·c, where c follows
 from places and masses of the points (``_network_kg``), and a box of stiffness S has κ = S / c.
 
-The points' masses are those of half cells, 1 : 2 : 1 along each axis. So an edge in the middle of a face is four times as
-stiff as one in a corner, as its share of the face is four times as large: loads that lie flat press alike everywhere.
+The points' masses are those of half cells, 1 : 2 : 1 along each axis. So an edge in the middle of a face is four times
+as stiff as one in a corner, as its share of the face is four times as large: loads that lie flat press alike
+everywhere.
 
 MuJoCo gives an element one point of contact, which on a flat face jumps from step to step, and boxes tremble. So each
 point has a ball of its own, and elements touch a little later than balls: flat faces rest on balls, and the elements
@@ -67,8 +68,8 @@ _BALLS: Final = 4
 
 @lru_cache(maxsize=1)
 def tetrahedra() -> NDArray[np.intp]:
-    """(40, 4) points of the elements: five in each of the eight cells, mirrored from cell to cell, so that a box that is
-    pressed does not twist."""
+    """(40, 4) points of the elements: five in each of the eight cells, mirrored from cell to cell, so that no box
+    twists when it is pressed."""
     found = []
     for cell in product(range(2), repeat=3):
         corners = [tuple(np.add(cell, each)) for each in product(range(2), repeat=3)]
@@ -82,7 +83,7 @@ def tetrahedra() -> NDArray[np.intp]:
         sides = POINTS[each[1:]] - POINTS[each[0]]
         if np.linalg.det(sides) < 0:
             each[:2] = each[1::-1]
-    return numbers.astype(np.intp)
+    return np.asarray(numbers, np.intp)
 
 
 @lru_cache(maxsize=1)
@@ -105,7 +106,7 @@ def points_of(half_size: FloatArray) -> FloatArray:
 def shares() -> FloatArray:
     """(27,) of a box's mass that its points have."""
     along = np.array([0.25, 0.5, 0.25])
-    return np.einsum("i,j,k->ijk", along, along, along).ravel()
+    return np.asarray(np.einsum("i,j,k->ijk", along, along, along).ravel())
 
 
 def check_soft(scene: Scene) -> None:
@@ -171,9 +172,9 @@ def _network_kg(length: float, width: float, height: float) -> float:
     matrix = flat.T @ (spring[:, None] * flat)
     given = np.zeros((len(points), 3), bool)
     given[POINTS[:, 2] != 0] = True
-    moved = np.zeros((len(points), 3))
-    moved[POINTS[:, 2] > 0, 2] = -1.0
-    free, moved = ~given.ravel(), moved.ravel()
+    down = np.zeros((len(points), 3))
+    down[POINTS[:, 2] > 0, 2] = -1.0
+    free, moved = ~given.ravel(), down.ravel()
     moved[free] = np.linalg.solve(matrix[np.ix_(free, free)], -(matrix @ moved)[free])
     return float(moved @ matrix @ moved)
 
@@ -248,7 +249,9 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
         if physics.has_own_friction:
-            geom.margin -= BALL_M / 2  # rigid shapes touch one another in declared pairs, which have margins and laws of their own
+            geom.margin -= (
+                BALL_M / 2
+            )  # rigid shapes touch one another in declared pairs, which have margins and laws of their own
             sliding = frictions.of_geom(geom.parent.name)
             own = geom.friction.tolist()
             _set_contact(geom, physics, (own[0] if sliding is None else sliding, own[1], own[2]))

@@ -28,7 +28,7 @@ from petmjx.world.turned import rotations
 
 GRAVITY = 9.81
 WITHIN = 0.03
-"""Of the spring's depth: what contacts and the carrier sink, a tenth of a millimetre, and large strains; 2 % were found."""
+"""Of the spring's depth: contacts and carrier give by a tenth of a millimetre, strains are large; 2 % were found."""
 FORCE_WITHIN = 0.005
 STIFF_WITHIN_M = 2e-4
 """What the carrier sinks, 0.09 mm, and as much of contacts and edges."""
@@ -107,13 +107,16 @@ def test_a_state_is_kept_and_a_push_begins_from_it() -> None:
     once = simulated(plan, keep_state=True, **job)
     again = simulated(plan, start=once.state, **job)
     assert np.array_equal(once.boxes.pos, again.boxes.pos)
-    assert np.nanmax(once.boxes.max_sway_m) > 2 * np.nanmax(simulated(stack((10, 1e4, 0), (10, 1e4, 0)), **job).boxes.max_sway_m)
+    assert np.nanmax(once.boxes.max_sway_m) > 2 * np.nanmax(
+        simulated(stack((10, 1e4, 0), (10, 1e4, 0)), **job).boxes.max_sway_m
+    )
 
 
 def test_contacts_of_frames_bear_the_weight() -> None:
     outcome = simulated(stack((10, 100, 0), (20, 100, 0)), record=Record(0.05, details=True))
     history = outcome.history
-    assert history is not None and history.contacts is not None
+    assert history is not None
+    assert history.contacts is not None
     last = history.contacts.frame == len(history.time_s) - 1
     body, force = history.contacts.body[last], history.contacts.force[last]
     on_carrier = (body == CARRIER).any(axis=1) & (body >= 0).any(axis=1)
@@ -160,7 +163,8 @@ def test_the_last_attempt_has_soft_boxes() -> None:
 def test_boxes_without_a_stiffness_are_stiff() -> None:
     scene = build_scene(make_plan(boxes=2), SOFT).all_soft
     (outcome,) = MujocoEngine(1).run([Job(scene)], SOFT)
-    assert outcome.verdict is Verdict.STABLE and not outcome.flags
+    assert outcome.verdict is Verdict.STABLE
+    assert not outcome.flags
     assert scene.target[:, 2] - outcome.boxes.pos[:, 2] == pytest.approx(0.0, abs=STIFF_WITHIN_M)
 
 

@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.config import Simulation
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.models import Filled, set_options
-from petmjx.config import Simulation
 from petmjx.history import CARRIER, FLOOR
 from petmjx.metrics.force_np import contact_force_z, contact_normal_and_tangents, pressed_box
 from petmjx.plans.overlap import shared
@@ -23,6 +23,7 @@ from petmjx.units import FloatArray
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.mjcf import soft_spec
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, box_name
+from petmjx.world.scene import Scene
 from petmjx.world.soft import POINTS, point_name, points_of, rounding_m, shares
 from petmjx.world.turned import rotations
 
@@ -68,10 +69,10 @@ class SoftWorld(LiveWorld):
         self._v_of = self._first_v + first_v[self._soft, None] + np.arange(3 * COUNT)
         self._rigid_q = self._first_q + first_q[self._rigid, None] + np.arange(7)
         self._rigid_v = self._first_v + first_v[self._rigid, None] + np.arange(6)
-        name, body = point_name, self.model.body
-        self._point_bodies = np.array([[body(name(box_name(box), each)).id for each in range(COUNT)] for box in self._soft], int)
-        self._point_bodies = self._point_bodies.reshape(-1, COUNT)
-        self._rigid_bodies = np.array([body(box_name(box)).id for box in self._rigid], int)
+        names = [point_name(box_name(box), each) for box in self._soft.tolist() for each in range(COUNT)]
+        self._point_bodies = np.array([self.model.body(each).id for each in names], np.intp).reshape(-1, COUNT)
+        names = [box_name(box) for box in self._rigid.tolist()]
+        self._rigid_bodies = np.array([self.model.body(each).id for each in names], np.intp)
         self._home = self.model.body_pos[self._point_bodies]
         self._points = np.array([points_of(scene.half_size[box]) for box in self._soft]).reshape(-1, COUNT, 3)
         self._weight = shares()[None, :, None]
@@ -206,11 +207,9 @@ class SoftWorld(LiveWorld):
         they share."""
         scene = self.scene
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
-        found = []
-        if low[box, 2] <= TOUCH_M:
-            found.append(float(self.carrier_pose[2] - scene.carrier.pos[2]))
-        if self._sim.physics.falls_into_place or not box:
-            return max(found, default=0.0) if not self._sim.physics.falls_into_place else 0.0
+        if self._sim.physics.falls_into_place:
+            return 0.0
+        found = [float(self.carrier_pose[2] - scene.carrier.pos[2])] if low[box, 2] <= TOUCH_M else []
         poses, points = self.pose, self._now()
         for below in range(box):
             sides = [shared(low[[below, box], axis], high[[below, box], axis])[0, 1] for axis in range(2)]
