@@ -1,8 +1,8 @@
 """Boxes that give against MuJoCo's soft bodies: how deep loads sink into cartons, and which stacks stand.
 
 ``compared``: a load on one carton, by closed form, by the contact law, as a soft box of petmjx (``--soft``: edges held
-by equality), and as a bare flex of 3 × 3 × 3 points with linear elasticity (Young's modulus k·h / A, so that between
-two plates it is a spring of the stiffness k), which petmjx does not use. ``stacks``, ``piles``: two to five boxes by the
+by equality), and as a bare flex of 3 × 3 × 3 points with linear elasticity, which petmjx does not use (Young's modulus
+k·h / A, so that between two plates it is a spring of the stiffness k). ``stacks``, ``piles``: two to five boxes by the
 law and as soft boxes.
 """
 

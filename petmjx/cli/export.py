@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from petmjx.world.scene import Scene
 
 
-@opt.takes("physics", "size_reduction_mm", "carrier", "friction_pairs", "units", "anchor", "articles")
+@opt.takes("physics", "size_reduction_mm", "carrier", "soft", "friction_pairs", "units", "anchor", "articles")
 def export(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan to write.")],
     source: opt.PlansOrRun = None,

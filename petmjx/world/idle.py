@@ -59,6 +59,7 @@ def notes_about(
         *_wrap_notes(sim.wrap, axes, driven),
         *_gap_notes(sim, plans),
         *_stiffness_notes(sim, plans, errors),
+        *_attempt_notes(sim, driven),
     ]
 
 
@@ -133,6 +134,11 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
             f"{counted(count, 'box', 'boxes')} {verb} pressed by more than half of the height by the loads of the plan "
             f"({first}): look at stiffness_n_mm"
         )
+
+
+def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
+    if driven and sim.attempts is Attempts.SOFT:
+        yield "attempts soft does not count where a profile begins from a settled placement: that has rigid boxes"
 
 
 def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:
