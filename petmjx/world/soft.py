@@ -61,6 +61,9 @@ CONTACT_SOLIMP: Final = (0.9999, 0.9999, 0.001)
 """Of contacts of soft boxes, whose points weigh a 64th of a box and more: as stiff as the timestep lets them be. Under
 1,000 times its own weight a box's contacts are 0.1 mm deep."""
 
+_ALONE: Final = 1e9
+"""MuJoCo's weight of a law; that of rigid shapes is 1."""
+
 _ELEMENTS: Final = 2
 _BALLS: Final = 4
 """Bits of MuJoCo's collision filter: elements touch elements, balls and rigid shapes; balls do not touch balls."""
@@ -221,12 +224,12 @@ def add_soft_box(
             ball = body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=rgba)
             ball.contype, ball.conaffinity = _BALLS, 0
             ball.margin = BALL_M / 2
-            _set_contact(ball, physics, friction)
+            _set_contact(ball, friction)
     flex = _add_flex(spec, name)
     flex.radius, flex.margin = radius, -BALL_M / 2
     flex.rgba = np.array(rgba)
     flex.contype, flex.conaffinity = _ELEMENTS, _ELEMENTS | _BALLS
-    _set_contact(flex, physics, friction)
+    _set_contact(flex, friction)
     stiffness = np.inf if scene.stiffness is None else float(scene.stiffness[box])
     law = edge_law(half, float(scene.mass[box]), stiffness, physics.timestep_s)
     held = spec.add_equality(type=mujoco.mjtEq.mjEQ_FLEX, name1=flex.name)
@@ -235,11 +238,12 @@ def add_soft_box(
     held.solimp[:3] = law.solimp
 
 
-def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, physics: Physics, friction: Triple) -> None:
+def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> None:
+    """Contacts of soft boxes have a law of their own in any physics: MuJoCo mixes those of both partners by weights."""
     shape.condim = 3
     shape.friction = np.array(friction)
-    shape.solref = np.array(CONTACT_SOLREF if physics.has_own_friction else physics.solref)
-    shape.solimp[:3] = CONTACT_SOLIMP if physics.has_own_friction else physics.solimp
+    shape.solref, shape.solmix = np.array(CONTACT_SOLREF), _ALONE
+    shape.solimp[:3] = CONTACT_SOLIMP
 
 
 def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions: SoftFriction) -> None:
@@ -248,13 +252,10 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
         if geom.contype == _BALLS:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
-        if physics.has_own_friction:
-            geom.margin -= (
-                BALL_M / 2
-            )  # rigid shapes touch one another in declared pairs, which have margins and laws of their own
-            sliding = frictions.of_geom(geom.parent.name)
-            own = geom.friction.tolist()
-            _set_contact(geom, physics, (own[0] if sliding is None else sliding, own[1], own[2]))
+        sliding = frictions.of_geom(geom.parent.name)
+        if physics.has_own_friction:  # rigid shapes touch one another in declared pairs, which have all of their own
+            geom.margin -= BALL_M / 2
+            geom.friction[0] = geom.friction[0] if sliding is None else sliding
 
 
 @dataclass(frozen=True, eq=False)

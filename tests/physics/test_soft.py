@@ -32,6 +32,8 @@ WITHIN = 0.03
 FORCE_WITHIN = 0.005
 STIFF_WITHIN_M = 2e-4
 """What the carrier sinks, 0.09 mm, and as much of contacts and edges."""
+SIDEWAYS_WITHIN_M = 5e-4
+"""How far boxes creep while they rest; 0.1 mm was found."""
 SIZE = (400.0, 300.0, 200.0)
 SOFT = Simulation(soft=True)
 RIGID = np.nan
@@ -166,6 +168,15 @@ def test_boxes_without_a_stiffness_are_stiff() -> None:
     assert outcome.verdict is Verdict.STABLE
     assert not outcome.flags
     assert scene.target[:, 2] - outcome.boxes.pos[:, 2] == pytest.approx(0.0, abs=STIFF_WITHIN_M)
+
+
+def test_soft_attempts_stand_in_the_physics_of_the_reference() -> None:
+    sim = Simulation(physics="reference")
+    scene = build_scene(make_plan(boxes=3), sim).all_soft
+    (outcome,) = MujocoEngine(1).run([Job(scene)], sim)
+    assert outcome.verdict is Verdict.STABLE
+    assert outcome.boxes.rest_top_force_n == pytest.approx(np.array([10, 5, 0]) * GRAVITY, rel=FORCE_WITHIN, abs=1e-6)
+    assert np.abs(outcome.boxes.pos - scene.target)[:, :2].max() < SIDEWAYS_WITHIN_M
 
 
 def test_other_engines_hand_soft_boxes_over() -> None:
