@@ -203,7 +203,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         placing=sim.placing if sim.may_carry or not sim.placing.appears else EXACT,
         approach=_directions(plan),
         stiffness=stiffness,
-        soft=np.isfinite(stiffness) if sim.soft and stiffness is not None else None,
+        soft=np.isfinite(stiffness) & ~plan.sheets if sim.soft and stiffness is not None else None,
         wrap=sim.wrap,
         pieces=pieces_of(plan.sheets, target, half_size, carrier) if plan.kinds else (),
     )

@@ -226,3 +226,12 @@ def test_a_stiffness_that_lets_boxes_through_is_named() -> None:
     results = petmjx.score(stack((10, 0.5, 0), (10, 100, 0)), engine="mujoco")
     assert any("1 box is pressed by more than half of the height" in each for each in results.info["warnings"])
     assert petmjx.score(stack((10, 100, 0)), engine="mujoco", soft=True).info["warnings"] == []
+
+
+def test_sheets_stay_rigid() -> None:
+    plan = replace(PLAN, kinds=("", "sheet"))
+    scene = build_scene(plan, SOFT)
+    assert scene.soft is not None
+    assert scene.soft.tolist() == [True, False]
+    assert scene.all_soft.soft is not None
+    assert scene.all_soft.soft.tolist() == [True, False]
