@@ -21,6 +21,7 @@ EngineName = Literal[
     "mujoco",
     "mjx-jax",
     "mjx-warp",
+    "mjx-warp-cpu",
 ]
 PhysicsName = Literal[
     "pallet",
