@@ -17,7 +17,7 @@ import pandas as pd
 
 from petmjx.config import LONGEST_S, PHYSICS, Check, Cone, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.live import LiveWorld
+from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.world import SettledState
 from petmjx.errors import InputError
 from petmjx.metrics.force_np import VERTICAL_COSINE, contact_normal_and_tangents
@@ -109,7 +109,7 @@ def _of_plan(plan: Plan, sim: Simulation, window: Window) -> list[dict[str, Any]
     if outcome.verdict is not Verdict.STABLE or not isinstance(outcome.state, SettledState):
         return []
     bodies = outcome.state.bodies
-    if bodies is None:
+    if not isinstance(bodies, BodyState):
         return []
     live = LiveWorld.resume(scene, sim, bodies, 0.0)
     dt = sim.physics.timestep_s

@@ -1,8 +1,9 @@
-"""Boxes that give against MuJoCo's own soft bodies: how deep a load sinks into a carton, as spring and as flex.
+"""Boxes that give against MuJoCo's soft bodies: how deep loads sink into cartons, and which stacks stand.
 
-A flex is the box as 3 × 3 × 3 points with linear elasticity (Young's modulus k·h / A, so that between two plates it is
-a spring of the stiffness k) and no contact with itself. Its points weigh a 27th of the box each, and contacts of light
-points are soft; so what it gives beyond the spring is in its contacts.
+``compared``: a load on one carton, by closed form, by the contact law, as a soft box of petmjx (``--soft``: edges held
+by equality), and as a bare flex of 3 × 3 × 3 points with linear elasticity, which petmjx does not use (Young's modulus
+k·h / A, so that between two plates it is a spring of the stiffness k). ``stacks``, ``piles``: two to five boxes by the
+law and as soft boxes.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.plan import Plan
 from petmjx.units import STANDARD_GRAVITY
+from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
@@ -32,11 +34,118 @@ SECONDS: Final = 2.0
 """After which both rest."""
 
 
+class Stack(NamedTuple):
+    """Boxes of ``SIZE_MM`` on one another.
+
+    Attributes:
+        mass_kg: from below.
+        aside_mm: how far each is from the lowest along x.
+        stiffness_n_mm: of each; NaN: it is rigid.
+        stands: whether it does if its boxes are rigid.
+    """
+
+    mass_kg: tuple[float, ...]
+    aside_mm: tuple[float, ...]
+    stiffness_n_mm: tuple[float, ...]
+    stands: bool = True
+
+    @property
+    def plan(self) -> Plan:
+        places = [(aside, 0.0, SIZE_MM[2] * level) for level, aside in enumerate(self.aside_mm)]
+        plan = Plan.from_boxes("a", size_mm=[SIZE_MM] * len(places), corner_mm=places, mass_kg=list(self.mass_kg))
+        return replace(plan, stiffness_n_mm=np.array(self.stiffness_n_mm))
+
+
+RIGID: Final = float("nan")
+STACKS: Final = {
+    "light under heavy": Stack((2, 50), (0, 0), (100, RIGID)),
+    "heavy under light": Stack((50, 2), (0, 0), (100, 100)),
+    "five": Stack((10,) * 5, (0,) * 5, (100,) * 5),
+    "five under 40 kg": Stack((10,) * 4 + (40,), (0,) * 5, (100,) * 4 + (RIGID,)),
+    "100 mm aside": Stack((10, 10), (0, 100), (100, 100)),
+    "180 mm aside": Stack((10, 10), (0, 180), (200, 200)),
+    "180 mm aside, soft": Stack((10, 10), (0, 180), (20, 20)),
+    "210 mm aside": Stack((10, 10), (0, 210), (200, 200), stands=False),
+    "stairs of 60 mm": Stack((10,) * 4, (0, 60, 120, 180), (100,) * 4),
+    "stairs of 110 mm": Stack((10,) * 4, (0, 110, 220, 330), (100,) * 4, stands=False),
+}
+"""A rigid box topples where the middle of all above lies beyond the edge: 200 mm aside; stairs of four from 100 mm."""
+
+
+def stacks() -> Iterator[dict[str, Any]]:
+    """A line for each stack: how deep the highest box comes down, how it leans, and whether it stands, both ways."""
+    for name, stack in STACKS.items():
+        load = np.cumsum(stack.mass_kg[::-1])[::-1] - np.array(stack.mass_kg)
+        give = (load + np.array(stack.mass_kg) / 2) / np.array(stack.stiffness_n_mm)
+        spring = STANDARD_GRAVITY * float(np.nansum(give[:-1] if np.isnan(give[-1]) else give))
+        rows: dict[str, Any] = {}
+        for way, soft in (("law", False), ("soft", True)):
+            outcome, seconds = _simulated(stack.plan, soft)
+            down = 1e3 * float(SIZE_MM[2] / 1e3 * (len(load) - 0.5) - outcome.boxes.pos[-1, 2])
+            rows[way] = {
+                "verdict": str(outcome.verdict),
+                "down_mm": round(down, 3),
+                "tilt_deg": round(float(outcome.boxes.max_tilt_deg[-1]), 3),
+                "force_n": round(float(outcome.boxes.max_top_force_n[0]), 1),
+                "steps": outcome.n_steps,
+                "cpu_s": round(seconds, 2),
+            }
+        centred = not any(stack.aside_mm)
+        yield {
+            "case": "soft-stack",
+            "group": "flex",
+            "stack": name,
+            "spring_top_mm": round(spring, 3) if centred else None,
+            "stands_rigid": stack.stands,
+            **rows,
+            **environment(),
+        }
+
+
+PILES: Final = 24
+SEED: Final = 7
+
+
+def piles() -> dict[str, Any]:
+    """A line about random piles of two to four boxes, each up to 35 % of its length aside: how many agree."""
+    rng = np.random.default_rng(SEED)
+    seconds = np.zeros(2)
+    found: list[list[Verdict]] = []
+    for _ in range(PILES):
+        count = int(rng.integers(2, 5))
+        size = np.column_stack([10.0 * rng.integers(low, high, count) for low, high in ((20, 45), (20, 35), (10, 25))])
+        corner = np.zeros((count, 3))
+        corner[1:, 0] = np.cumsum(rng.uniform(-0.35, 0.35, count - 1) * size[1:, 0])
+        corner[1:, 2] = np.cumsum(size[:-1, 2])
+        plan = Plan.from_boxes("a", size_mm=size, corner_mm=corner, mass_kg=rng.uniform(2, 15, count))
+        plan = replace(plan, stiffness_n_mm=rng.choice([30.0, 60.0, 100.0, 200.0], count))
+        both = [_simulated(plan, soft) for soft in (False, True)]
+        found.append([outcome.verdict for outcome, _ in both])
+        seconds += [each for _, each in both]
+    return {
+        "case": "soft-piles",
+        "group": "flex",
+        "piles": PILES,
+        "stand": {way: sum(each[k] is Verdict.STABLE for each in found) for k, way in enumerate(("law", "soft"))},
+        "agree": sum(law is soft for law, soft in found),
+        "cpu_s": dict(zip(("law", "soft"), seconds.round(1).tolist(), strict=True)),
+        **environment(),
+    }
+
+
+def _simulated(plan: Plan, soft: bool) -> tuple[Outcome, float]:
+    sim = Simulation(soft=soft)
+    begin = time.process_time()
+    (outcome,) = MujocoEngine(1).run([Job(build_scene(plan, sim))], sim)
+    return outcome, time.process_time() - begin
+
+
 def compared() -> Iterator[dict[str, Any]]:
     """A line for each case: how deep the load sinks, mm."""
     for stiffness, load in CASES:
         spring = (load + MASS_KG / 2) * STANDARD_GRAVITY / stiffness
-        law, law_s = _by_law(stiffness, load)
+        plan = Stack((MASS_KG, load), (0, 0), (stiffness, RIGID)).plan
+        (law, law_s), (soft, soft_s) = _simulated(plan, False), _simulated(plan, True)
         flex, flex_s = _as_flex(stiffness, load)
         yield {
             "case": "flex",
@@ -44,22 +153,12 @@ def compared() -> Iterator[dict[str, Any]]:
             "stiffness_n_mm": stiffness,
             "load_kg": load,
             "spring_mm": round(spring, 3),
-            "law_mm": round(law, 3),
+            "law_mm": round(1.5e3 * SIZE_MM[2] / 1e3 - 1e3 * float(law.boxes.pos[1, 2]), 3),
+            "soft_mm": round(1.5e3 * SIZE_MM[2] / 1e3 - 1e3 * float(soft.boxes.pos[1, 2]), 3),
             "flex_mm": round(flex, 3),
-            "cpu_s": {"law": round(law_s, 2), "flex": round(flex_s, 2)},
+            "cpu_s": {"law": round(law_s, 2), "soft": round(soft_s, 2), "flex": round(flex_s, 2)},
             **environment(),
         }
-
-
-def _by_law(stiffness: float, load: float) -> tuple[float, float]:
-    plan = Plan.from_boxes(
-        "a", size_mm=[SIZE_MM] * 2, corner_mm=[(0, 0, 0), (0, 0, SIZE_MM[2])], mass_kg=[MASS_KG, load]
-    )
-    sim = Simulation()
-    scene = build_scene(replace(plan, stiffness_n_mm=np.array([stiffness, np.nan])), sim)
-    begin = time.process_time()
-    (outcome,) = MujocoEngine(1).run([Job(scene)], sim)
-    return 1e3 * float(scene.target[1, 2] - outcome.boxes.pos[1, 2]), time.process_time() - begin
 
 
 def _as_flex(stiffness: float, load: float) -> tuple[float, float]:

@@ -62,6 +62,13 @@ class Solver(StrEnum):
     CG = "cg"
 
 
+class Attempts(StrEnum):
+    """What the last attempt at a world is (petmjx/engines/retry.py)."""
+
+    RIGID = "rigid"
+    SOFT = "soft"
+
+
 Triple = tuple[float, float, float]
 
 
@@ -327,6 +334,16 @@ class Simulation(Checked):
         description="simulate worlds with a margin below a half again at half the timestep, and name those that change "
         "(flag timestep)",
     )
+    soft: Annotated[bool, CliFlag("--soft")] = Field(
+        False,
+        description="simulate boxes that have a stiffness as flex bodies of MuJoCo, which bend and twist, instead of "
+        "by a contact law; on mujoco alone, and up to a hundred times as slow",
+    )
+    attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
+        Attempts.RIGID,
+        description="soft: simulate worlds once more with all boxes as flex bodies that are invalid after all other "
+        "attempts, or whose verdict soft contacts may have decided; rigid: do not",
+    )
     placing: Placing = Field(Placing(), description="how a box is placed")
     wrap: Wrap = Field(Wrap(), description="stretch film around a pallet that is shaken")
     thresholds: Thresholds = Field(Thresholds(), description="thresholds beyond which a plan is unstable")
@@ -388,6 +405,20 @@ class Simulation(Checked):
                 f"{way} needs schedule adaptive: a fixed one does not wait until a box is let go", "placing"
             )
         return self
+
+    @model_validator(mode="after")
+    def _soft_boxes_appear(self) -> Self:
+        for name, asked in (("soft", self.soft), ("attempts", self.attempts is Attempts.SOFT)):
+            if asked and self.placing.name not in (Way.AUTO, Way.EXACT):
+                raise complaint(
+                    f"needs placing exact: soft boxes appear at their places, got {self.placing.name}", name
+                )
+        return self
+
+    @property
+    def has_soft(self) -> bool:
+        """Whether boxes may be flex bodies."""
+        return self.soft or self.attempts is Attempts.SOFT
 
     @property
     def may_carry(self) -> bool:

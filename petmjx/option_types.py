@@ -10,7 +10,7 @@ from os import PathLike
 from typing import Literal, TypedDict
 
 from petmjx.carrier import Board, Carrier, OwnCarrier
-from petmjx.config import Check, Cone, Physics, Quiet, Schedule, Solver, Thresholds
+from petmjx.config import Attempts, Check, Cone, Physics, Quiet, Schedule, Solver, Thresholds
 from petmjx.engines.base import Simulates
 from petmjx.materials import FrictionPair
 from petmjx.placing import Placing, Way
@@ -21,10 +21,15 @@ EngineName = Literal[
     "mujoco",
     "mjx-jax",
     "mjx-warp",
+    "mjx-warp-cpu",
 ]
 PhysicsName = Literal[
     "pallet",
     "reference",
+]
+AttemptsName = Literal[
+    "rigid",
+    "soft",
 ]
 CarrierName = Literal[
     "footprint",
@@ -173,6 +178,8 @@ class SimulationOptions(TypedDict, total=False):
     rest_window_s: float
     early_stop: bool
     check_timestep: bool
+    soft: bool
+    attempts: Attempts | AttemptsName
     placing: Placing | PlacingTable | Way | WayName
     wrap: Wrap | WrapTable
     thresholds: Thresholds | ThresholdsTable

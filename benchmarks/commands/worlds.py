@@ -77,11 +77,13 @@ def cpu_engines(
 
 @app.command()
 def flex(out: Out = DEFAULT_OUT) -> None:
-    """How deep a load sinks into a box that gives, and into MuJoCo's own soft body of the same stiffness."""
-    from benchmarks.flex import compared
+    """How deep a load sinks into a box that gives, by the contact law and as a flex body; stacks both ways."""
+    from itertools import chain
+
+    from benchmarks.flex import compared, piles, stacks
     from benchmarks.record import append_line
 
-    for line in compared():
+    for line in chain(compared(), stacks(), (piles() for _ in range(1))):
         append_line(out, line)
         print({name: value for name, value in line.items() if name not in ("cpu", "versions")}, flush=True)
 

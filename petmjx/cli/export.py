@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from petmjx.world.scene import Scene
 
 
-@opt.takes("physics", "size_reduction_mm", "carrier", "friction_pairs", "units", "anchor", "articles")
+@opt.takes("physics", "size_reduction_mm", "carrier", "soft", "friction_pairs", "units", "anchor", "articles")
 def export(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan to write.")],
     source: opt.PlansOrRun = None,
@@ -33,7 +33,7 @@ def export(
 
     Of a run in DIR it is the world that the run simulated; else the options given here say what it is like.
     """
-    from petmjx.world.model import to_mjcf
+    from petmjx.world.mjcf import to_mjcf
 
     if out is not None:
         check_free(out, overwrite, source or ())

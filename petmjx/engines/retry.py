@@ -2,6 +2,7 @@
 
 The attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each), and then one with half the
 timestep. Worlds whose verdict may come from soft contacts (``petmjx.engines.sinking``) have two attempts of their own.
+If asked for, the last attempt has soft boxes, as the third one of the reference implementation.
 The second attempts of the reference implementation repeat the same deterministic run. Here they differ: the solver gets
 up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 """
@@ -17,13 +18,13 @@ from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
-from petmjx.config import Cone, Simulation, Solver
+from petmjx.config import Attempts, Cone, Simulation, Solver
 from petmjx.engines.base import Engine, GrowingJobs, Progress
 from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.sinking import note_softness, stiffened
-from petmjx.engines.stand_in import Engines, ready_for
-from petmjx.errors import PetmjxError
+from petmjx.engines.stand_in import STAND_INS, Engines, ready_for
+from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.plan import Plan
 from petmjx.text import one_line
 from petmjx.verdict import Attempt, Flag, Outcome, Reason, Verdict, margin_of
@@ -65,6 +66,9 @@ class AttemptRecipe:
     most_boxes: int | None = None
     """Worlds of more boxes that have a verdict keep it, and the flag: steps of hundreds of boxes in stiff contacts take
     tens of milliseconds, and what leans there is a small part of the pallet."""
+    soft: bool = False
+    """With all boxes as flex bodies (petmjx/world/soft.py), from the beginning."""
+
     doubles: bool = False
     """Whether it wants double precision: an invalid world may be so by single precision, and in contacts of a twentieth
     of the time constant boxes sink by less than it resolves."""
@@ -73,10 +77,13 @@ class AttemptRecipe:
         """Whether this attempt may give what the one before did not. More time is not given to a world."""
         if self.checks:
             return sim.check_timestep and abs(outcome.margin) < NEAR
-        soft = bool(outcome.flags & Flag.SINKING) and sim.physics.cone is Cone.ELLIPTIC
-        if self.stiff is not None or soft:
+        sinks = bool(outcome.flags & Flag.SINKING) and sim.physics.cone is Cone.ELLIPTIC
+        if self.soft:
+            invalid = outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT
+            return sim.attempts is Attempts.SOFT and (invalid or sinks)
+        if self.stiff is not None or sinks:
             few = self.most_boxes is None or outcome.n_boxes <= self.most_boxes
-            return self.stiff is not None and soft and (few or outcome.verdict is Verdict.INVALID)
+            return self.stiff is not None and sinks and (few or outcome.verdict is Verdict.INVALID)
         return outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
@@ -99,7 +106,9 @@ class AttemptRecipe:
         return sim.changed(**update)
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
-        """The same jobs, with profiles resampled to this attempt's timestep (and still shared)."""
+        """The same jobs, with this attempt's boxes, and with profiles resampled to its timestep (and still shared)."""
+        if self.soft:
+            jobs = [replace(job, scene=job.scene.all_soft, start=None, keep_state=False) for job in jobs]
         if self.timestep_divisor == 1:
             return list(jobs)
         profiles = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
@@ -122,8 +131,9 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(6, None, stiff=0.5, most_boxes=96),
     AttemptRecipe(7, None, stiff=0.05, timestep_divisor=8, most_boxes=12, doubles=True),
     AttemptRecipe(8, None, timestep_divisor=2, checks=True),
+    AttemptRecipe(9, None, soft=True),
 )
-"""The attempts, in order. Attempts 1 and 6 to 8 use the run's own solver (Newton by default)."""
+"""The attempts, in order. Attempts 1 and 6 to 9 use the run's own solver (Newton by default)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +189,12 @@ def score_worlds(
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
+        InputError: the engine has no soft boxes, which the options ask for.
         PetmjxError: the engine refuses the worlds at the first attempt.
         Exception: that of an engine without a stand-in at the first attempt.
     """
+    if sim.has_soft and engine.name != "mujoco" and engine.name not in STAND_INS:
+        raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     progress = progress or Progress()
     engines = Engines(engine, progress)
     first, *retries = attempts
@@ -258,7 +271,8 @@ class _Making(Generic[AnyWorld]):
         yield from self._made(list(zip(left, failed, strict=True)), maker)
 
     def _engine_for(self, world: AnyWorld) -> Engine:
-        return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles)
+        soft = self.attempt.soft or world.job.scene.soft is not None
+        return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles, soft=soft)
 
     def _run_on(
         self, engine: Engine, batch: list[_Pending[AnyWorld]]
@@ -317,7 +331,8 @@ class _Making(Generic[AnyWorld]):
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """What becomes of answers, for all of them together: one by one that took longer than a GPU's simulation."""
         worlds = [pending[0] for pending, _ in came]
-        outcomes = note_softness([answer for _, answer in came], [world.job.scene for world in worlds], self.sim)
+        scenes = [world.job.scene.all_soft if self.attempt.soft else world.job.scene for world in worlds]
+        outcomes = note_softness([answer for _, answer in came], scenes, self.sim)
         for outcome in outcomes:
             outcome.attempt, outcome.engine = self.attempt.number, engine.name
             outcome.solver = self.sim.solver.value

@@ -162,7 +162,7 @@ def note_softness(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Sim
     found, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     may_lean: list[int] = []
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
-        if outcome.verdict is Verdict.INVALID:
+        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
             continue
         if sank(outcome, scene, sim):
             found[k] = _softened(outcome, sim, sank=elliptic)

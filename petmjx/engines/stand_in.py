@@ -1,7 +1,8 @@
 """Which engine simulates a world: that of the run, or its stand-in, C MuJoCo, where that cannot.
 
 The MJX engines work in single precision, and ``mjx-warp`` has Newton's method alone. So C MuJoCo makes the attempts
-that want double precision, simulates with conjugate gradients, and takes over what an error of theirs left unanswered.
+that want double precision and worlds with soft boxes, simulates with conjugate gradients, and takes over what an error
+of theirs left unanswered.
 ``mujoco`` itself and an engine of the user's own have no stand-in.
 """
 
@@ -33,8 +34,11 @@ class Engines:
         name = STAND_INS.get(self.own.name)
         return make_engine(name) if name is not None else None
 
-    def for_job(self, job: Job, sim: Simulation, *, doubles: bool) -> Engine:
-        """Who simulates a job; ``doubles``: at an attempt that wants double precision."""
+    def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
+        """Who simulates a job; ``doubles``: at an attempt that wants double precision; ``soft``: with soft boxes."""
+        if soft and self.stand_in is not None:
+            self.note(f"worlds with soft boxes were simulated on {self.stand_in.name}")
+            return self.stand_in
         cut = bool(job.scene.pieces) and self.own.name == "mjx-jax"
         if cut and self.stand_in is not None:
             self.note(f"worlds with interlayer sheets were simulated on {self.stand_in.name}")

@@ -25,6 +25,8 @@ def check_open(sim: Simulation) -> None:
     """Raises InputError for options that open pallets cannot have."""
     if extent_m(sim.carrier) is None:
         raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
+    if sim.has_soft:
+        raise InputError("soft: pallets that stay open have no soft boxes")
     if sim.check is not Check.ONE_BY_ONE:
         raise InputError(f"check: pallets are built one-by-one, got {sim.check}")
     if sim.schedule is not Schedule.ADAPTIVE:

@@ -25,7 +25,7 @@ from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.variants import Variant
 
-SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1)
+SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
 """The attempts at placements whose states are kept, and at their forks. A state counts time in steps, so no world can
 start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
 

@@ -7,13 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.config import Attempts, Simulation
+from petmjx.errors import InputError
 from petmjx.placing import Placing, Way
 from petmjx.plans.plan import Plan
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
 from petmjx.text import counted, shown
 from petmjx.units import FloatArray
+from petmjx.world.bearing import bearing_of
 from petmjx.world.carriers import carrier_notes, pallet
+from petmjx.world.scene import build_scene
+from petmjx.world.soft import check_soft
 from petmjx.world.surfaces import check_surfaces
 from petmjx.wrap import Wrap
 
@@ -46,7 +50,7 @@ def notes_about(
         driven: whether worlds are shaken.
 
     Raises:
-        InputError: as ``check_surfaces``.
+        InputError: as ``check_surfaces``; or soft boxes that MuJoCo cannot have.
     """
     return [
         *carrier_notes(sim),
@@ -54,6 +58,8 @@ def notes_about(
         *_placing_notes(sim.placing, axes, errors),
         *_wrap_notes(sim.wrap, axes, driven),
         *_gap_notes(sim, plans),
+        *_stiffness_notes(sim, plans, errors),
+        *_attempt_notes(sim, driven),
     ]
 
 
@@ -99,6 +105,57 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
         verb = "stands" if count == 1 else "stand"
         first = f"{', '.join(named)}{more}"
         yield f"{counted(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap of it ({first})"
+
+
+def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
+    """Stiffness that lets boxes sink through themselves, and soft boxes of which there are none."""
+    if sim.has_soft and errors and sim.placing.name is Way.AUTO:
+        raise InputError(
+            "soft: a hand places boxes with errors, and soft boxes appear at their places; name placing exact"
+        )
+    giving = [plan for plan in plans if plan.stiffness_n_mm is not None]
+    if sim.soft and (not giving or not sim.physics.has_own_friction):
+        yield "soft does not count: no box has a stiffness that counts"
+    if sim.has_soft:
+        _check_soft(sim, plans if sim.attempts is Attempts.SOFT else giving)
+    if not sim.physics.has_own_friction:
+        return
+    named: list[str] = []
+    count = 0
+    for plan in giving:
+        boxes = _pressed_through(plan, sim)
+        count += len(boxes)
+        named += [f"box {box} of {shown(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+    if count:
+        more = ", …" if count > len(named) else ""
+        verb = "is" if count == 1 else "are"
+        first = f"{', '.join(named)}{more}"
+        yield (
+            f"{counted(count, 'box', 'boxes')} {verb} pressed by more than half of the height by the loads of the plan "
+            f"({first}): look at stiffness_n_mm"
+        )
+
+
+def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
+    if driven and sim.attempts is Attempts.SOFT:
+        yield "attempts soft does not count where a profile begins from a settled placement: that has rigid boxes"
+
+
+def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:
+    for plan in plans:
+        scene = build_scene(plan, sim)
+        try:
+            check_soft(scene.all_soft if sim.attempts is Attempts.SOFT else scene)
+        except InputError as error:
+            raise InputError(f"plan {shown(plan.plan_id)}: {error}") from None
+
+
+def _pressed_through(plan: Plan, sim: Simulation) -> list[int]:
+    scene = build_scene(plan, sim)
+    assert scene.stiffness is not None
+    load_n = sim.physics.gravity_m_s2 * (bearing_of(scene).loads(scene.n_boxes)[:, 0] - scene.mass / 2)
+    found: list[int] = np.flatnonzero(load_n / scene.stiffness > scene.half_size[:, 2]).tolist()
+    return found
 
 
 def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:

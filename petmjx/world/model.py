@@ -25,7 +25,7 @@ _CONE = {Cone.PYRAMIDAL: mujoco.mjtCone.mjCONE_PYRAMIDAL, Cone.ELLIPTIC: mujoco.
 _SOLIMP_TAIL = (0.5, 2.0)
 """MuJoCo's defaults for the last two solimp numbers. The reference implementation does not change them."""
 
-_BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
+BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
 """Cardboard in three shades, so that a viewer shows where one box ends and the next begins."""
 
 _CARRIER_COLOUR = (0.45, 0.32, 0.20, 1.0)
@@ -115,7 +115,7 @@ def add_boxes(
     for box in boxes:
         body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
         body.add_freejoint(name=box_name(box))
-        _add_shapes(body, scene, physics, box, _BOX_COLOURS[box % len(_BOX_COLOURS)])
+        _add_shapes(body, scene, physics, box, BOX_COLOURS[box % len(BOX_COLOURS)])
         _set_inertia(body, scene, physics, box)
         _declare_pairs(spec, physics, table, others, of_body[box])
         others += of_body[box]
@@ -204,15 +204,6 @@ def _faces(scene: Scene, held: bool) -> list[Face | None]:
     frame = np.vstack([scene.target - scene.middle, carrier.pos])[shapes.body]
     rows = zip(give.tolist(), (frame + shapes.pos).tolist(), shapes.half_size.tolist(), inverse.tolist(), strict=True)
     return [Face(each, tuple(middle), tuple(half), lightness) for each, middle, half, lightness in rows]
-
-
-def to_mjcf(scene: Scene, physics: Physics) -> str:
-    """The scene as MJCF text for MuJoCo's viewer, with every box at its release pose."""
-    spec = build_spec(scene, physics)
-    spec.modelname = "petmjx"
-    spec.worldbody.add_light(pos=[0.0, 0.0, 4.0], dir=[0.0, 0.0, -1.0])
-    spec.compile()
-    return str(spec.to_xml())
 
 
 def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:

@@ -42,6 +42,7 @@ OF_BOXES: Final = (
     "surface",
     "approach",
     "stiffness",
+    "soft",
 )
 """What of a scene has a row for each box, or is None."""
 
@@ -71,6 +72,7 @@ class Scene:
         approach: (n, 2) level directions in which they do so, of length 1; 0, or None for all: that which follows from
             what stands there.
         stiffness: (n,) force on a box's top per compression, N/m; inf: it is rigid. None: all are.
+        soft: (n,) which boxes are flex bodies (petmjx/world/soft.py); None: none is.
         wrap: film around it when it is shaken (petmjx/world/wrap.py).
         pieces: of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py).
     """
@@ -91,6 +93,7 @@ class Scene:
     placing: Placing = EXACT
     approach: NDArray[np.float64] | None = None
     stiffness: NDArray[np.float64] | None = None
+    soft: NDArray[np.bool_] | None = None
     pieces: tuple[Pieces, ...] = ()
     wrap: Wrap = UNWRAPPED
 
@@ -102,6 +105,13 @@ class Scene:
         """The scene with its first boxes alone."""
         cut = {name: values[:count] for name in OF_BOXES if (values := getattr(self, name)) is not None}
         return replace(self, **cut, pieces=tuple(each for each in self.pieces if each.box < count))
+
+    @property
+    def all_soft(self) -> Scene:
+        """The scene with all its boxes as flex bodies. Sheets stay rigid."""
+        soft = np.ones(self.n_boxes, bool)
+        soft[[each.box for each in self.pieces]] = False
+        return replace(self, soft=soft)
 
     @property
     def total_mass(self) -> float:
@@ -174,6 +184,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     physics = sim.physics
     half_size, target = half_size_and_target(plan.size_mm, plan.corner_mm, sim)
     boards = pallet(sim.carrier)
+    stiffness = _stiffness(plan) if physics.has_own_friction else None
     carrier = _slab(plan, sim) if boards is None else body_of(boards, physics)
     surfaces = find_surfaces(plan, sim, len(carrier.half_size))
     return Scene(
@@ -191,7 +202,8 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         pair_friction=None if surfaces is None else surfaces.friction,
         placing=sim.placing if sim.may_carry or not sim.placing.appears else EXACT,
         approach=_directions(plan),
-        stiffness=_stiffness(plan) if physics.has_own_friction else None,
+        stiffness=stiffness,
+        soft=np.isfinite(stiffness) & ~plan.sheets if sim.soft and stiffness is not None else None,
         wrap=sim.wrap,
         pieces=pieces_of(plan.sheets, target, half_size, carrier) if plan.kinds else (),
     )

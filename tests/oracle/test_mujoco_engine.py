@@ -27,7 +27,8 @@ from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.model import build_spec, to_mjcf
+from petmjx.world.mjcf import to_mjcf
+from petmjx.world.model import build_spec
 from petmjx.world.scene import Scene
 
 SAME_M = 1e-9

@@ -9,7 +9,8 @@ from support.plans import make_scene
 
 from petmjx.config import PHYSICS, Physics
 from petmjx.units import FloatArray
-from petmjx.world.model import build_spec, to_mjcf
+from petmjx.world.mjcf import to_mjcf
+from petmjx.world.model import build_spec
 
 LOWER, UPPER = ((400, 300, 200), (0, 0, 0), 8.0), ((300, 200, 150), (0, 0, 200), 5.0)
 SKIN_M = 2e-4

@@ -349,6 +349,11 @@ class LiveWorld:
         turn = self.data.xmat[rows].reshape(-1, 3, 3)
         return acceleration[:, :3], np.einsum("kij,kj->ki", turn, acceleration[:, 3:])
 
+    def contact_bodies(self) -> NDArray[np.intp]:
+        """(ncon, 2) the partners of each contact of the last step: boxes, ``CARRIER`` or ``FLOOR``."""
+        found: NDArray[np.intp] = self.geom_bodies[np.reshape(self.data.contact.geom, (-1, 2))]
+        return found
+
     @property
     def carrier_pose(self) -> FloatArray:
         """(7,) position and quaternion of the carrier after the last step."""

@@ -112,7 +112,7 @@ class WorldRecorder:
             values[:k, 0] = live.top_forces()
             if self._details:
                 values[:k, 1:4], values[:k, 4:7] = live.accelerations()
-                contacts = read_contacts(live.data, live.geom_bodies, live.pyramidal, len(self._frames))
+                contacts = read_contacts(live.data, live.contact_bodies(), live.pyramidal, len(self._frames))
                 values[:k, 7] = _penetration(contacts, k)
         self._begun = self._begun or k > 0
         self._frames.append(_Frame(step, k, pose, live.carrier_pose, values, contacts))
@@ -122,10 +122,10 @@ def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: b
     """All contacts of the last step.
 
     Args:
-        bodies: (ngeom,) of the geoms, as ``petmjx.world.model.geom_bodies`` gives them.
+        bodies: (ncon, 2) the partners of each, as ``LiveWorld.contact_bodies`` gives them.
         frame: the number that these contacts get.
     """
-    body = bodies[np.reshape(data.contact.geom, (-1, 2))].astype(np.int32)
+    body = bodies.astype(np.int32)
     axes = np.array(data.contact.frame).reshape(-1, 3, 3)
     force = np.zeros((len(body), 3))
     if len(body):

@@ -18,6 +18,7 @@ from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.recorder import WorldRecorder
 from petmjx.engines.cpu.running import OracleMetrics
+from petmjx.engines.cpu.soft import SoftState, SoftWorld
 from petmjx.engines.cpu.waits import NEVER, Waits
 from petmjx.units import seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -35,7 +36,7 @@ class SettledState:
     """A world at the end of its placement, when it has settled. Other worlds start from it."""
 
     step: int
-    bodies: BodyState | None
+    bodies: BodyState | SoftState | None
     metrics: OracleMetrics
     flags: Flag
     ended: Outcome | None
@@ -102,7 +103,8 @@ class WorldRun:
 
     def _start(self) -> bool:
         """Take the world through the soft start. Returns False where its time is up before."""
-        self._live = LiveWorld(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
+        kind = LiveWorld if self._scene.soft is None else SoftWorld
+        self._live = kind(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
         begun = self._soft_start()
         self._set_end(self._waits.end_of_fixed(self._scene.n_boxes))
@@ -125,7 +127,11 @@ class WorldRun:
     def _resume(self, start: SettledState) -> None:
         assert start.bodies is not None
         self._step = self._first_step = self._waits.last_placement = start.step
-        self._live = LiveWorld.resume(self._scene, self._sim, start.bodies, self._clock.time_s(start.step))
+        time_s, bodies = self._clock.time_s(start.step), start.bodies
+        if isinstance(bodies, SoftState):
+            self._live = SoftWorld.resume(self._scene, self._sim, bodies, time_s)
+        else:
+            self._live = LiveWorld.resume(self._scene, self._sim, bodies, time_s)
         self._metrics = start.metrics.fork()
         self._flags |= start.flags | Flag.FORKED
         if self._recorder is not None:
