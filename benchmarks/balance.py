@@ -8,8 +8,9 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.config import Physics, Simulation
+from petmjx.config import Simulation
 from petmjx.history import CARRIER
+from petmjx.physics import Physics
 from petmjx.plans.plan import Plan
 from petmjx.results.reader import RunResults
 from petmjx.statics.touching import find_touching

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from petmjx.config import LONGEST_S, PHYSICS, Check, Cone, Simulation
+from petmjx.config import LONGEST_S, Check, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.world import SettledState
 from petmjx.errors import InputError
 from petmjx.metrics.force_np import VERTICAL_COSINE, contact_normal_and_tangents
 from petmjx.metrics.motion_np import tilt_deg
+from petmjx.physics import PHYSICS, Cone
 from petmjx.plans.plan import Plan
 from petmjx.text import counted
 from petmjx.units import FloatArray, seconds_to_steps

@@ -13,17 +13,7 @@ from petmjx.version import __version__
 if TYPE_CHECKING:
     from petmjx.api import score, sweep
     from petmjx.carrier import Carrier
-    from petmjx.config import (
-        PHYSICS,
-        Check,
-        Cone,
-        Physics,
-        Quiet,
-        Schedule,
-        Simulation,
-        Solver,
-        Thresholds,
-    )
+    from petmjx.config import Check, Quiet, Schedule, Simulation, Solver, Thresholds
     from petmjx.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
     from petmjx.figures.save import figure
     from petmjx.history import History
@@ -34,6 +24,7 @@ if TYPE_CHECKING:
     from petmjx.pages.leaderboard.make import leaderboard
     from petmjx.pages.report.make import report
     from petmjx.pages.told import tell
+    from petmjx.physics import PHYSICS, Cone, Physics
     from petmjx.pictures.save import draw
     from petmjx.plans.plan import Plan
     from petmjx.plans.plan_set import PlanSet
@@ -56,9 +47,9 @@ _HOME = {
     "CriteriaResults": "petmjx.statics.record",
     "Carrier": "petmjx.carrier",
     "Check": "petmjx.config",
-    "Cone": "petmjx.config",
-    "PHYSICS": "petmjx.config",
-    "Physics": "petmjx.config",
+    "Cone": "petmjx.physics",
+    "PHYSICS": "petmjx.physics",
+    "Physics": "petmjx.physics",
     "Quiet": "petmjx.config",
     "RunOptions": "petmjx.run_options",
     "Schedule": "petmjx.config",

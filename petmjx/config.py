@@ -6,15 +6,15 @@ and the ``[simulation]`` table of sweep files are made from these records. ``run
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import StrEnum
 from typing import Annotated, Any, Final, Self
 
-from pydantic import AfterValidator, Field, computed_field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from petmjx.carrier import AnyCarrier, Carrier
-from petmjx.checked import Checked, CliFlag, complaint, got, within
+from petmjx.checked import Checked, CliFlag, complaint, within
 from petmjx.materials import FrictionPair
+from petmjx.physics import PHYSICS, Cone, Physics
 from petmjx.placing import Placing, Way
 from petmjx.wrap import Wrap
 
@@ -23,9 +23,7 @@ from petmjx.wrap import Wrap
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
 """Of any other time. With the shortest timestep and 512 boxes the steps of a run still fit 32 bits."""
-SHORTEST_TIMESTEP_S: Final = 0.0001
 MOST_STEPS: Final = 100_000
-HIGHEST_FRICTION: Final = 100.0
 
 SOFT_START_STEPS: Final = 100
 """Before time counts: so many steps without gravity, then as many with gravity × k / ``SOFT_START_STEPS``."""
@@ -48,13 +46,6 @@ class Schedule(StrEnum):
     ADAPTIVE = "adaptive"
 
 
-class Cone(StrEnum):
-    """Friction cone of the contact model."""
-
-    PYRAMIDAL = "pyramidal"
-    ELLIPTIC = "elliptic"
-
-
 class Solver(StrEnum):
     """Constraint solver. Which attempt takes which: petmjx/engines/retry.py."""
 
@@ -67,139 +58,6 @@ class Attempts(StrEnum):
 
     RIGID = "rigid"
     SOFT = "soft"
-
-
-Triple = tuple[float, float, float]
-
-
-def _no_negatives(values: Triple) -> Triple:
-    if min(values) < 0:
-        raise ValueError(f"must be ≥ 0, got {values}")
-    if max(values) > HIGHEST_FRICTION:
-        raise ValueError(f"must be from 0 to {HIGHEST_FRICTION:g}, got {values}")
-    return values
-
-
-def _impedances(values: Triple) -> Triple:
-    if not (0 < values[0] < 1 and 0 < values[1] < 1 and values[2] > 0):
-        raise ValueError(f"must be two impedances between 0 and 1 and a width > 0 m, got {values}")
-    if values[2] > 1:
-        raise ValueError(f"must have a width of at most 1 m, got {values}")
-    return values
-
-
-def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
-    # negative ones are a stiffness and a damping, and stand for themselves in MuJoCo
-    if max(map(abs, values)) > 1e6:
-        raise ValueError(f"must be from -1e+06 to 1e+06, got {values}")
-    return values
-
-
-Friction = Annotated[Triple, AfterValidator(_no_negatives)]
-"""MuJoCo's sliding, torsional and rolling coefficients of a geom. Between two geoms the larger ones count."""
-
-CUSTOM: Final = "custom"
-
-
-class Physics(Checked):
-    """Contacts, carrier, floor, gravity and timestep.
-
-    The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
-    cone, the carrier's friction, the five of contacts (solref, solreffriction, solimp, impratio, skin_m), and whether
-    boxes fall into their places. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
-
-    Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
-    (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
-    """
-
-    cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
-    carrier_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of the carrier")
-    box_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of boxes")
-    floor_friction: Friction = Field((1.0, 0.005, 0.0001), description="friction of the floor")
-    floor_z_m: Annotated[float, within(-20, 0)] = Field(
-        -0.144, lt=0, description="height of the floor: a pallet's height below z = 0"
-    )
-    carrier_half_height_m: Annotated[float, within(0.001, 10)] = Field(
-        0.072, gt=0, description="half the carrier's height"
-    )
-    carrier_mass_kg: Annotated[float, within(0.001, 100_000)] = Field(25.0, gt=0, description="the carrier's mass")
-    timestep_s: Annotated[float, within(SHORTEST_TIMESTEP_S, 0.02)] = Field(0.002, gt=0, description="length of a step")
-    gravity_m_s2: Annotated[float, within(0.001, 100)] = Field(9.81, gt=0, description="gravity, downwards")
-    solref: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
-        (0.02, 1.25), description="MuJoCo's time constant and damping ratio of contacts"
-    )
-    solreffriction: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
-        (0.004, 1.0),
-        description="MuJoCo's solref of friction, with elliptic cones; 0, 0: that of contacts",
-    )
-    solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
-        (0.1, 0.999, 0.0001), description="MuJoCo's impedances of contacts and their width, m"
-    )
-    impratio: Annotated[float, within(1, 10_000)] = Field(
-        100.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
-    )
-    skin_m: Annotated[float, within(0, 0.001)] = Field(
-        0.0001,
-        description="by how much boxes are enlarged on each side for the collider, which then prefers faces to "
-        "edges, m; the carrier is enlarged by twice that; contacts of faces still begin where the boxes "
-        "themselves touch",
-    )
-    falls_into_place: bool = Field(
-        False,
-        description="whether boxes are released above their place, by size_reduction_mm at least, and fall into it; "
-        "else they are released as they will rest",
-    )
-
-    @property
-    def carrier_skin_m(self) -> float:
-        """By how much the carrier is larger for the collider, m: more than boxes, so that the faces of those that stand
-        flush with its edge end within its face, and the collider finds their corners (docs/validation.md)."""
-        return 2 * self.skin_m
-
-    @property
-    def has_own_friction(self) -> bool:
-        """Whether friction has a time constant of its own. Only the friction of elliptic cones can have one."""
-        return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
-
-    @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
-    @property
-    def name(self) -> str:
-        """The preset that has exactly these values, or "custom"."""
-        return next((name for name, preset in PHYSICS.items() if preset == self), CUSTOM)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_preset(cls, values: Any) -> Any:
-        """Accept a preset's name, or a table that changes a preset."""
-        if values == CUSTOM:  # without a table it says nothing
-            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {got(values)}")
-        if isinstance(values, str):
-            values = {"name": values}
-        if not isinstance(values, Mapping) or "name" not in values:
-            return values
-        changes = dict(values)
-        name = changes.pop("name")
-        if name not in (*PHYSICS, CUSTOM):
-            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {got(name)}")
-        preset = {} if name == CUSTOM else PHYSICS[name].model_dump(exclude={"name"})
-        return preset | changes
-
-
-PHYSICS: dict[str, Physics] = {}
-PHYSICS["pallet"] = Physics()
-PHYSICS["reference"] = Physics(
-    cone=Cone.PYRAMIDAL,
-    carrier_friction=(3.0, 0.005, 0.0001),
-    solref=(0.02, 1.0),
-    solreffriction=(0.0, 0.0),
-    solimp=(0.99, 0.99, 0.01),
-    impratio=1.0,
-    skin_m=0.0,
-    falls_into_place=True,
-)
-"""The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md):
-elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, friction that gives way 250 times less than
-with MuJoCo's own values; and the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
 
 
 class Thresholds(Checked):

@@ -10,9 +10,10 @@ from os import PathLike
 from typing import Literal, TypedDict
 
 from petmjx.carrier import Board, Carrier, OwnCarrier
-from petmjx.config import Attempts, Check, Cone, Physics, Quiet, Schedule, Solver, Thresholds
+from petmjx.config import Attempts, Check, Quiet, Schedule, Solver, Thresholds
 from petmjx.engines.base import Simulates
 from petmjx.materials import FrictionPair
+from petmjx.physics import Cone, Physics
 from petmjx.placing import Placing, Way
 from petmjx.wrap import Wrap
 
@@ -66,7 +67,7 @@ WayName = Literal[
 
 
 class PhysicsTable(TypedDict, total=False):
-    """Fields of ``petmjx.config.Physics``."""
+    """Fields of ``petmjx.physics.Physics``."""
 
     name: PhysicsName | Literal["custom"]
     cone: Cone | ConeName

@@ -10,11 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from petmjx.config import Physics, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice
 from petmjx.engines.resolve import engine_for
 from petmjx.machine import package_versions
+from petmjx.physics import Physics
 from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan

@@ -16,9 +16,10 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from petmjx.carrier import Board, OwnCarrier
 from petmjx.checked import Checked
-from petmjx.config import CUSTOM, PHYSICS, Physics, Quiet, Simulation, Thresholds
+from petmjx.config import Quiet, Simulation, Thresholds
 from petmjx.engines.choose import ENGINES
 from petmjx.materials import FrictionPair
+from petmjx.physics import CUSTOM, PHYSICS, Physics
 from petmjx.placing import Placing
 from petmjx.run_options import AUTO, Confidence, RunOptions
 from petmjx.wrap import Wrap

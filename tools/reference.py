@@ -10,7 +10,8 @@ import typer
 from petmjx.checked import Checked, CliFlag
 from petmjx.cli.help import WIDTH
 from petmjx.cli.main import app
-from petmjx.config import Physics, Quiet, Simulation, Thresholds
+from petmjx.config import Quiet, Simulation, Thresholds
+from petmjx.physics import Physics
 from petmjx.placing import Placing
 from petmjx.run_options import Confidence, RunOptions
 from petmjx.wrap import Wrap

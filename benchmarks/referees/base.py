@@ -8,9 +8,9 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from petmjx.config import Physics
 from petmjx.errors import InputError
 from petmjx.metrics.force_np import pressed_box
+from petmjx.physics import Physics
 from petmjx.units import FloatArray
 from petmjx.world.scene import Scene
 

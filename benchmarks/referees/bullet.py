@@ -10,7 +10,7 @@ import pybullet
 from pybullet_utils.bullet_client import BulletClient
 
 from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, slab, top_forces
-from petmjx.config import Physics
+from petmjx.physics import Physics
 from petmjx.units import FloatArray
 from petmjx.world.scene import Scene
 

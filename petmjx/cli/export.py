@@ -13,7 +13,7 @@ from petmjx.text import counted, printable
 from petmjx.whole import check_free, whole_file
 
 if TYPE_CHECKING:
-    from petmjx.config import Physics
+    from petmjx.physics import Physics
     from petmjx.world.scene import Scene
 
 

@@ -21,8 +21,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.config import Physics, Simulation
+from petmjx.config import Simulation
 from petmjx.history import CARRIER
+from petmjx.physics import Physics
 from petmjx.units import FloatArray
 from petmjx.verdict import Outcome
 from petmjx.world.bearing import Bearing, bearing_of, together

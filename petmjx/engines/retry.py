@@ -18,13 +18,14 @@ from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
-from petmjx.config import Attempts, Cone, Simulation, Solver
+from petmjx.config import Attempts, Simulation, Solver
 from petmjx.engines.base import Engine, GrowingJobs, Progress
 from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.sinking import note_softness, stiffened
 from petmjx.engines.stand_in import STAND_INS, Engines, ready_for
 from petmjx.errors import InputError, PetmjxError
+from petmjx.physics import Cone
 from petmjx.plans.plan import Plan
 from petmjx.text import one_line
 from petmjx.verdict import Attempt, Flag, Outcome, Reason, Verdict, margin_of

@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, Physics, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.leaning import BOUND_SHARE, leaning
+from petmjx.physics import Cone, Physics
 from petmjx.plans.overlap import shared
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge

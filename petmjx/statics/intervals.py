@@ -15,9 +15,9 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.config import Physics
 from petmjx.errors import InputError, PetmjxError
 from petmjx.history import CARRIER
+from petmjx.physics import Physics
 from petmjx.statics.contacts import IntArray
 from petmjx.statics.largest import least_and_most
 from petmjx.statics.touching import Touching, find_touching

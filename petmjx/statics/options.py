@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from petmjx.carrier import AnyCarrier, Carrier
 from petmjx.checked import Checked, CliFlag, within
-from petmjx.config import PHYSICS
+from petmjx.physics import PHYSICS
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.statics.named import Criterion, chosen_criteria
 

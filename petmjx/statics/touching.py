@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Physics
 from petmjx.history import CARRIER
+from petmjx.physics import Physics
 from petmjx.statics.contacts import IntArray
 from petmjx.units import FloatArray
 from petmjx.world.bearing import TOUCH_M

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Triple
+from petmjx.physics import Triple
 from petmjx.units import FloatArray
 from petmjx.world.turned import rotations
 

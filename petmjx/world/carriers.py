@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 
 from petmjx.carrier import TOUCH_MM, Carrier, OwnCarrier
-from petmjx.config import Physics, Simulation, Triple
+from petmjx.config import Simulation
 from petmjx.materials import STEEL
+from petmjx.physics import Physics, Triple
 from petmjx.text import shown
 from petmjx.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.world.body import Body

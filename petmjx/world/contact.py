@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from petmjx.config import Cone, Physics, Triple
+from petmjx.physics import Cone, Physics, Triple
 from petmjx.units import FloatArray
 
 CONTACTS_PER_FACE = 4

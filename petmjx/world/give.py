@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.config import Physics, Triple
 from petmjx.history import CARRIER
+from petmjx.physics import Physics, Triple
 from petmjx.units import FloatArray
 from petmjx.world.bearing import TOUCH_M, bearing_of
 from petmjx.world.contact import CONTACTS_PER_FACE

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, Physics, Triple
 from petmjx.history import CARRIER, FLOOR
+from petmjx.physics import Cone, Physics, Triple
 from petmjx.units import FloatArray
 from petmjx.world.give import Face, gives, law_between
 from petmjx.world.pairs import LARGER, filled_up

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.carrier import extent_m
-from petmjx.config import Simulation, Triple
+from petmjx.config import Simulation
 from petmjx.history import CARRIER
+from petmjx.physics import Triple
 from petmjx.placing import EXACT, Placing
 from petmjx.plans.plan import Plan
 from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre

@@ -26,9 +26,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Physics, Triple
 from petmjx.errors import InputError
 from petmjx.history import CARRIER
+from petmjx.physics import Physics, Triple
 from petmjx.units import FloatArray
 from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import IDENTITY_QUAT, Scene

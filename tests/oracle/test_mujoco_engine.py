@@ -17,7 +17,7 @@ import pytest
 from support.plans import make_scene, stack
 
 from petmjx.carrier import Carrier
-from petmjx.config import PHYSICS, Cone, Schedule, Simulation, Thresholds
+from petmjx.config import Schedule, Simulation, Thresholds
 from petmjx.engines.base import GrowingJobs, Progress
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu import live as mujoco_live
@@ -25,6 +25,7 @@ from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
+from petmjx.physics import PHYSICS, Cone
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mjcf import to_mjcf

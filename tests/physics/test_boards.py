@@ -12,7 +12,7 @@ from support.plans import Box, make_plan
 
 import petmjx
 from petmjx.carrier import CARRIER_EXTENT_M, Carrier, OwnCarrier
-from petmjx.config import PHYSICS
+from petmjx.physics import PHYSICS
 from petmjx.units import MM_PER_M, STANDARD_GRAVITY
 from petmjx.verdict import Verdict
 from petmjx.world.carriers import PALLETS, body_of, pallet

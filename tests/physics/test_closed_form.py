@@ -9,8 +9,9 @@ import pytest
 from support.plans import Box, make_scene, stack
 
 from petmjx.carrier import Carrier
-from petmjx.config import PHYSICS, Check, Schedule, Simulation
+from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.physics import PHYSICS
 from petmjx.units import FloatArray
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Drive, Excitation, Job

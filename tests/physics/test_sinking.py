@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan, make_scene, make_world, stack
 
-from petmjx.config import PHYSICS, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import WorldResult, score_worlds
 from petmjx.engines.sinking import note_softness, sinking_m, stiffened
+from petmjx.physics import PHYSICS
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene

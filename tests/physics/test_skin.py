@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.plans import make_scene
 
-from petmjx.config import PHYSICS, Physics
+from petmjx.physics import PHYSICS, Physics
 from petmjx.units import FloatArray
 from petmjx.world.mjcf import to_mjcf
 from petmjx.world.model import build_spec

@@ -23,8 +23,9 @@ from support.plan_files import order, placement, tower
 from support.sound_files import KINDS
 
 from petmjx.bounded import read_regular
-from petmjx.config import Physics, Simulation
+from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.physics import Physics
 from petmjx.plans import read as reading
 from petmjx.plans import unpack
 from petmjx.plans.read import load_plans

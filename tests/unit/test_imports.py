@@ -26,7 +26,7 @@ LAYERS: tuple[frozenset[str], ...] = (
             "hull",
         }
     ),
-    frozenset({"carrier", "materials", "placing", "wrap", "config"}),
+    frozenset({"carrier", "materials", "placing", "wrap", "physics", "config"}),
     frozenset({"run_options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),

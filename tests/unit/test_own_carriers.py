@@ -16,8 +16,9 @@ from support.sound_files import own_carrier
 
 import petmjx
 from petmjx.carrier import MOST_BOARDS, OwnCarrier, read_carrier
-from petmjx.config import PHYSICS, Simulation
+from petmjx.config import Simulation
 from petmjx.errors import InputError
+from petmjx.physics import PHYSICS
 from petmjx.world.carriers import carrier_notes, floor_z_m
 from petmjx.world.scene import build_scene
 

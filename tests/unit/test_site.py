@@ -9,7 +9,8 @@ import pytest
 
 import petmjx
 from petmjx.cli.main import app
-from petmjx.config import Physics, Quiet, Simulation, Thresholds
+from petmjx.config import Quiet, Simulation, Thresholds
+from petmjx.physics import Physics
 from petmjx.run_options import Confidence, RunOptions
 from tools import reference
 

@@ -11,11 +11,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
 from petmjx.metrics.force_np import top_forces
+from petmjx.physics import Cone
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies

@@ -10,7 +10,7 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Cone, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, RunLock
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.setup import set_up_jax, set_up_warp
@@ -28,6 +28,7 @@ from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.errors import EngineUnavailable, InputError
 from petmjx.machine import why_no_warp
+from petmjx.physics import Cone
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
