@@ -14,7 +14,8 @@ from petmjx.config import Simulation, Thresholds
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.state import Status, take_rows
 from petmjx.engines.warp.next_box import NewBox
-from petmjx.engines.warp.open_worlds import Open, Simulator, WarpWorlds
+from petmjx.engines.warp.open_worlds import WarpWorlds
+from petmjx.engines.warp.simulator import Open, Simulator
 from petmjx.errors import InputError
 from petmjx.history import CARRIER
 from petmjx.jax.told import ENDED, REASONS, Told

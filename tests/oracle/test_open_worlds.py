@@ -26,7 +26,8 @@ from support.worlds import boxes_by_plan, make_plan
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.batch.state import upload_worlds
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.open_worlds import Open, fork
+from petmjx.engines.warp.open_worlds import fork
+from petmjx.engines.warp.simulator import Open
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 

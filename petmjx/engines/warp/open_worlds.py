@@ -1,45 +1,37 @@
 """Worlds that stay open on the engine mjx-warp. Their states lie on the device, and stay there from call to call.
 
-``Open`` is a pytree, and what changes it are pure functions of it, so that jitted programs can call them:
-``WarpWorlds`` has the same for the host.
+The pure functions that change them: petmjx/engines/warp/simulator.py. ``WarpWorlds`` has the same for the host.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import warp as wp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from petmjx.config import Check, Simulation
+from petmjx.config import Simulation
 from petmjx.engines.batch.outcomes import outcomes, pick
-from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import (
-    NEVER,
-    Metrics,
     State,
     Status,
     Worlds,
-    fresh_state,
     put_rows,
     take_rows,
     upload_worlds,
     uploaded,
 )
-from petmjx.engines.batch.timetable import Timetable, build_timetable
+from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import Batch, load, round_up
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import OpenWorlds, Reading, Readings
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
-from petmjx.engines.warp.launch import Launch
-from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
-from petmjx.engines.warp.next_box import NewBox, new_box, readings_of, with_new_box
-from petmjx.engines.warp.programs import constants
+from petmjx.engines.warp.next_box import NewBox, new_box, readings_of
+from petmjx.engines.warp.simulator import Open, Simulator
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.next_boxes import NextBoxes, Stacks
@@ -47,123 +39,6 @@ from petmjx.world.scene import Scene
 
 MOST_TRIED: Final = 16_384
 """Candidates that are simulated side by side. With 80 boxes each takes 27 kB."""
-
-
-class Open(NamedTuple):
-    """Open worlds: what is constant about them until boxes are put in, and their states."""
-
-    worlds: Worlds
-    state: State
-
-
-class Simulator:
-    """The pure functions of open worlds.
-
-    Args:
-        most_boxes: of a world.
-        boards: most shapes of a carrier.
-        room: how much larger than usual buffers are.
-        threads: of a CPU; None: one.
-    """
-
-    def __init__(
-        self,
-        sim: Simulation,
-        timetable: Timetable,
-        most_boxes: int,
-        boards: int,
-        room: int = 1,
-        threads: int | None = None,
-    ) -> None:
-        launch = Launch.here(most_boxes, hands=True, gives=True, wraps=True)
-        shapes = room * (most_boxes + MORE_BOXES) + boards - 1
-        pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        fleet = Fleet(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
-        self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
-        self._sim, self._timetable = sim, timetable
-        self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
-        self._driving = Rules(sim, timetable, most_boxes, driven=True)
-
-    def load(self) -> None:
-        """Compile the kernel, or take it from Warp's cache."""
-        self._march.load()
-
-    def begin(self, worlds: Worlds) -> State:
-        """States of worlds before their soft start."""
-        static = self._sim.check is Check.STATIC
-        ends = jnp.full(len(worlds.n_boxes), NEVER, jnp.int32)
-        fresh: State = fresh_state(worlds, all_placed=static, ends=ends, rest_steps=self._timetable.rest_steps)
-        return fresh
-
-    def put(self, open_: Open, rows: Int[Array, " row"], worlds: Worlds) -> Open:
-        """Give worlds more boxes. In those that are paused the first of them is placed.
-
-        Args:
-            rows: which; rows beyond the last world are left out.
-            worlds: their constants, with the boxes that they had and more.
-        """
-        after = put_rows(open_.worlds, rows, worlds)
-        state = open_.state
-        goes = (state.status == Status.PAUSED) & (state.placed < after.n_boxes)
-        state = self._placing.place_next(self._noting_motion(state, goes), after, goes)
-        return Open(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
-
-    def put_next(self, open_: Open, rows: Int[Array, " row"], box: NewBox) -> Open:
-        """As ``put``, one box each, which appears at its place."""
-        return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
-
-    def finish(self, open_: Open) -> State:
-        """Paused worlds begin their rest window, or their drive, as their constants say."""
-        state, worlds = open_.state, open_.worlds
-        goes = state.status == Status.PAUSED
-        settles = goes & worlds.settles & (not self._sim.waits_for_rest)
-        rests = goes & ~settles
-        state = self._noting_motion(state, settles)
-        return state._replace(
-            rest_from=jnp.where(rests, state.step, state.rest_from),
-            end=jnp.where(rests, state.step + self._timetable.rest_steps, state.end),
-            driven_from=jnp.where(settles, state.step, state.driven_from),
-            status=jnp.where(settles, Status.SETTLED, jnp.where(rests, Status.RUNNING, state.status)),
-        )
-
-    def go_on(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
-        """Let worlds go on until each has paused or ended, or has no room in its buffers."""
-
-        def going(open_: Open) -> Bool[Array, ""]:
-            return self.going(open_)
-
-        def on(open_: Open) -> Open:
-            return self.time_slice(open_, profiles)
-
-        return jax.lax.while_loop(going, on, open_)
-
-    @staticmethod
-    def going(open_: Open) -> Bool[Array, ""]:
-        """Whether any world goes on."""
-        state, driven = open_.state, open_.worlds.driven
-        return (state.running | ((state.status == Status.SETTLED) & driven)).any()
-
-    def time_slice(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
-        """Let worlds go on for a time slice."""
-        worlds, n = open_.worlds, len(open_.worlds.n_boxes)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
-        flat = self._driving.begin_drives(open_.state, worlds)._asdict()
-        flat |= flat.pop("metrics")._asdict()
-        after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
-        metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
-        return Open(worlds, State(**after, metrics=metrics))
-
-    def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
-        """The flag of worlds that go on although they are not at rest."""
-        moves = goes & (state.metrics.culprit < 0) & (state.quiet_steps < self._sim.quiet.steps)
-        return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
-
-
-def _no_frames(n_worlds: int, n_boxes: int) -> dict[str, jax.Array]:
-    """Room for frames where no world is recorded."""
-    shapes = records.array_shapes(records.FrameBuffer, {"frame": 1, "box": n_boxes, "world": n_worlds})
-    kinds = records.array_types(records.FrameBuffer)
-    return {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}
 
 
 def fork(open_: Open, sources: Int[Array, " row"], into: Int[Array, " row"]) -> Open:
