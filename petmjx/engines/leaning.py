@@ -109,9 +109,7 @@ def _passed_on(bearing: Bearing, own: FloatArray) -> tuple[FloatArray, FloatArra
 
 def leaning(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
     """Of which unstable worlds soft contacts may be the reason: boxes lean too far, or a load that the plan has inside
-    the edge may have gone beyond it."""
-    if not outcomes:
-        return []
+    the edge may have gone beyond it. There is one at least."""
     placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
     bearing = together([bearing_of(scene) for scene in scenes])
     load = bearing.loads(placed)

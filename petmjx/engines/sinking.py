@@ -169,9 +169,10 @@ def note_softness(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Sim
             found[k] = _softened(outcome, sim, sank=elliptic)
         elif elliptic and outcome.verdict is Verdict.UNSTABLE:
             may_lean.append(k)
-    leans = leaning([outcomes[k] for k in may_lean], [scenes[k] for k in may_lean], sim)
-    for k in compress(may_lean, leans):
-        found[k] = _softened(outcomes[k], sim, sank=False)
+    if may_lean:
+        leans = leaning([outcomes[k] for k in may_lean], [scenes[k] for k in may_lean], sim)
+        for k in compress(may_lean, leans):
+            found[k] = _softened(outcomes[k], sim, sank=False)
     return found
 
 
