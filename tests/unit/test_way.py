@@ -83,8 +83,10 @@ def way_of(run: Any, package: Path) -> Way:
 @pytest.fixture(scope="module")
 def way() -> Way:
     run = partial(petmjx.score, [make_plan("p", stack(3))], engine="mujoco", threads=1)
-    run()  # what is read and made once
-    return way_of(run, Path(petmjx.__file__).parent)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delitem(sys.modules, "IPython", raising=False)  # which other tests import: a notebook has a longer way
+        run()  # what is read and made once
+        return way_of(run, Path(petmjx.__file__).parent)
 
 
 def test_a_score_crosses_few_files(way: Way) -> None:
