@@ -18,9 +18,10 @@ from petmjx.errors import InputError
 from petmjx.plans.samples import LeftOut, as_placements, generate, generate_one, pack_orders
 from petmjx.plans.samples import parallel as parallel_module
 from petmjx.plans.samples.balance import MARGIN_M, MARGIN_SHARE, Balance, hull_planes
-from petmjx.plans.samples.balanced import LEAST_SUPPORT, TASTES, pack_balanced
+from petmjx.plans.samples.balanced import TASTES, pack_balanced
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, draw_order
 from petmjx.plans.samples.packer import MAX_HEIGHT_MM, PackRules, Placed, pack_best
+from petmjx.plans.samples.packing import LEAST_SUPPORT
 from petmjx.plans.samples.parallel import in_order
 
 EPS = 1e-6

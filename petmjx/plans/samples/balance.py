@@ -14,6 +14,7 @@ however high the pile is. Forces are in kg (without g, which cancels), lengths i
 
 from __future__ import annotations
 
+import copy
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -66,6 +67,16 @@ class Balance:
         self._passed = np.zeros((capacity, capacity, 3, 3))
         self._planes = np.zeros((0, 3))
         self._owner: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+    def copy(self) -> Balance:
+        """The same pile, which goes its own way."""
+        twin, n = copy.copy(self), self.n
+        twin._low, twin._high, twin._top_mm, twin._load = (
+            rows.copy() for rows in (self._low, self._high, self._top_mm, self._load)
+        )
+        twin._passed = np.zeros_like(self._passed)  # pages that nobody writes cost nothing
+        twin._passed[:n, :n] = self._passed[:n, :n]
+        return twin
 
     @property
     def loads(self) -> FloatArray:

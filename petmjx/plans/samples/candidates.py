@@ -7,6 +7,7 @@ and the few new points with all boxes.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -45,6 +46,14 @@ class Candidates:
         self._n = 0
         self._known: set[tuple[float, float]] = set()
         self._add_points([(0.0, 0.0)])
+
+    def copy(self) -> Candidates:
+        """The same table, which goes its own way."""
+        twin = copy.copy(self)
+        twin.open, twin._known = self.open.copy(), set(self._known)
+        # the other tables are replaced when they change
+        twin._low, twin._high = _copied(self._low, self._n), _copied(self._high, self._n)
+        return twin
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
         """Forget the shapes of which no box is left."""
@@ -119,6 +128,13 @@ class Candidates:
         reached: FloatArray = np.where(in_way & (ends <= start[:, None] + TOUCH_MM), ends, 0.0).max(axis=1)
         found: list[float] = reached.tolist()
         return found
+
+
+def _copied(rows: FloatArray, n: int) -> FloatArray:
+    """The first n rows, in an array with room for as many."""
+    twin = np.empty_like(rows)
+    twin[:n] = rows[:n]
+    return twin
 
 
 def _overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

@@ -1,0 +1,172 @@
+"""A packing as it grows: the pile, the items that are left, and which box could go where next.
+
+A packing can be copied, so that a search follows several ways on from it.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.plans.samples.balance import TOUCH_MM, Balance, Rest
+from petmjx.plans.samples.candidates import Candidates
+from petmjx.plans.samples.orders import Item
+from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
+from petmjx.units import FloatArray
+
+LEAST_SUPPORT: Final = 0.5
+"""Least share of a base that rests on something. The balance is the rule that counts; this one keeps overhangs few."""
+
+
+@dataclass(frozen=True)
+class Taste:
+    """What the features of a candidate are worth, in mm of height of its place.
+
+    Attributes:
+        per_base_side: per mm of the square root of the base area.
+        per_log_weight: per unit of the natural logarithm of the weight.
+        per_height: per mm of the box's own height.
+        per_overhang: what a base loses that hangs over as a whole.
+        per_distance: what a place loses per mm of x + y: of places equally good, the one nearest to the corner.
+    """
+
+    per_base_side: float = 1.4
+    per_log_weight: float = 40.0
+    per_height: float = 0.25
+    per_overhang: float = 40.0
+    per_distance: float = 0.01
+
+
+class Next(NamedTuple):
+    """A box that could come next: the row and column of a candidate, its corner in mm, and what it would do to the
+    balance."""
+
+    point: int
+    shape: int
+    corner_mm: tuple[float, float, float]
+    rest: Rest
+
+
+class Packing:
+    """Boxes on a target, and items that are left.
+
+    Attributes:
+        placed: boxes in packing order, as objects of the items.
+        top_mm: highest top.
+        volume_m3: of the boxes.
+        moment_kg_mm: Σ mass × height of the middle: of packings equally high, the one with less stands better.
+
+    Args:
+        items: of one order.
+        extent_mm: of the target, along x and y.
+        clearance_mm: free space that each box keeps to its neighbours along x and y.
+    """
+
+    def __init__(
+        self, items: Sequence[Item], extent_mm: tuple[float, float], taste: Taste, clearance_mm: float = 0.0
+    ) -> None:
+        kinds: dict[Item, list[Item]] = {}
+        for item in items:
+            kinds.setdefault(item, []).append(item)
+        self.placed: list[Placed] = []
+        self.top_mm = self.volume_m3 = self.moment_kg_mm = 0.0
+        self._stock = [list(reversed(same)) for same in kinds.values()]
+        shapes = [
+            (kind, orientation)
+            for kind, item in enumerate(kinds)
+            for orientation in ((0, 1) if item.length_mm != item.width_mm else (0,))
+        ]
+        firsts = list(kinds)
+        self._kind_of, self._turned = np.array(shapes, dtype=np.intp).reshape(-1, 2).T
+        sizes = np.array([_size(firsts[kind], turned) for kind, turned in shapes], dtype=np.float64).reshape(-1, 3)
+        self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
+        self._worth = _worth(sizes, self._weight, taste)
+        self._taste = taste
+        # a box with its free space beside it, on a target that has room for the last one's
+        base, (length, width) = sizes[:, :2] + clearance_mm, extent_mm
+        extent = (length + clearance_mm, width + clearance_mm)
+        self._table = Candidates(base, sizes[:, 2], extent, len(items))
+        self._pile = Balance(len(items))
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left."""
+        return not len(self._kind_of)
+
+    def copy(self) -> Packing:
+        """The same packing, which goes its own way."""
+        twin = copy.copy(self)
+        twin.placed, twin._stock = list(self.placed), [list(same) for same in self._stock]
+        twin._table, twin._pile = self._table.copy(), self._pile.copy()
+        return twin
+
+    def next(self, count: int = 1) -> list[Next]:
+        """The best candidates that keep the pile in balance, at most ``count``, the best first."""
+        table, weight = self._table, self._weight
+        support = table.carried / table.area
+        cost = table.z - self._worth + self._taste.per_overhang * (1 - support)
+        cost += self._taste.per_distance * table.points.sum(axis=1)[:, None]
+        fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - 1e-9)
+        cost = np.where(table.open & fits, cost, np.inf)
+        found: list[Next] = []
+        while cost.size and len(found) < count:
+            point, shape = divmod(int(cost.argmin()), len(weight))
+            if cost[point, shape] == np.inf:
+                break
+            cost[point, shape] = np.inf
+            corner = (*table.points[point].tolist(), float(table.z[point, shape]))
+            width, depth = table.base[shape].tolist()
+            rest = self._pile.rest(corner, (width, depth), float(weight[shape]))
+            if rest is None:
+                table.open[point, shape] = False
+            else:
+                found.append(Next(point, shape, corner, rest))
+        return found
+
+    def put(self, chosen: Next) -> None:
+        """Place one of the candidates that ``next`` found last."""
+        point, shape, corner, rest = chosen
+        kind, height = int(self._kind_of[shape]), float(self._table.height[shape])
+        self._pile.add(corner, (*self._table.base[shape].tolist(), height), rest)
+        item = self._stock[kind].pop()
+        self.placed.append(Placed(item, int(self._turned[shape]), corner))
+        self.top_mm = max(self.top_mm, corner[2] + height)
+        self.volume_m3 += item.volume_m3
+        self.moment_kg_mm += item.weight_kg * (corner[2] + height / 2)
+        self._table.place(point, shape)
+        if not self._stock[kind]:
+            self._keep_shapes(self._kind_of != kind)
+
+    def fill(self, highest_mm: float = inf) -> bool:
+        """Place the best candidate after the other until none is left. False: given up, since a top is higher."""
+        while self.top_mm <= highest_mm:
+            best = self.next()
+            if not best:
+                return True
+            self.put(best[0])
+        return False
+
+    def _keep_shapes(self, kept: NDArray[np.bool_]) -> None:
+        self._table.keep_shapes(kept)
+        self._kind_of, self._turned = self._kind_of[kept], self._turned[kept]
+        self._weight, self._worth = self._weight[kept], self._worth[kept]
+
+
+def _size(item: Item, orientation: int) -> tuple[float, float, float]:
+    base = (item.length_mm, item.width_mm)
+    return (*(base if orientation == 0 else base[::-1]), item.height_mm)
+
+
+def _worth(sizes: FloatArray, weight: FloatArray, taste: Taste) -> FloatArray:
+    """(s,) what shapes are worth wherever they go, in mm; (s, 3) sizes, (s,) weights."""
+    side = np.sqrt(sizes[:, 0] * sizes[:, 1])
+    worth: FloatArray = (
+        taste.per_base_side * side + taste.per_log_weight * np.log(weight) + taste.per_height * sizes[:, 2]
+    )
+    return worth
