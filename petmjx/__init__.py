@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from petmjx.loop.scorer import Scored, Scorer
     from petmjx.loop.told import Told
     from petmjx.packers.compare import compare_packers
+    from petmjx.packing.pack import Packed, pack
     from petmjx.pages.leaderboard.make import leaderboard
     from petmjx.pages.report.make import report
     from petmjx.pages.told import tell
@@ -79,6 +80,8 @@ _HOME = {
     "kpis": "petmjx.rating.kpis",
     "leaderboard": "petmjx.pages.leaderboard.make",
     "loads": "petmjx.results.loads",
+    "Packed": "petmjx.packing.pack",
+    "pack": "petmjx.packing.pack",
     "merge_runs": "petmjx.sweeps.merge",
     "RunResults": "petmjx.results.reader",
     "load_run": "petmjx.results.reader",
@@ -94,6 +97,7 @@ __all__ = [
     "EngineUnavailable",
     "History",
     "InputError",
+    "Packed",
     "Pallets",
     "PetmjxError",
     "Physics",
@@ -123,6 +127,7 @@ __all__ = [
     "load_run",
     "loads",
     "merge_runs",
+    "pack",
     "report",
     "save_plans",
     "score",

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
 from pydantic.fields import FieldInfo
@@ -76,7 +76,7 @@ class _Option:
     def kind(self) -> Any:
         """The type of the value: the field's if it is plain, else text, which the record checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
-        if str in kinds:
+        if str in kinds or get_origin(self.info.annotation) is tuple:
             return str
         return next((kind for kind in kinds if kind in (int, float, bool, Path)), str)
 
@@ -92,7 +92,8 @@ class _Option:
         elif isinstance(value, bool):
             default = "on" if value else ""
         else:
-            default = f"{value:g}" if isinstance(value, float) else str(value)
+            values = value if isinstance(value, tuple) else (value,)
+            default = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
         return f"{text[:1].upper()}{text[1:]}." + (f" [default: {default}]" if default else "")
 
     @property

@@ -8,9 +8,12 @@ from typing import Annotated, Any, Final
 import typer
 
 from petmjx.cli import options as opt
+from petmjx.cli.physical import write_physical
 from petmjx.errors import InputError
+from petmjx.packing.options import PHYSICAL, PhysicalOptions
 from petmjx.plans.samples import DEFAULT_LOOSE_SHARE, LeftOut
 from petmjx.plans.samples.packers import BASELINE
+from petmjx.run_options import Confidence
 from petmjx.text import counted, printable
 from petmjx.whole import check_free
 
@@ -18,6 +21,11 @@ MOST_SHOWN: Final = 10
 """Drawn orders with boxes left out that get a line of their own."""
 
 
+@opt.takes(
+    *PhysicalOptions.model_fields,
+    *("engine", "threads", "lanes", "errors"),
+    more=((PhysicalOptions, "The packer physical"), (Confidence, "The packer physical")),
+)
 def samples(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; *.gz is gzipped.")],
     n: Annotated[int, typer.Option("-n", metavar="N", help="Number of plans, 1 to 200,000.")] = 100,
@@ -44,7 +52,8 @@ def samples(
         typer.Option(
             "--packer",
             metavar="NAME",
-            help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance.  "
+            help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance; "
+            "physical: denser still, of packings that stand in simulation, also as a robot places them.  "
             "[default: baseline, with some loose plans]",
             show_default=False,
         ),
@@ -55,16 +64,21 @@ def samples(
             "--workers",
             metavar="N",
             min=1,
-            help="Processes that pack. The plans do not depend on it.  [default: one for each CPU]",
+            help="Processes that pack (physical: that search). The plans do not depend on it.  "
+            "[default: one for each CPU]",
             show_default=False,
         ),
     ] = None,
     overwrite: opt.Overwrite = False,
+    **options: Any,
 ) -> None:
-    """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a simple packer.
+    """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a packer.
 
     Without --packer it is a mixed set: about half of it is packed too loosely on purpose, so that some plans stand and
     some fall. Name the packer to compare it with others: then none is.
+
+    The packer physical simulates several packings of each order and takes the densest that stands often enough; it
+    takes seconds an order on CPUs.
 
     With --orders it packs the orders of a file instead; -n and --loose-share then do not apply. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
@@ -77,6 +91,11 @@ def samples(
     if is_csv(out) or is_parquet_name(out):
         raise InputError(f"{out}: samples are written as JSON; use petmjx convert to make a table")
     check_free(out, overwrite, [orders] if orders is not None else ())
+    if packer == PHYSICAL:
+        write_physical(out, orders, n, seed, workers or cpu_threads(), options)
+        return
+    if options:
+        raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
     bad: list[InputError] = []
     left_out: list[LeftOut] = []
     written = 0

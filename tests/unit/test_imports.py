@@ -38,6 +38,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"simulate", "sweeps", "statics", "rating"}),
     frozenset({"option_types", "notebook"}),
     frozenset({"api", "packers", "story"}),
+    frozenset({"packing"}),
     frozenset({"show", "pages", "pictures", "figures"}),
     frozenset({"loop"}),
     frozenset({"gym", "jax"}),

@@ -222,6 +222,11 @@ def _pack_read(numbered: tuple[int, tuple[str, Order]], seed: int, packer: str, 
 
 def _pack(order_id: str, order: Order, packer: str, rules: PackRules | None, rng: np.random.Generator) -> _Packed:
     placed = packer_named(packer)(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
+    return order_id, as_placements(placed), left_out_of(order_id, order, placed)
+
+
+def left_out_of(order_id: str, order: Order, placed: Iterable[Placed]) -> LeftOut | None:
+    """What a packing leaves out of an order; None: nothing."""
     there = Counter(box.item for box in placed)
     missing = []
     # drawn orders have no numbers of their own: their items count from 1
@@ -229,8 +234,7 @@ def _pack(order_id: str, order: Order, packer: str, rules: PackRules | None, rng
         there[item] -= 1
         if there[item] < 0:
             missing.append(number)
-    left_out = LeftOut(order_id, len(order.items), tuple(missing)) if missing else None
-    return order_id, as_placements(placed), left_out
+    return LeftOut(order_id, len(order.items), tuple(missing)) if missing else None
 
 
 def _plans(

@@ -71,9 +71,8 @@ class Balance:
     def copy(self) -> Balance:
         """The same pile, which goes its own way."""
         twin, n = copy.copy(self), self.n
-        twin._low, twin._high, twin._top_mm, twin._load = (
-            rows.copy() for rows in (self._low, self._high, self._top_mm, self._load)
-        )
+        twin._low, twin._high = self._low.copy(), self._high.copy()
+        twin._top_mm, twin._load = self._top_mm.copy(), self._load.copy()
         twin._passed = np.zeros_like(self._passed)  # pages that nobody writes cost nothing
         twin._passed[:n, :n] = self._passed[:n, :n]
         return twin

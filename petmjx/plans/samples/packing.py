@@ -57,6 +57,7 @@ class Packing:
     """Boxes on a target, and items that are left.
 
     Attributes:
+        n_items: boxes of the order.
         placed: boxes in packing order, as objects of the items.
         top_mm: highest top.
         volume_m3: of the boxes.
@@ -74,6 +75,7 @@ class Packing:
         kinds: dict[Item, list[Item]] = {}
         for item in items:
             kinds.setdefault(item, []).append(item)
+        self.n_items = len(items)
         self.placed: list[Placed] = []
         self.top_mm = self.volume_m3 = self.moment_kg_mm = 0.0
         self._stock = [list(reversed(same)) for same in kinds.values()]
@@ -93,11 +95,6 @@ class Packing:
         extent = (length + clearance_mm, width + clearance_mm)
         self._table = Candidates(base, sizes[:, 2], extent, len(items))
         self._pile = Balance(len(items))
-
-    @property
-    def done(self) -> bool:
-        """Whether nothing is left."""
-        return not len(self._kind_of)
 
     def copy(self) -> Packing:
         """The same packing, which goes its own way."""

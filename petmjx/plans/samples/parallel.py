@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from typing import Final, TypeVar
 
 ALONE: Final = 256
-"""Fewer tasks than this are done in this process: other processes would take longer to start."""
+"""Fewer tasks of milliseconds are done in this process: other processes would take longer to start."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
@@ -20,26 +20,35 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
-def in_order(function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+def in_order(
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    workers: int,
+    *,
+    alone: int = ALONE,
+    chunk: int = _CHUNK,
+) -> Iterator[Result]:
     """``function`` of each task. What comes out does not depend on ``workers``.
 
     Args:
         function: a function of a module (or ``functools.partial`` of one), since other processes import it.
         tasks: read as far ahead as is needed, in this process.
         workers: how many processes; 1: this one. Scripts that ask for more need ``if __name__ == "__main__":``.
+        alone: fewer tasks than this are done in this process.
+        chunk: tasks that another process gets at a time.
     """
     tasks = iter(tasks)
-    first = list(islice(tasks, ALONE)) if workers > 1 else []
+    first = list(islice(tasks, alone)) if workers > 1 else []
     everything = chain(first, tasks)
-    if len(first) < ALONE:
+    if len(first) < alone:
         yield from map(function, everything)
         return
     # fresh processes: a forked one would hang where a thread of this one held a lock
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
         waiting: deque[Future[list[Result]]] = deque()
-        while chunk := list(islice(everything, _CHUNK)):
-            waiting.append(pool.submit(_each, function, chunk))
+        while some := list(islice(everything, chunk)):
+            waiting.append(pool.submit(_each, function, some))
             if len(waiting) >= _CHUNKS_AHEAD * workers:
                 yield from waiting.popleft().result()
         while waiting:

@@ -1,0 +1,77 @@
+"""``petmjx samples --packer physical``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import typer
+
+from petmjx.errors import InputError
+from petmjx.text import counted, printable, shown
+
+MOST_NAMED: Final = 10
+"""Orders of a kind that get a line of their own, or are named in one."""
+
+
+def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: int, options: Mapping[str, Any]) -> None:
+    """Pack orders by search and physics, write their plans, and say what came of them."""
+    from petmjx.packing.pack import Packed, orders_of, pack_each
+    from petmjx.packing.packed import PackedOrder
+    from petmjx.plans.samples import Placement, write_plans
+    from petmjx.show.progress import progress
+
+    bad: list[InputError] = []
+    each: list[PackedOrder] = []
+
+    def plans() -> Iterator[tuple[str, list[Placement]]]:
+        found = orders_of(orders, n if orders is None else None, seed, bad.append)
+        for packed in pack_each(found, workers=workers, **options):
+            each.append(packed)
+            bar.update(len(each))
+            if packed.taken is not None:
+                yield packed.order_id, packed.placements
+
+    try:
+        with progress(n if orders is None else None) as bar:
+            write_plans(out, plans())
+    finally:  # they say why there may be no plan to write
+        for error in bad:
+            typer.echo(f"skipped: {printable(str(error))}", err=True)
+    packed = Packed(tuple(each))
+    for line in (*_left_out(each, named=orders is not None), *_not_good(each), *_in_short(packed, out)):
+        print(line)
+
+
+def _left_out(each: list[Any], *, named: bool) -> Iterator[str]:
+    """A line for each order with boxes left out; of drawn orders for the first ones."""
+    found = [packed for packed in each if packed.left_out]
+    few = found if named else found[:MOST_NAMED]
+    for packed in few:
+        yield f"{packed.left_out}: {packed.why}"
+    if len(found) > len(few):
+        yield f"{counted(len(found) - len(few), 'more order')} with boxes left out"
+
+
+def _not_good(each: list[Any]) -> Iterator[str]:
+    """A line that names orders without a packing that stands as often as asked for."""
+    found = [packed for packed in each if packed.taken is not None and not packed.good]
+    if found:
+        names = ", ".join(
+            f"{shown(packed.order_id)} ({100 * packed.taken.share:.0f} %)" for packed in found[:MOST_NAMED]
+        )
+        more = ", …" if len(found) > MOST_NAMED else ""
+        verb = "has" if len(found) == 1 else "have"
+        yield f"{counted(len(found), 'order')} {verb} no packing that stands as often as asked for: {names}{more}"
+
+
+def _in_short(packed: Any, out: Path) -> Iterator[str]:
+    table = packed.orders
+    table = table[table["boxes"] > 0]
+    boxes, orders = int(packed.orders["left_out"].sum()), int((packed.orders["left_out"] > 0).sum())
+    left = f"; {counted(boxes, 'box', 'boxes')} of {counted(orders, 'order')} left out" if orders else ""
+    yield f"{counted(len(table), 'plan')} in {printable(str(out))}{left}"
+    standing = int((table["verdict"] == "stable").sum())
+    sure = f", {100 * table['share'].mean():.1f} % of worlds with errors" if table["n_worlds"].any() else ""
+    yield f"utilisation {table['utilisation'].mean():.3f}; {standing:,} stand placed exactly{sure}"

@@ -1,0 +1,1 @@
+"""Orders packed by packers that ask physics."""

@@ -1,0 +1,54 @@
+"""The packings of an order among which physics decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from petmjx.packing.options import PhysicalOptions
+from petmjx.plans.samples.beam import Found, search
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
+from petmjx.plans.samples.packer import Placed
+from petmjx.units import MM_PER_M
+
+
+@dataclass(frozen=True)
+class Finalist:
+    """A packing of an order.
+
+    Attributes:
+        placed: boxes in packing order.
+        clearance_mm: free space between neighbours.
+        volume_m3: of the boxes.
+        height_mm: highest top.
+        utilisation: volume over area of the target × height (BED-BPP's kpi_2).
+    """
+
+    placed: tuple[Placed, ...]
+    clearance_mm: float
+    volume_m3: float
+    height_mm: float
+    utilisation: float
+
+
+def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
+    """The best packing found with each clearance, the best first: most volume, then most utilisation.
+
+    If all of them leave boxes out, also the best one without clearance. None where no box has a place.
+    """
+    found = {clearance: _searched(order, clearance, options) for clearance in options.clearances_mm}
+    if 0.0 not in found and all(len(each.placed) < len(order.items) for each in found.values()):
+        found[0.0] = _searched(order, 0.0, options)
+    there = [_finalist(order, clearance, each) for clearance, each in found.items() if each.placed]
+    return sorted(there, key=lambda each: (each.volume_m3, each.utilisation), reverse=True)
+
+
+def _searched(order: Order, clearance_mm: float, options: PhysicalOptions) -> Found:
+    extent_mm = TARGET_EXTENT_MM[order.target]
+    return search(order.items, extent_mm, clearance_mm, width=options.width, branch=options.branch)
+
+
+def _finalist(order: Order, clearance_mm: float, found: Found) -> Finalist:
+    length, width = TARGET_EXTENT_MM[order.target]
+    space_m3 = length * width * found.height_mm / MM_PER_M**3
+    volume = found.worth.volume_m3
+    return Finalist(found.placed, clearance_mm, volume, found.height_mm, volume / space_m3)

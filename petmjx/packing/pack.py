@@ -1,0 +1,138 @@
+"""``petmjx.pack``: orders packed so that their plans stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import pandas as pd
+
+from petmjx.arguments import path_of, whole_of
+from petmjx.config import Simulation
+from petmjx.errors import InputError
+from petmjx.packing.options import PhysicalOptions
+from petmjx.packing.packed import PackedOrder
+from petmjx.packing.physical import pack_physical
+from petmjx.plans.gather import PathArgument
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import MOST_SAMPLES, write_plans
+from petmjx.plans.samples.order_files import read_orders
+from petmjx.plans.samples.orders import Order, draw_order
+from petmjx.run_options import MOST_WORKERS, Confidence, RunOptions, sorted_options
+
+OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
+"""Of ``RunOptions``, those that say how packings are simulated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Orders that were packed.
+
+    Attributes:
+        each: what came of each order, in the order given.
+    """
+
+    each: tuple[PackedOrder, ...]
+
+    @property
+    def plans(self) -> list[Plan]:
+        """The plans, of orders of which a box has a place: ``petmjx.score`` and ``petmjx.save_plans`` take them."""
+        return [packed.plan for packed in self.each if packed.plan is not None]
+
+    @property
+    def orders(self) -> pd.DataFrame:
+        """A row an order: ``plan_id``; ``order_boxes``, of which ``boxes`` are placed and ``left_out`` are not (``why``
+        says for what reason); ``utilisation`` (volume over area of the target × height), ``height_mm``,
+        ``clearance_mm``; ``verdict``, placed exactly; of ``n_worlds`` with errors ``n_standing`` stand, a ``share``
+        with its Wilson 95 % interval ``low``, ``high``; ``tried``: packings simulated; ``good``: whether it stands as
+        often as asked for."""
+        return pd.DataFrame([packed.row() for packed in self.each])
+
+    def __repr__(self) -> str:
+        orders = self.orders
+        return (
+            f"Packed({len(self.each)} orders, utilisation {orders['utilisation'].mean():.3f}, "
+            f"share that stands with errors {orders['share'].mean():.3f})"
+        )
+
+    def save(self, path: PathArgument) -> None:
+        """Write the plans to a file of BED-BPP's JSON, gzipped if it is named ``*.gz``.
+
+        Raises:
+            InputError: there is no plan, or the file cannot be written.
+        """
+        write_plans(path_of(path, "path"), ((each.order_id, each.placements) for each in self.each if each.taken))
+
+
+def pack(
+    orders: PathArgument | None = None,
+    *,
+    n: int | None = None,
+    seed: int = 0,
+    workers: int = 1,
+    on_bad_order: Callable[[InputError], None] | None = None,
+    **options: Any,
+) -> Packed:
+    """Pack orders with the packer ``physical``: densely, and so that the plans stand in simulation, placed exactly and
+    with the errors of a robot.
+
+    ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
+
+    Nothing is drawn at random but the errors, which depend on plan ids alone: an order has one plan on an engine.
+
+    Args:
+        orders: file of BED-BPP orders; None: ``n`` drawn ones, as of ``petmjx samples``.
+        n, seed: how many drawn orders, and of which seed.
+        workers: processes that search; they change no plan. Scripts that ask for more than one need
+            ``if __name__ == "__main__":``.
+        on_bad_order: called with the error of an unusable order, which is then skipped.
+        options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
+            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``.
+
+    Raises:
+        InputError: unusable orders or options.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+    return Packed(tuple(pack_each(orders_of(orders, n, seed, on_bad_order), workers=workers, **options)))
+
+
+def pack_each(orders: Iterable[tuple[str, Order]], *, workers: int = 1, **options: Any) -> Iterator[PackedOrder]:
+    """What ``pack`` makes of each order, as soon as it is known.
+
+    Args:
+        orders: id and order.
+        options: as of ``pack``. They are checked before the first order is taken.
+    """
+    asked, how = _sorted(options)
+    return pack_physical(orders, asked, how, whole_of(workers, "workers", 1, MOST_WORKERS))
+
+
+def orders_of(
+    orders: PathArgument | None,
+    n: int | None,
+    seed: int,
+    on_bad_order: Callable[[InputError], None] | None = None,
+) -> Iterator[tuple[str, Order]]:
+    """Orders of a file, or drawn ones."""
+    whole_of(seed, "seed", 0)
+    if orders is not None:
+        if n is not None:
+            raise InputError("n is for drawn orders, and there is a file of orders")
+        return read_orders(path_of(orders, "orders"), on_bad_order)
+    count = whole_of(100 if n is None else n, "n", 1, MOST_SAMPLES)
+    return ((f"s{seed}-{index:06d}", draw_order(seed, index)) for index in range(count))
+
+
+def _sorted(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:
+    """The packer's options, and those of its simulations."""
+    sim, run, sure, own = sorted_options(options, Confidence, PhysicalOptions)
+    if other := next((name for name in run if name not in OF_RUN), None):
+        raise InputError(f"{other}: a packer has no such option; of run options it has {', '.join(OF_RUN)}")
+    if "confidence" in sure:
+        raise InputError("confidence: a packer has worlds, the number of worlds with errors")
+    asked = PhysicalOptions(**own)
+    if sure and not asked.worlds:
+        raise InputError("errors needs worlds > 0")
+    Simulation(**sim), RunOptions(**run)
+    return asked, {**sim, **run, **sure}

@@ -1,0 +1,93 @@
+"""What a packer made of an order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from petmjx.packing.finalists import Finalist
+from petmjx.packing.judged import Judged, choose
+from petmjx.packing.options import PhysicalOptions
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import LeftOut, Placement, as_placements, left_out_of
+from petmjx.plans.samples.orders import Order
+from petmjx.results.shares import wilson_interval
+
+NO_PLACE = "no packing has room for more"
+FALLS = "packings with more boxes do not stand often enough"
+
+
+@dataclass(frozen=True, eq=False)
+class PackedOrder:
+    """An order's packing, with what physics says of it.
+
+    Attributes:
+        order_id: the order's, and the plan's.
+        n_items: boxes of the order.
+        taken: the packing; None where no box has a place.
+        tried: how many packings were simulated.
+        good: whether it stands as often as asked for.
+        left_out: what it leaves out; None: nothing. ``why``: the reason, or "".
+    """
+
+    order_id: str
+    n_items: int
+    taken: Judged | None
+    tried: int
+    good: bool
+    left_out: LeftOut | None
+    why: str
+
+    @classmethod
+    def of(
+        cls,
+        order_id: str,
+        order: Order,
+        found: Sequence[Finalist],
+        judged: Sequence[Judged],
+        options: PhysicalOptions,
+    ) -> PackedOrder:
+        """The packing that is taken of those that were found and judged."""
+        taken = choose(judged, options) if judged else None
+        left_out = left_out_of(order_id, order, taken.finalist.placed if taken else ())
+        fuller = taken is not None and max(each.volume_m3 for each in found) > taken.finalist.volume_m3
+        why = "" if left_out is None else FALLS if fuller else NO_PLACE
+        good = taken is not None and taken.is_good(options)
+        return cls(order_id, len(order.items), taken, len(judged), good, left_out, why)
+
+    @property
+    def plan(self) -> Plan | None:
+        """The packing as a plan."""
+        return self.taken.plan if self.taken else None
+
+    @property
+    def placements(self) -> list[Placement]:
+        """The packing as BED-BPP writes it."""
+        return as_placements(self.taken.finalist.placed) if self.taken else []
+
+    def row(self) -> dict[str, Any]:
+        """Column → value, as of ``Packed.orders``."""
+        taken = self.taken
+        n_worlds, n_standing = (taken.n_worlds, taken.n_standing) if taken else (0, 0)
+        low, high = wilson_interval(n_standing, n_worlds)
+        return {
+            "plan_id": self.order_id,
+            "order_boxes": self.n_items,
+            "boxes": len(taken.finalist.placed) if taken else 0,
+            "left_out": len(self.left_out.numbers) if self.left_out else 0,
+            "utilisation": taken.finalist.utilisation if taken else np.nan,
+            "height_mm": taken.finalist.height_mm if taken else np.nan,
+            "clearance_mm": taken.finalist.clearance_mm if taken else np.nan,
+            "verdict": taken.verdict.value if taken else "",
+            "n_worlds": n_worlds,
+            "n_standing": n_standing,
+            "share": n_standing / n_worlds if n_worlds else np.nan,
+            "low": float(low) if n_worlds else np.nan,
+            "high": float(high) if n_worlds else np.nan,
+            "tried": self.tried,
+            "good": self.good,
+            "why": self.why,
+        }

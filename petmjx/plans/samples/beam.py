@@ -1,0 +1,132 @@
+"""Dense packings of an order: a beam search over the candidates of ``balanced``, by what comes of them in the end.
+
+Every step goes on from ``width`` packings, each with its ``branch`` best candidates. What a candidate is worth is seen
+by filling the packing up, best fit after best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for
+heuristic repetition with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` are
+kept. A packing that is filled up is given up as soon as it is higher than those.
+
+Nothing is drawn at random, and nothing depends on the time that it takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+from typing import Final, NamedTuple
+
+from petmjx.plans.samples.balanced import TASTES
+from petmjx.plans.samples.orders import Item
+from petmjx.plans.samples.packer import Placed
+from petmjx.plans.samples.packing import Packing, Taste
+
+_VOLUME_DECIMALS: Final = 9
+"""Volumes are the same where they are as near as a cubic millimetre: the same boxes in another order."""
+
+
+class Worth(NamedTuple):
+    """What a packing is worth, the larger the better: first that boxes are on it, then that it is low."""
+
+    volume_m3: float
+    below_mm: float
+    """How far its highest top is below z = 0: a negative number."""
+    deep_kg_mm: float
+    """How deep its masses are: of packings equally high, the one with lower masses stands better."""
+
+    @classmethod
+    def of(cls, packing: Packing) -> Worth:
+        """Of a packing that is filled up."""
+        return cls(round(packing.volume_m3, _VOLUME_DECIMALS), -packing.top_mm, -packing.moment_kg_mm)
+
+
+class Found(NamedTuple):
+    """A packing that is filled up."""
+
+    worth: Worth
+    placed: tuple[Placed, ...]
+
+    @property
+    def height_mm(self) -> float:
+        """Its highest top."""
+        return -self.worth.below_mm
+
+
+def search(
+    items: Sequence[Item],
+    extent_mm: tuple[float, float],
+    clearance_mm: float,
+    *,
+    width: int,
+    branch: int,
+) -> Found:
+    """The best packing of an order that was found.
+
+    Args:
+        items: of the order.
+        extent_mm: of the target.
+        clearance_mm: free space that boxes keep to their neighbours along x and y.
+        width: packings that the search goes on from.
+        branch: candidates of each that are tried.
+    """
+    best: Found | None = None
+    for taste in TASTES:
+        found = _search(items, extent_mm, clearance_mm, taste, width, branch)
+        if best is None or found.worth > best.worth:
+            best = found
+        if len(best.placed) == len(items):
+            break
+    assert best is not None
+    return best
+
+
+class _Way(NamedTuple):
+    """A packing that the search may go on from, and what it is when it is filled up."""
+
+    packing: Packing
+    filled: Found
+
+
+def _search(
+    items: Sequence[Item], extent_mm: tuple[float, float], clearance_mm: float, taste: Taste, width: int, branch: int
+) -> Found:
+    start = Packing(items, extent_mm, taste, clearance_mm)
+    first = _filled(start.copy())
+    assert first is not None
+    ways, best = [_Way(start, first)], first
+    while ways := _step(ways, width, branch):
+        best = max(best, ways[0].filled, key=lambda found: found.worth)
+    return best
+
+
+def _step(ways: Sequence[_Way], width: int, branch: int) -> list[_Way]:
+    """The best ways that lead on by one box, the best first; none where nothing more can be placed."""
+    best: list[_Way] = []
+    known: set[frozenset[Placed]] = set()
+    for way in ways:
+        for number, candidate in enumerate(way.packing.next(branch)):
+            packing = way.packing.copy()
+            packing.put(candidate)
+            boxes = frozenset(packing.placed)
+            if boxes in known:  # in another order
+                continue
+            known.add(boxes)
+            if number == 0:  # the best candidate is the one with which its packing was filled up
+                filled: Found | None = way.filled
+            else:
+                filled = _filled(packing.copy(), _worst(best, width, packing.n_items))
+            if filled is not None:
+                best.append(_Way(packing, filled))
+                best.sort(key=lambda each: each.filled.worth, reverse=True)
+                del best[width:]
+    return best
+
+
+def _worst(best: Sequence[_Way], width: int, n_items: int) -> float:
+    """The height that another packing must not exceed to be one of the best, mm."""
+    if len(best) < width or len(best[-1].filled.placed) < n_items:  # more boxes may be worth any height
+        return inf
+    return best[-1].filled.height_mm
+
+
+def _filled(packing: Packing, highest_mm: float = inf) -> Found | None:
+    """The packing, filled up; None if it becomes higher than that."""
+    return Found(Worth.of(packing), tuple(packing.placed)) if packing.fill(highest_mm) else None
