@@ -134,3 +134,30 @@ def balance(
     append_line(
         out, {"case": "balance", "group": "balance", "engine": engine, **told, "cpu_s": clock.cpu_s, **environment()}
     )
+
+
+@app.command("packers")
+@opt.takes("engine", "threads")
+def packers(
+    n: Annotated[int, typer.Option("-n", metavar="N", help="Orders.")] = 100,
+    seed: Annotated[int, typer.Option(metavar="SEED", help="Of drawn orders.")] = 11,
+    orders: Annotated[Path | None, typer.Option(metavar="FILE", help="BED-BPP orders instead of drawn ones.")] = None,
+    worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors of each plan.")] = 8,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """How dense, sure and firm the plans of our packers are, on the same orders (docs/packers.md)."""
+    from itertools import islice
+
+    from benchmarks.packer_study import study
+    from benchmarks.record import append_line
+    from petmjx.packing.pack import orders_of
+
+    found = list(islice(orders_of(orders, None if orders else n, seed), n))
+    line = study(found, worlds, options.get("engine", "auto"), options.get("threads"))
+    line["source"] = str(orders.name) if orders else f"seed {seed}"
+    append_line(out, line)
+    for name, row in line["packers"].items():
+        print(name, row)
+    for name, row in line["against_balanced"].items():
+        print(f"{name} against balanced", row)
