@@ -12,112 +12,24 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapely import MultiPoint, Point
 from support.command_line import only_line, run, write
+from support.packings import EPS, EURO, check_sound, corners, least_slack_mm, orders, targets
 from support.plan_files import order
 
 from petmjx.errors import InputError
 from petmjx.plans.samples import LeftOut, as_placements, generate, generate_one, pack_orders
 from petmjx.plans.samples import parallel as parallel_module
-from petmjx.plans.samples.balance import MARGIN_M, MARGIN_SHARE, Balance, hull_planes
+from petmjx.plans.samples.balance import MARGIN_M, Balance, hull_planes
 from petmjx.plans.samples.balanced import TASTES, pack_balanced
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, draw_order
-from petmjx.plans.samples.packer import MAX_HEIGHT_MM, PackRules, Placed, pack_best
-from petmjx.plans.samples.packing import LEAST_SUPPORT
+from petmjx.plans.samples.packer import PackRules, Placed, pack_best
 from petmjx.plans.samples.parallel import in_order
-
-EPS = 1e-6
-EURO = (1200.0, 800.0)
-
-sides = st.integers(60, 600).map(float)
-articles = st.builds(
-    Item,
-    article=st.sampled_from(["jam", "a,b\n", "<b>📦"]),
-    item_id=st.uuids().map(str),
-    product_group=st.just(""),
-    length_mm=sides,
-    width_mm=sides,
-    height_mm=st.integers(50, 400).map(lambda h: h / 2 + 50),
-    weight_kg=st.floats(0.2, 30),
-)
-orders = st.lists(st.tuples(articles, st.integers(1, 6)), min_size=1, max_size=7).map(
-    lambda kinds: [item for item, many in kinds for _ in range(many)]
-)
-targets = st.sampled_from([*TARGET_EXTENT_MM.values()])
-
-
-def corners(placed: list[Placed]) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) low and high corners, mm."""
-    low = np.array([box.corner_mm for box in placed]).reshape(-1, 3)
-    size = []
-    for box in placed:
-        base = [box.item.length_mm, box.item.width_mm]
-        size.append([*(base[::-1] if box.orientation else base), box.item.height_mm])
-    return low, low + np.array(size).reshape(-1, 3)
-
-
-def contacts(low: np.ndarray, high: np.ndarray, box: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """(box below, low, high) of each rectangle that a box rests on."""
-    found = []
-    for other in range(len(low)):
-        start, end = np.maximum(low[box, :2], low[other, :2]), np.minimum(high[box, :2], high[other, :2])
-        if other != box and (end - start > EPS).all() and abs(high[other, 2] - low[box, 2]) < EPS:
-            found.append((other, start, end))
-    return found
-
-
-def least_slack_mm(placed: list[Placed]) -> float:
-    """How much further inside the hull of its contacts than the margin the resultant of the worst box acts, mm.
-
-    Loads go down box by box; on several supports the pressure is the plane a + b·x + c·y that carries the load, found
-    by quadrature over a grid of points instead of integrals.
-    """
-    low, high = corners(placed)
-    load = np.array([[1.0, *((low[k] + high[k]) / 2)[:2]] for k in range(len(placed))])
-    load *= np.array([box.item.weight_kg for box in placed])[:, None]
-    worst = np.inf
-    for box in reversed(range(len(placed))):
-        if low[box, 2] <= 0:
-            continue
-        below = contacts(low, high, box)
-        hull = MultiPoint([(x, y) for _, a, b in below for x in (a[0], b[0]) for y in (a[1], b[1])]).convex_hull
-        at = Point(load[box, 1:] / load[box, 0])
-        margin = min(1000 * MARGIN_M, MARGIN_SHARE * float((high[box] - low[box])[:2].min()))
-        worst = min(worst, hull.exterior.distance(at) * (1 if hull.contains(at) else -1) - margin)
-        # Gauss's rule with two points a side is exact for products of two linear functions
-        points = [(np.array([1.0, x, y]), area, other) for other, a, b in below for x, y, area in gauss(a, b)]
-        plane = np.linalg.solve(sum(area * np.outer(p, p) for p, area, _ in points), load[box])
-        for point, area, other in points:
-            load[other] += area * (point @ plane) * point
-    return worst
-
-
-def gauss(low: np.ndarray, high: np.ndarray) -> list[tuple[float, float, float]]:
-    middle, half = (low + high) / 2, (high - low) / 2 / np.sqrt(3)
-    area = float((high - low).prod()) / 4
-    return [(middle[0] + i * half[0], middle[1] + j * half[1], area) for i in (-1, 1) for j in (-1, 1)]
 
 
 @settings(max_examples=60, deadline=None)
 @given(items=orders, extent=targets)
 def test_every_packing_is_sound(items: list[Item], extent: tuple[int, int]) -> None:
     placed = pack_balanced(items, extent)
-    low, high = corners(placed)
-    assert (low >= 0).all()
-    assert (high <= (*extent, MAX_HEIGHT_MM)).all()
-    for first in range(len(placed)):
-        shared = np.minimum(high[first], high[first + 1 :]) - np.maximum(low[first], low[first + 1 :])
-        assert not (shared > EPS).all(axis=1).any(), "boxes overlap"
-        # let down from above: nothing that is placed later lies under it
-        covered = (shared[:, :2] > EPS).all(axis=1) & (low[first, 2] >= high[first + 1 :, 2] - EPS)
-        assert not covered.any()
-    for box in range(len(placed)):
-        if low[box, 2] > 0:
-            area = sum(float((b - a).prod()) for _, a, b in contacts(low, high, box))
-            assert area >= (LEAST_SUPPORT - 1e-9) * (high[box] - low[box])[:2].prod()
-    # at every moment of the packing, not only at its end
-    for count in range(1, len(placed) + 1):
-        assert least_slack_mm(placed[:count]) > -EPS
-    # no box twice, none that nobody ordered; and what is packed again is packed in the same way
-    assert not Counter(box.item for box in placed) - Counter(items)
+    check_sound(placed, items, extent)
     assert placed == pack_balanced(items, extent)
 
 

@@ -90,10 +90,11 @@ class Packing:
         self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
         self._worth = _worth(sizes, self._weight, taste)
         self._taste = taste
-        # a box with its free space beside it, on a target that has room for the last one's
-        base, (length, width) = sizes[:, :2] + clearance_mm, extent_mm
+        # each takes up its free space too, on a target that has room for the last one's; it is borne by the box alone
+        self._base = sizes[:, :2]
+        length, width = extent_mm
         extent = (length + clearance_mm, width + clearance_mm)
-        self._table = Candidates(base, sizes[:, 2], extent, len(items))
+        self._table = Candidates(self._base + clearance_mm, sizes[:, 2], extent, len(items))
         self._pile = Balance(len(items))
 
     def copy(self) -> Packing:
@@ -118,7 +119,7 @@ class Packing:
                 break
             cost[point, shape] = np.inf
             corner = (*table.points[point].tolist(), float(table.z[point, shape]))
-            width, depth = table.base[shape].tolist()
+            width, depth = self._base[shape].tolist()
             rest = self._pile.rest(corner, (width, depth), float(weight[shape]))
             if rest is None:
                 table.open[point, shape] = False
@@ -130,7 +131,7 @@ class Packing:
         """Place one of the candidates that ``next`` found last."""
         point, shape, corner, rest = chosen
         kind, height = int(self._kind_of[shape]), float(self._table.height[shape])
-        self._pile.add(corner, (*self._table.base[shape].tolist(), height), rest)
+        self._pile.add(corner, (*self._base[shape].tolist(), height), rest)
         item = self._stock[kind].pop()
         self.placed.append(Placed(item, int(self._turned[shape]), corner))
         self.top_mm = max(self.top_mm, corner[2] + height)
@@ -151,7 +152,7 @@ class Packing:
 
     def _keep_shapes(self, kept: NDArray[np.bool_]) -> None:
         self._table.keep_shapes(kept)
-        self._kind_of, self._turned = self._kind_of[kept], self._turned[kept]
+        self._kind_of, self._turned, self._base = self._kind_of[kept], self._turned[kept], self._base[kept]
         self._weight, self._worth = self._weight[kept], self._worth[kept]
 
 

@@ -25,7 +25,7 @@ def in_order(
     tasks: Iterable[Task],
     workers: int,
     *,
-    alone: int = ALONE,
+    alone: int | None = None,
     chunk: int = _CHUNK,
 ) -> Iterator[Result]:
     """``function`` of each task. What comes out does not depend on ``workers``.
@@ -34,10 +34,10 @@ def in_order(
         function: a function of a module (or ``functools.partial`` of one), since other processes import it.
         tasks: read as far ahead as is needed, in this process.
         workers: how many processes; 1: this one. Scripts that ask for more need ``if __name__ == "__main__":``.
-        alone: fewer tasks than this are done in this process.
+        alone: fewer tasks than this are done in this process; None: ``ALONE``.
         chunk: tasks that another process gets at a time.
     """
-    tasks = iter(tasks)
+    tasks, alone = iter(tasks), ALONE if alone is None else alone
     first = list(islice(tasks, alone)) if workers > 1 else []
     everything = chain(first, tasks)
     if len(first) < alone:
