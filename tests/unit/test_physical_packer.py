@@ -1,0 +1,269 @@
+"""The packer ``physical``: what its search finds, and which packing physics takes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from support.command_line import only_line, run, write
+from support.packings import check_sound, orders, targets
+from support.plan_files import order
+from support.plans import make_plan, stack
+
+import petmjx
+from petmjx.errors import InputError
+from petmjx.packing import physical as physical_module
+from petmjx.packing.finalists import Finalist, finalists
+from petmjx.packing.judged import Judged, choose
+from petmjx.packing.options import PhysicalOptions
+from petmjx.packing.packed import FALLS, NO_PLACE
+from petmjx.packing.physical import pack_physical
+from petmjx.plans.samples import beam as beam_module
+from petmjx.plans.samples.balanced import TASTES, pack_balanced
+from petmjx.plans.samples.beam import search
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order, draw_order
+from petmjx.plans.samples.packing import Packing
+from petmjx.results.reader import RunResults
+from petmjx.verdict import Verdict
+
+CLEARANCE_MM = 7.0
+DRAWN = draw_order(5, 2)
+EXTENT = TARGET_EXTENT_MM[DRAWN.target]
+JAM = Item("jam", "1", "", 400.0, 300.0, 200.0, 6.0)
+FAST: dict[str, Any] = {"engine": "mujoco", "threads": 1}
+
+
+@settings(max_examples=25, deadline=None)
+@given(items=orders, extent=targets)
+def test_what_is_found_is_sound_and_apart(items: list[Item], extent: tuple[int, int]) -> None:
+    found = search(items, extent, CLEARANCE_MM, width=2, branch=2)
+    check_sound(found.placed, items, extent, CLEARANCE_MM)
+    assert found == search(items, extent, CLEARANCE_MM, width=2, branch=2)
+
+
+@settings(max_examples=25, deadline=None)
+@given(items=orders, extent=targets)
+def test_no_box_is_left_out_that_balanced_places(items: list[Item], extent: tuple[int, int]) -> None:
+    """The search begins with the packing of ``balanced``."""
+    greedy = pack_balanced(items, extent)
+    found = search(items, extent, 0.0, width=1, branch=2)
+    assert sum(box.item.volume_m3 for box in found.placed) >= sum(box.item.volume_m3 for box in greedy) - 1e-9
+
+
+def test_the_search_packs_more_densely() -> None:
+    """By a tenth and more, on a pallet that has grown high."""
+    heights = [
+        max(box.corner_mm[2] + box.item.height_mm for box in pack_balanced(DRAWN.items, EXTENT)),
+        search(DRAWN.items, EXTENT, 0.0, width=1, branch=3).height_mm,
+        search(DRAWN.items, EXTENT, 0.0, width=3, branch=3).height_mm,
+    ]
+    assert heights[1] < 0.9 * heights[0]
+    assert heights[2] <= heights[1]
+
+
+def test_packings_that_are_given_up_would_not_have_been_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = search(DRAWN.items[:25], EXTENT, 3.0, width=2, branch=3)
+    monkeypatch.setattr(beam_module, "_worst", lambda *arguments: float("inf"))
+    assert search(DRAWN.items[:25], EXTENT, 3.0, width=2, branch=3) == found
+
+
+def test_a_copy_goes_its_own_way() -> None:
+    packing = Packing(DRAWN.items, EXTENT, TASTES[0])
+    for _ in range(10):
+        packing.put(packing.next()[0])
+    before, twin, other = list(packing.placed), packing.copy(), packing.copy()
+    other.put(other.next(3)[-1])
+    assert other.fill()
+    assert packing.placed == before
+    assert packing.fill()
+    assert twin.fill()
+    assert packing.placed == twin.placed != other.placed
+    assert (packing.top_mm, packing.moment_kg_mm) == (twin.top_mm, twin.moment_kg_mm)
+
+
+def test_finalists_are_apart_by_their_clearances_and_the_densest_comes_first() -> None:
+    found = finalists(Order(DRAWN.target, DRAWN.items[:20]), PhysicalOptions(width=1, clearances_mm=(0.0, 20.0)))
+    assert {each.clearance_mm for each in found} == {0.0, 20.0}
+    for each in found:
+        check_sound(each.placed, DRAWN.items[:20], EXTENT, each.clearance_mm)
+    assert found[0].utilisation >= found[1].utilisation
+
+
+def test_where_clearances_leave_boxes_out_none_is_tried_too() -> None:
+    half = replace(JAM, length_mm=1200.0, width_mm=400.0, height_mm=1900.0)
+    found = finalists(Order("euro-pallet", (half, half)), PhysicalOptions(clearances_mm=(5.0,)))
+    assert [(each.clearance_mm, len(each.placed)) for each in found] == [(0.0, 2), (5.0, 1)]
+
+
+# ---------------------------------------------------------------------- what is taken
+
+OPTIONS = PhysicalOptions(worlds=16, least_share=0.75)
+ORDER = Order("euro-pallet", (JAM, JAM))
+
+
+def finalist(utilisation: float, boxes: int = 2, clearance_mm: float = 3.0) -> Finalist:
+    placed = finalists(ORDER, PhysicalOptions(width=1))[0].placed[:boxes]
+    return Finalist(placed, clearance_mm, boxes * JAM.volume_m3, 200.0, utilisation)
+
+
+def judged(utilisation: float, standing: int, boxes: int = 2, verdict: Verdict = Verdict.STABLE) -> Judged:
+    return Judged(finalist(utilisation, boxes), make_plan("p", stack(boxes)), verdict, 16, standing)
+
+
+@pytest.mark.parametrize(
+    ("maximise", "taken"),
+    [("utilisation", 0.6), ("share", 0.5)],
+)
+def test_what_is_maximised_decides_among_those_that_stand(maximise: Any, taken: float) -> None:
+    each = [judged(0.7, 11), judged(0.6, 12), judged(0.5, 16), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
+    assert choose(each, OPTIONS.changed(maximise=maximise)).finalist.utilisation == taken
+
+
+def test_more_boxes_are_worth_any_utilisation() -> None:
+    assert choose([judged(0.9, 16, boxes=1), judged(0.5, 12)], OPTIONS).finalist.utilisation == 0.5
+
+
+def test_if_none_stands_often_enough_the_surest_is_taken() -> None:
+    each = [judged(0.7, 11), judged(0.6, 3), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
+    assert choose(each, OPTIONS).finalist.utilisation == 0.7
+
+
+def physically(
+    monkeypatch: pytest.MonkeyPatch, found: list[Finalist], shares: dict[float, int], **options: Any
+) -> tuple[Any, list[float]]:
+    """What ``pack_physical`` makes of one order with these finalists, of which so many of 16 worlds stand."""
+    asked: list[float] = []
+
+    def judge(packings: dict[str, Finalist], options: PhysicalOptions, how: object) -> dict[str, Judged]:
+        ((order_id, each),) = packings.items()
+        asked.append(each.utilisation)
+        return {order_id: judged(each.utilisation, shares[each.utilisation], len(each.placed))}
+
+    monkeypatch.setattr(physical_module, "judge", judge)
+    monkeypatch.setattr(physical_module, "finalists", lambda order, options: list(found))
+    (packed,) = pack_physical([("o", ORDER)], OPTIONS.changed(**options), {"engine": "mujoco"}, workers=1)
+    return packed, asked
+
+
+def test_no_packing_is_simulated_that_would_not_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, shares = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 3, 0.6: 13, 0.5: 16}
+    packed, asked = physically(monkeypatch, found, shares)
+    assert (packed.taken.finalist.utilisation, packed.good, packed.tried) == (0.6, True, 2)
+    assert asked == [0.7, 0.6]
+    packed, asked = physically(monkeypatch, found, shares, maximise="share")
+    assert (packed.taken.finalist.utilisation, packed.good) == (0.5, True)
+    assert asked == [0.7, 0.6, 0.5]
+
+
+def test_it_says_what_is_left_out_and_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    fuller, less = finalist(0.7), finalist(0.6, boxes=1)
+    packed, _ = physically(monkeypatch, [fuller, less], {0.7: 3, 0.6: 16})
+    assert (packed.left_out.numbers, packed.why) == ((2,), FALLS)
+    packed, _ = physically(monkeypatch, [less], {0.6: 16})
+    assert (packed.left_out.numbers, packed.why) == ((2,), NO_PLACE)
+    packed, asked = physically(monkeypatch, [], {})
+    assert (packed.taken, packed.plan, packed.good, asked) == (None, None, False, [])
+    assert packed.row()["boxes"] == 0
+
+
+# ---------------------------------------------------------------------- the whole
+
+
+@pytest.fixture(scope="module")
+def small_orders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One that fits, one of which a box is too tall, and one without a place."""
+    large = order(2, **{"length/mm": 1300})
+    large["item_sequence"]["1"]["length/mm"] = 1300
+    content = {"fits": order(5), "tall": order(3, **{"height/mm": 2500}), "none": large}
+    path: Path = write(tmp_path_factory.mktemp("orders") / "orders.json", content)
+    return path
+
+
+@pytest.fixture(scope="module")
+def packed(small_orders: Path) -> petmjx.Packed:
+    return petmjx.pack(small_orders, worlds=4, **FAST)
+
+
+def test_a_score_says_the_same_of_the_plans(packed: petmjx.Packed) -> None:
+    results: RunResults = petmjx.score(packed.plans, confidence=4, **FAST)
+    assert results.summary is not None
+    rows = packed.orders.set_index("plan_id").loc[["fits", "tall"]]
+    for column in ("verdict", "n_worlds", "n_standing", "share", "low", "high"):
+        assert results.summary[column].tolist() == rows[column].tolist(), column
+    assert rows["share"].tolist() == [1.0, 1.0]
+    nothing = packed.orders.set_index("plan_id").loc["none"]
+    assert (nothing["boxes"], nothing["left_out"], nothing["why"]) == (0, 2, NO_PLACE)
+
+
+def test_plans_depend_on_the_order_alone(packed: petmjx.Packed, small_orders: Path, tmp_path: Path) -> None:
+    again = petmjx.pack(small_orders, worlds=4, workers=2, **FAST)
+    again.save(tmp_path / "again.json")
+    packed.save(tmp_path / "first.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "first.json").read_bytes()
+    assert list(json.loads((tmp_path / "first.json").read_text())) == ["fits", "tall"]
+    read = petmjx.load_plans(tmp_path / "first.json")
+    assert [plan.corner_mm.tolist() for plan in read] == [plan.corner_mm.tolist() for plan in packed.plans]
+    assert repr(packed).startswith("Packed(3 orders, utilisation 0.")
+
+
+def test_without_worlds_only_exact_placement_counts() -> None:
+    found = petmjx.pack(n=1, seed=4, width=1, branch=1, worlds=0, clearances_mm=[0], **FAST)
+    row, taken = found.orders.iloc[0], found.each[0].taken
+    assert taken is not None
+    assert (row["verdict"], row["n_worlds"], row["tried"], row["good"]) == ("stable", 0, 1, True)
+    assert row["utilisation"] == pytest.approx(taken.finalist.utilisation)
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"worlds": 3}, "worlds must be 0, or from 4 to 100,000, got 3"),
+        ({"clearances_mm": []}, "clearances_mm must be 1 to 16 different numbers"),
+        ({"clearances_mm": [-1]}, "clearances_mm must be from 0 to 200 mm"),
+        ({"maximise": "height"}, "maximise must be 'utilisation' or 'share'"),
+        ({"confidence": 8}, "confidence: a packer has worlds"),
+        ({"out": "x"}, "out: a packer has no such option"),
+        ({"worlds": 0, "errors": "confidence"}, "errors needs worlds > 0"),
+        ({"widht": 3}, "unknown option widht; did you mean width"),
+        ({"n": 1, "orders": "orders.json"}, "n is for drawn orders"),
+    ],
+)
+def test_what_cannot_be_is_one_line(options: dict[str, Any], line: str) -> None:
+    with pytest.raises(InputError, match=line):
+        petmjx.pack(**options)
+
+
+def test_the_command_says_what_it_made(
+    small_orders: Path, packed: petmjx.Packed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, fast = tmp_path / "plans.json", ("--engine", "mujoco", "--threads", "1", "--workers", "1")
+    how = ("samples", "--orders", small_orders, "--packer", "physical", "-o", out, "--overwrite", *fast)
+    assert run(*how, "--worlds", "4") == 0
+    packed.save(tmp_path / "same.json")
+    assert out.read_bytes() == (tmp_path / "same.json").read_bytes()
+    assert capsys.readouterr().out.splitlines() == [
+        f"order tall: 1 of 3 boxes is left out: item 2: {NO_PLACE}",
+        f"order none: 2 of 2 boxes are left out: items 1, 2: {NO_PLACE}",
+        f"2 plans in {out}; 3 boxes of 2 orders left out",
+        f"utilisation {packed.orders['utilisation'].mean():.3f}; 2 stand placed exactly, 100.0 % of worlds with errors",
+    ]
+    assert run(*how, "--clearances", "3,x") == 2
+    assert "--clearances must be numbers with commas between them, got '3,x'" in only_line(capsys.readouterr().err)
+    assert run("samples", "-n", "1", "--width", "3", "-o", out, "--overwrite") == 2
+    assert "--width needs the packer physical" in only_line(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("gpu", "kernel", "engine"),
+    [(None, None, "mjx-warp"), ("no GPU", None, "mjx-warp-cpu"), ("no GPU", "no Warp", "mujoco")],
+)
+def test_one_engine_judges_all_orders(
+    monkeypatch: pytest.MonkeyPatch, gpu: str | None, kernel: str | None, engine: str
+) -> None:
+    monkeypatch.setattr(physical_module, "why_no_warp", lambda: gpu)
+    monkeypatch.setattr(physical_module, "why_no_warp_on_cpu", lambda: kernel)
+    assert physical_module.fastest() == engine
