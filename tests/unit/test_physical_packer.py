@@ -71,6 +71,21 @@ def test_packings_that_are_given_up_would_not_have_been_kept(monkeypatch: pytest
     assert search(DRAWN.items[:25], EXTENT, 3.0, width=2, branch=3) == found
 
 
+def test_large_orders_are_searched_in_larger_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    items, placed = DRAWN.items[:24], []
+    step = beam_module._step
+
+    def noted(ways: Any, *arguments: int) -> Any:
+        placed.append(len(ways[0].packing.placed))
+        return step(ways, *arguments)
+
+    monkeypatch.setattr(beam_module, "_step", noted)
+    monkeypatch.setattr(beam_module, "MOST_STEPS", 10)
+    found = search(items, EXTENT, 3.0, width=2, branch=2)
+    assert placed == [0, 3, 6, 9, 12, 15, 18, 21, 24]
+    check_sound(found.placed, items, EXTENT, 3.0)
+
+
 def test_a_copy_goes_its_own_way() -> None:
     packing = Packing(DRAWN.items, EXTENT, TASTES[0])
     for _ in range(10):

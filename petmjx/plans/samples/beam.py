@@ -3,7 +3,8 @@
 Every step goes on from ``width`` packings, each with its ``branch`` best candidates. What a candidate is worth is seen
 by filling the packing up, best fit after best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for
 heuristic repetition with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` are
-kept. A packing that is filled up is given up as soon as it is higher than those.
+kept. A packing that is filled up is given up as soon as it is higher than those. In large orders a step places several
+boxes, of which the first is chosen so.
 
 Nothing is drawn at random, and nothing depends on the time that it takes.
 """
@@ -11,13 +12,16 @@ Nothing is drawn at random, and nothing depends on the time that it takes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
+from math import ceil, inf
 from typing import Final, NamedTuple
 
 from petmjx.plans.samples.balanced import TASTES
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import Placed
 from petmjx.plans.samples.packing import Packing, Taste
+
+MOST_STEPS: Final = 80
+"""Steps of a search. With it an order of 162 boxes, all different, takes 12 s, without it 34 s."""
 
 _VOLUME_DECIMALS: Final = 9
 """Volumes are the same where they are as near as a cubic millimetre: the same boxes in another order."""
@@ -91,20 +95,21 @@ def _search(
     start = Packing(items, extent_mm, taste, clearance_mm)
     first = _filled(start.copy())
     assert first is not None
-    ways, best = [_Way(start, first)], first
-    while ways := _step(ways, width, branch):
+    ways, best, stride = [_Way(start, first)], first, ceil(len(items) / MOST_STEPS)
+    while ways := _step(ways, width, branch, stride):
         best = max(best, ways[0].filled, key=lambda found: found.worth)
     return best
 
 
-def _step(ways: Sequence[_Way], width: int, branch: int) -> list[_Way]:
-    """The best ways that lead on by one box, the best first; none where nothing more can be placed."""
+def _step(ways: Sequence[_Way], width: int, branch: int, stride: int) -> list[_Way]:
+    """The best ways that lead on by ``stride`` boxes, the best first; none where nothing more can be placed."""
     best: list[_Way] = []
     known: set[frozenset[Placed]] = set()
     for way in ways:
         for number, candidate in enumerate(way.packing.next(branch)):
             packing = way.packing.copy()
             packing.put(candidate)
+            packing.fill(most=stride - 1)
             boxes = frozenset(packing.placed)
             if boxes in known:  # in another order
                 continue

@@ -141,10 +141,16 @@ class Packing:
         if not self._stock[kind]:
             self._keep_shapes(self._kind_of != kind)
 
-    def fill(self, highest_mm: float = inf) -> bool:
-        """Place the best candidate after the other until none is left. False: given up, since a top is higher."""
+    def fill(self, highest_mm: float = inf, most: float = inf) -> bool:
+        """Place one best candidate after the other until none is left.
+
+        Args:
+            highest_mm: given up, with False, as soon as a top is higher.
+            most: boxes that are placed.
+        """
+        end = len(self.placed) + most
         while self.top_mm <= highest_mm:
-            best = self.next()
+            best = self.next() if len(self.placed) < end else []
             if not best:
                 return True
             self.put(best[0])
