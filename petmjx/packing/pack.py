@@ -19,10 +19,24 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.samples import MOST_SAMPLES, write_plans
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Order, draw_order
+from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
 from petmjx.run_options import MOST_WORKERS, Confidence, RunOptions, sorted_options
+from petmjx.text import counted
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Of ``RunOptions``, those that say how packings are simulated."""
+
+SHOWN: Final = (
+    ShownColumn("plan_id", "order"),
+    ShownColumn("boxes", "boxes placed"),
+    ShownColumn("left_out", "left out"),
+    ShownColumn("utilisation", "utilisation", 3),
+    ShownColumn("height_mm", "height mm"),
+    ShownColumn("clearance_mm", "clearance mm"),
+    ShownColumn("verdict", "placed exactly"),
+    ShownColumn("share", "with errors %", 1, 100.0),
+)
+"""Columns of ``orders`` in a notebook."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +65,12 @@ class Packed:
 
     def __repr__(self) -> str:
         orders = self.orders
-        return (
-            f"Packed({len(self.each)} orders, utilisation {orders['utilisation'].mean():.3f}, "
-            f"share that stands with errors {orders['share'].mean():.3f})"
-        )
+        sure = f", {100 * orders['share'].mean():.1f} % of worlds with errors stand" if orders["n_worlds"].any() else ""
+        return f"Packed({counted(len(orders), 'order')}, utilisation {orders['utilisation'].mean():.3f}{sure})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the mean, and a row for each order."""
+        return block_as_html([repr(self)], [table_as_html(self.orders, SHOWN, "orders")])
 
     def save(self, path: PathArgument) -> None:
         """Write the plans to a file of BED-BPP's JSON, gzipped if it is named ``*.gz``.

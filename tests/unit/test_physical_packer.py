@@ -223,10 +223,15 @@ def test_plans_depend_on_the_order_alone(packed: petmjx.Packed, small_orders: Pa
     read = petmjx.load_plans(tmp_path / "first.json")
     assert [plan.corner_mm.tolist() for plan in read] == [plan.corner_mm.tolist() for plan in packed.plans]
     assert repr(packed).startswith("Packed(3 orders, utilisation 0.")
+    assert repr(packed).endswith(", 100.0 % of worlds with errors stand)")
+    shown = packed._repr_html_()
+    assert "fits" in shown
+    assert "100.0" in shown
 
 
 def test_without_worlds_only_exact_placement_counts() -> None:
     found = petmjx.pack(n=1, seed=4, width=1, branch=1, worlds=0, clearances_mm=[0], **FAST)
+    assert "errors" not in repr(found)
     row, taken = found.orders.iloc[0], found.each[0].taken
     assert taken is not None
     assert (row["verdict"], row["n_worlds"], row["tried"], row["good"]) == ("stable", 0, 1, True)
