@@ -214,6 +214,7 @@ class RunOptionsGiven(TypedDict, total=False):
     record_interval_s: float
     record_details: bool
     force_intervals: bool
+    keep: Literal["all", "worlds"]
     orders: str | PathLike[str] | None
     strict: bool
     allow_large: bool

@@ -28,6 +28,9 @@ ALL: Final = "all"
 FAILED: Final = "failed"
 """Words for the plans that are recorded."""
 
+WORLDS: Final = "worlds"
+"""``ALL`` or this: which tables a run keeps."""
+
 FRAME_INTERVAL_S: Final = 0.05
 """Between two frames: 20 a second, a film that a box can be followed in."""
 
@@ -174,6 +177,11 @@ class RunOptions(Checked):
         "allow; takes a tenth of a second or more per world; needs SciPy (extra packers); changes no "
         "other result",
     )
+    keep: Annotated[Literal["all", "worlds"], CliFlag("--keep", "all|worlds")] = Field(
+        "all",
+        description="tables that are kept: all, or only worlds: a large sweep's bytes are nearly all of boxes; changes "
+        "no other result",
+    )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
         description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
@@ -213,6 +221,17 @@ class RunOptions(Checked):
         if self.record_details and self.record is None:
             raise complaint("needs record, which says what to record", "record_details")
         return self
+
+    @model_validator(mode="after")
+    def _kept_what_is_asked(self) -> Self:
+        if self.force_intervals and not self.keeps_boxes:
+            raise complaint("are columns of boxes, which keep leaves out", "force_intervals")
+        return self
+
+    @property
+    def keeps_boxes(self) -> bool:
+        """Whether the results have a row for each box."""
+        return self.keep != WORLDS
 
     @property
     def asked_workers(self) -> int | str | None:

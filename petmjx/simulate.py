@@ -132,6 +132,7 @@ class _Run:
             "engine": self.choice.name,
             "shard": self.options.shard,
             **({"force_intervals": True} if self.options.force_intervals else {}),
+            **({} if self.options.keeps_boxes else {"keep": self.options.keep}),
         }
 
     def config(self) -> dict[str, Any]:
@@ -161,6 +162,7 @@ class _Run:
             params=study.params,
             dynamic=study.dynamic,
             force_intervals=options.force_intervals,
+            boxes=options.keeps_boxes,
             versions=package_versions(),
             device=self.engine.device,
             expected_worlds=study.total,

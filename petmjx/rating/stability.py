@@ -76,6 +76,8 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
         )
     invalid = Verdict.INVALID.value
     stable = {name: verdict == Verdict.STABLE.value for name, verdict in verdicts.items() if verdict != invalid}
+    if static is not None and not static.keeps_boxes:
+        notes.append(f"{static.path}: kept no boxes, which BED-BPP's rule is about")
     return Stability(verdicts, stable, {} if static is None else _by_their_rule(static), tuple(notes))
 
 

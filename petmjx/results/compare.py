@@ -147,7 +147,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
     same = both["verdict_a"] == both["verdict_b"]
     both[GROUPS[0]] = same
     both[GROUPS[1]] = same & (both["verdict_a"] == Verdict.STABLE.value)
-    boxes = run_a.boxes.merge(run_b.boxes, on=BOX_KEY, suffixes=("_a", "_b")).merge(both[[*KEY, *GROUPS]], on=KEY)
+    boxes = run_a.boxes_if_kept.merge(run_b.boxes_if_kept, on=BOX_KEY, suffixes=("_a", "_b"))
+    boxes = boxes.merge(both[[*KEY, *GROUPS]], on=KEY)
     other = _other_plans(run_a, run_b, both, boxes)
     same_worlds, same_boxes = (table[~table["plan_id"].isin(other)] for table in (both, boxes))
     verdicts = [verdict.value for verdict in Verdict]
@@ -265,6 +266,9 @@ def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes
 def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequence[str]) -> list[str]:
     """Reasons to doubt the comparison."""
     notes = run_a.doubts("a") + run_b.doubts("b")
+    without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
+    if without:
+        notes.append(f"{' and '.join(without)} kept no boxes: only worlds are compared")
     if both.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):

@@ -17,6 +17,7 @@ from petmjx.results.listed import Parts
 from petmjx.results.plain import plain
 from petmjx.results.run_file import check_whole
 from petmjx.results.schema import plans_schema
+from petmjx.run_options import ALL
 from petmjx.text import counted, printable, shortened, shown
 from petmjx.units import mm_to_m
 
@@ -172,7 +173,7 @@ _NOTHING: Final = object()
 def _as_asked(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Settings with the names of the command: the sweep of a score is its number of worlds and its errors. What stands
     there only if it is asked for is false otherwise."""
-    settings = {"force_intervals": False, **settings}
+    settings = {"force_intervals": False, "keep": ALL, **settings}
     sweep = settings.get("sweep")
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings

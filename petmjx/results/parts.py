@@ -94,13 +94,14 @@ class Part:
         self.history_bytes += row.recorded.size if row.recorded is not None else 0
 
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
-        """The names of its tables and what they hold; ``worlds`` comes last."""
+        """The names of its tables and what they hold; ``worlds`` comes last. Without a schema ``boxes`` is left out."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in histories.TABLES.items() if recorded else ():
             columns = columns_of(recorded)
             if len(columns["plan_id"]):
                 yield name, _filled(columns, schemas[name])
-        yield "boxes", self.boxes(schemas["boxes"])
+        if "boxes" in schemas:
+            yield "boxes", self.boxes(schemas["boxes"])
         if len(attempts := self.attempts(schemas["attempts"])):
             yield "attempts", attempts
         yield "worlds", self.worlds(schemas["worlds"])

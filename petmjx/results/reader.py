@@ -28,6 +28,7 @@ from petmjx.results.memory import MemoryParts
 from petmjx.results.notebook import worlds_as_html
 from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.schema import check_version, plans_schema, schemas
+from petmjx.run_options import WORLDS
 from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
 
@@ -57,12 +58,16 @@ class RunResults:
         what = "world" if self._varied else "plan"
         verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
         status = self.unfinished or FINISHED
-        where = "in memory" if isinstance(self.parts, MemoryParts) else self.path
-        return f"RunResults({where}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
+        return f"RunResults({self.where}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: one line about the run, and its first worlds."""
         return worlds_as_html(repr(self), self.worlds)
+
+    @property
+    def where(self) -> str:
+        """The run's folder, or that it has none."""
+        return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
 
     @property
     def unfinished(self) -> str | None:
@@ -128,8 +133,24 @@ class RunResults:
 
     @cached_property
     def boxes(self) -> pd.DataFrame:
-        """One row per box of each world, in packing order."""
+        """One row per box of each world, in packing order.
+
+        Raises:
+            InputError: the run kept none.
+        """
+        if not self.keeps_boxes:
+            raise InputError(f"{self.where}: the run kept no boxes (keep {WORLDS})")
         return self._read("boxes")
+
+    @property
+    def boxes_if_kept(self) -> pd.DataFrame:
+        """As ``boxes``; without rows where the run kept none."""
+        return self.boxes if self.keeps_boxes else self._read("boxes")
+
+    @property
+    def keeps_boxes(self) -> bool:
+        """Whether the run kept the table ``boxes``."""
+        return bool(self.info.get("config", {}).get("keep") != WORLDS)
 
     @cached_property
     def attempts(self) -> pd.DataFrame:

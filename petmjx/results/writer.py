@@ -60,9 +60,8 @@ class RunWriter(RunInfo):
             a larger one is written to a temporary folder, which goes with :meth:`results`.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
-        dynamic, force_intervals: as of ``petmjx.results.schema.schemas``: columns of ``boxes`` that not all runs have.
-        versions: package → version; Python's own is added.
-        device: name of the device on which the worlds ran.
+        dynamic, force_intervals: as of ``petmjx.results.schema.schemas``; ``boxes``: whether this table is kept.
+        versions: package → version; Python's own is added. ``device``: name of that on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
         manifest: what the run is of; without one it cannot be resumed.
         orders: how its plans compare with their orders. A run that is resumed has those of this time: the table
@@ -88,6 +87,7 @@ class RunWriter(RunInfo):
         params: Sequence[Param] = (),
         dynamic: bool = False,
         force_intervals: bool = False,
+        boxes: bool = True,
         versions: Mapping[str, str] | None = None,
         device: str = "",
         expected_worlds: int | None = None,
@@ -103,6 +103,8 @@ class RunWriter(RunInfo):
         self.out_dir = Path(out_dir or "")
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
+        if not boxes:
+            del self.schemas["boxes"]
         self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
         self.recorded = Recorded()
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
@@ -381,7 +383,7 @@ class RunWriter(RunInfo):
             if self._in_memory and not last:
                 self._leave_memory()
             self._tables.write_part(part.number, part.tables(self.schemas))
-        # one assignment: after an interrupt before it the same part is written again, after it the next part begins
+        # one assignment: an interrupt before it writes the same part again
         self._pending = self._pending.following()
         self._write_info()
 

@@ -42,7 +42,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
             yield ""
     elif not sweep and len(results.worlds) <= FEW_ROWS:
         orders = results.plans if results.info.get("orders") else None
-        yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes, orders)
+        yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes_if_kept, orders)
         yield ""
     yield from notes(results.info)
     searched = sweep and config["sweep"]["search"] is not None
@@ -56,7 +56,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """Those of a score with confidence: the nominal worlds, the shares, and the plans to think about by name."""
     if len(summary) <= FEW_ROWS:
-        worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes))
+        worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
         orders = results.plans if results.info.get("orders") else None
         yield worlds_table(worlds.sort_values("plan_id"), boxes, orders)
         yield ""
@@ -195,7 +195,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
     """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics.
 
     Args:
-        worlds, boxes: tables of the run.
+        worlds, boxes: tables of the run; without boxes the first one's article is not known.
         orders: its table ``plans``, if that says how many boxes are left out; they are one more column.
     """
     table = FittedTable(
@@ -214,7 +214,9 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
     left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
     articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
     for row in worlds.to_dict("records"):
-        first = "" if pd.isna(row["culprit"]) else f"{row['culprit']} {articles[row['plan_id'], row['culprit']]}"
+        first = (
+            "" if pd.isna(row["culprit"]) else f"{row['culprit']} {articles.get((row['plan_id'], row['culprit']), '')}"
+        )
         verdict = str(row["verdict"])
         placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
         table.add(

@@ -60,6 +60,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         manifest=whole,
         orders=orders,
         params=[Param(**param) for param in first["params"]],
+        boxes=runs[0].keeps_boxes,
         versions=first["versions"],
         device=", ".join(dict.fromkeys(run.info["device"] for run in runs)),
         expected_worlds=None if None in expected else sum(expected),

@@ -74,6 +74,8 @@ def _chosen(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[
     """Rows of the table that are drawn, and how many are too many."""
     known = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):
+        if not run.results.keeps_boxes:
+            continue
         known |= (table["run"] == at).to_numpy() & table["plan_id"].isin(run.found.plans.keys()).to_numpy()
     rows = np.flatnonzero(known)
     stands = (table["verdict"].iloc[rows] == Verdict.STABLE.value).to_numpy()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Final
 
-import numpy as np
 import pandas as pd
 
 from petmjx.pages.report.charts import Bar, bars, histogram
@@ -12,7 +12,6 @@ from petmjx.pages.report.markup import NOTHING, Markup, element, joined
 from petmjx.pages.report.runs import ReportRun
 from petmjx.pages.report.svg import WIDTH, Frame, Scale, figure
 from petmjx.pages.report.verdicts import ORDER, link
-from petmjx.results.compare import KEY
 from petmjx.text import counted
 from petmjx.verdict import Verdict
 
@@ -55,15 +54,16 @@ def first_boxes(run: ReportRun) -> Markup:
 def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
     """Articles by how often one of their boxes failed first, with the number of their boxes in the same run."""
     first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
-    boxes = run.results.boxes
-    if run.results.worlds.shape[0] != len(run.worlds):
-        boxes = boxes.merge(run.worlds[KEY], on=KEY)
-    of_article = boxes["article"].value_counts()
+    of_article: Counter[str] = Counter()
+    worlds = run.worlds["plan_id"].value_counts()
+    for plan_id, articles in run.articles(set(worlds.index)).items():
+        for article in articles:
+            of_article[article] += int(worlds[plan_id])
     rows = [
         Bar(
             str(article),
             float(count),
-            f"{count:,} of {of_article.get(article, np.nan):,.0f}",
+            f"{count:,} of {of_article[str(article)]:,}",
             "unstable",
             link(run, q=str(article)),
         )

@@ -112,6 +112,9 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
     """What the page does not show, a line each."""
     notes = [f"{run.name}: {run.found.note}. These have no 3D picture." for run in runs if run.found.note]
+    notes += [
+        f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
+    ]
     if left_out:
         notes.append(f"{counted(left_out, 'world')} that stand are not in the table: it would be too large.")
     if without_boxes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -83,11 +83,22 @@ class ReportRun:
 
     def _first_articles(self, worlds: pd.DataFrame) -> list[str]:
         falls = worlds[worlds["culprit"].notna()]
-        boxes = self.results.boxes
-        boxes = boxes[boxes["plan_id"].isin(falls["plan_id"])]
-        of_box = dict(zip(zip(*(boxes[name] for name in (*KEY, "box")), strict=True), boxes["article"], strict=True))
-        rows = zip(worlds["plan_id"], worlds["variant"], worlds["culprit"], strict=True)
-        return ["" if pd.isna(box) else of_box.get((plan, variant, box), "") for plan, variant, box in rows]
+        of_plan = self.articles(set(falls["plan_id"]))
+        rows = zip(worlds["plan_id"], worlds["culprit"], strict=True)
+        return ["" if pd.isna(box) or plan not in of_plan else of_plan[plan][box] for plan, box in rows]
+
+    def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
+        """The articles of plans' boxes in packing order; where neither plans nor boxes are there, a plan has none."""
+        found: dict[str, Sequence[str]] = {
+            plan_id: plan.articles for plan_id, plan in self.found.plans.items() if plan_id in plan_ids
+        }
+        missing = {*plan_ids} - {*found}
+        if missing and self.results.keeps_boxes:
+            boxes = self.results.boxes
+            first = boxes.loc[boxes["plan_id"].isin(missing), [*KEY, "article"]]
+            first = first[first["variant"] == first.groupby("plan_id")["variant"].transform("min")]
+            found |= {str(plan_id): rows.tolist() for plan_id, rows in first.groupby("plan_id")["article"]}
+        return found
 
     @cached_property
     def axes(self) -> list[str]:
