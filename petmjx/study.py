@@ -146,7 +146,7 @@ class Nominal(Study):
             sim=sim,
             everything=plans,
             plans=own,
-            work=Work(sim, [plan.n_boxes for plan in own]),
+            work=Work(sim, [plan.n_boxes for plan in own], carried=int(sim.placing.carries)),
             n_worlds=len(own),
             amount=counted(len(own), "plan"),
         )

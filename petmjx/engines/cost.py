@@ -36,6 +36,13 @@ the model from the beginning."""
 SHAKEN_FACTOR = 2.0
 """Cost of a step of a drive on a device, relative to a step of the same pallet at rest."""
 
+CARRIED_STEPS = 2.2
+"""Steps of a placement by hand, relative to one in which boxes appear: 221 and 100 steps a box in 1,000 generated plans
+(docs/placing.md), 193 and 85 in six."""
+
+CARRIED_COST = 4.0
+"""Its cost, relative to one in which boxes appear, ..."""
+
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the standing boxes."""
 
@@ -56,12 +63,14 @@ class Work:
         sim: its check and schedule decide how many steps a placement has.
         boxes: of each plan.
         placements, drives: of each plan.
+        carried: placements in which boxes are carried to their places.
         drive_steps: of one drive, with the time to come to rest; mean over profiles.
     """
 
     sim: Simulation
     boxes: Sequence[int]
     placements: int = 1
+    carried: int = 0
     drives: int = 0
     drive_steps: float = 0.0
 
@@ -79,7 +88,13 @@ class Work:
     @property
     def steps(self) -> FloatArray:
         """(n,) expected steps of each plan, with soft starts."""
-        return self.placements * self._placing_steps + self.drives * self.drive_steps
+        placements = self.placements + (CARRIED_STEPS - 1) * self.carried
+        return placements * self._placing_steps + self.drives * self.drive_steps
+
+    @property
+    def _appearing(self) -> float:
+        """As many placements in which boxes appear as cost as much."""
+        return self.placements + (CARRIED_COST - 1) * self.carried
 
     @property
     def _placing_steps(self) -> FloatArray:
@@ -137,24 +152,26 @@ class Costs:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
             return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
         jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER)
-        jax_steps = float((work.placements * jax_placing + work.drives * jax_driving).sum())
+        jax_steps = float((work._appearing * jax_placing + work.drives * jax_driving).sum())
         placing_s, driving_s = self._placing_s(work), self._driving_s(work.boxes, work.drive_steps)
-        thread_s = float((work.placements * placing_s + work.drives * driving_s).sum())
-        longest_s = float((placing_s + (driving_s if work.drives else 0.0)).max())
+        thread_s = float((work._appearing * placing_s + work.drives * driving_s).sum())
+        each_s = (CARRIED_COST if work.carried else 1.0) * placing_s
+        longest_s = float((each_s + (driving_s if work.drives else 0.0)).max())
         cpu_s = max(thread_s / threads, longest_s)
         return {
             "mujoco": cpu_s,
             "mjx-warp-cpu": self.kernel_start_s + self.kernel_share * cpu_s,
             "mjx-jax": self.jax_step_s * jax_steps,
             "mjx-warp": self.gpu_start_s
-            + self._phase_s(n_plans * work.placements / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
+            + self._phase_s(n_plans * work._appearing / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
             + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER).mean())),
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
         """(n,) expected time of each job on one CPU thread, s. On a device only its order counts."""
         boxes = [job.scene.n_boxes for job in jobs]
-        placed = np.array([job.start is None for job in jobs])
+        placed = np.array([job.start is None for job in jobs], dtype=float)
+        placed *= [CARRIED_COST if job.scene.placing.carries else 1.0 for job in jobs]
         rest = [seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s) if job.drive else 0 for job in jobs]
         shaken = [len(job.drive.excitation.samples) if job.drive else 0 for job in jobs]
         drive_steps = np.array(rest, dtype=float) + shaken

@@ -78,6 +78,13 @@ class Design:
             return len({variant.placement_key for variant in self._sampled()})
         return sum(points * repeats for points, repeats in self._placement_counts())
 
+    @property
+    def n_random_placements(self) -> int:
+        """Placements per plan that have random errors."""
+        if self.sweep.sample is not None:
+            return self.n_placements if any(axis.random for axis in self._axes(placement=True)) else 0
+        return sum(points * repeats for points, repeats in self._placement_counts()[1:])
+
     def _placement_counts(self) -> tuple[tuple[int, int], ...]:
         """(points, replicates of each): points with a random error are repeated, the others are not."""
         if not self.sweep.axes:

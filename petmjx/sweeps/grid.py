@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 from petmjx.config import Check, Schedule
 from petmjx.engines.cost import Work
@@ -20,6 +21,10 @@ from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, Variant, apply
+
+
+_ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
+"""What axes change that give places or sizes errors: boxes are then placed by hand, unless told otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +213,7 @@ class SweepPlan(Design):
             sim=sim,
             boxes=[plan.n_boxes for plan in self.plans],
             placements=self._all_placements,
+            carried=self._carried,
             drives=self.n_variants - nominal if profiles else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
         )
@@ -220,6 +226,21 @@ class SweepPlan(Design):
         most = "at most " if self.sweep.search is not None else ""
         placements = counted(len(self.plans) * self._all_placements, "placement")
         return f"{most}{counted(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether places or sizes have errors in some worlds."""
+        return any(_ERRORS & {*AXIS_KINDS[name].changes} for name in self.sweep.axes)
+
+    @property
+    def _carried(self) -> int:
+        """Placements per plan in which boxes are carried to their places."""
+        sim = self.sweep.simulation
+        if not sim.may_carry:
+            return 0
+        if sim.placing.carries:
+            return self._all_placements
+        return self.n_random_placements if self.has_errors else 0
 
     @property
     def _all_placements(self) -> int:

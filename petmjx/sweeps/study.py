@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Final
+from typing import Any
 
 from petmjx.engines.base import Engine, Progress
 from petmjx.plans.plan import Plan
@@ -14,7 +14,6 @@ from petmjx.results.schema import summary_table
 from petmjx.results.writer import RunWriter
 from petmjx.run_options import RunOptions
 from petmjx.study import FinishedWorld, Study
-from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
 from petmjx.sweeps.grid import SweepPlan
@@ -30,10 +29,6 @@ from petmjx.sweeps.summary import (
     summary_units,
 )
 from petmjx.sweeps.swept import Answer
-
-_ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""What axes change that give places or sizes errors: boxes are then placed by hand, unless told otherwise."""
-
 
 class SweepStudy(Study):
     """All variants of each plan.
@@ -78,7 +73,7 @@ class SweepStudy(Study):
             params=self._columns.params,
             dynamic=self._columns.has_drives,
             axes=tuple(asked.axes),
-            has_errors=any(_ERRORS & {*AXIS_KINDS[name].changes} for name in asked.axes),
+            has_errors=plan.has_errors,
             identity={"sweep": sweep_identity(asked)},
             config={
                 **({"confidence": confidence} if confidence is not None else {}),
