@@ -18,12 +18,13 @@ from petmjx.sweeps.confidence import confidence_sweep
 from petmjx.sweeps.design import Design
 from petmjx.units import FloatArray, deg_to_rad
 from petmjx.verdict import Verdict
+from petmjx.world.apply import apply
 from petmjx.world.job import Drive
 from petmjx.world.next_boxes import NextBoxes
 from petmjx.world.profiles.base import Strength
 from petmjx.world.profiles.registry import resolve
 from petmjx.world.scene import Scene
-from petmjx.world.variants import Variant, apply
+from petmjx.world.variants import Variant
 
 _AT_ONCE: Final = 1024
 """Worlds with errors or drives that are held at a time."""

@@ -6,13 +6,17 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, Final
 
 from petmjx.sweeps.axes import AXIS_KINDS, Axis, Value
 from petmjx.sweeps.file import Sweep
 from petmjx.world.profiles.base import Profile
 from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
+
+MOST_KEPT: Final = 100_000
+"""Variants that are made once for all plans: they take 1 kB each. More are made for every plan."""
 
 Point = Mapping[str, Value]
 """A value on each axis, by the axis's name."""
@@ -104,6 +108,13 @@ class Design:
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
         """Each placement with the worlds that share it. In a search there are none: they are made level by level."""
+        return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
+
+    @cached_property
+    def _kept_placements(self) -> tuple[tuple[Variant, tuple[Variant, ...]], ...]:
+        return tuple(self._placements())
+
+    def _placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
         sweep = self.sweep
         if sweep.nominal:
             nominal = Variant(0, self._change({}))

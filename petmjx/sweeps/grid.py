@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -16,12 +17,12 @@ from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
 from petmjx.text import counted, shown
 from petmjx.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
+from petmjx.world.apply import apply_all
 from petmjx.world.job import Drive
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import DriveSpec, Variant, apply
-
+from petmjx.world.variants import DriveSpec, Variant
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
 """What axes change that give places or sizes errors: boxes are then placed by hand, unless told otherwise."""
@@ -143,8 +144,16 @@ class SweepPlan(Design):
 
     def scene(self, group: PlacementGroup) -> Scene:
         """The scene of a group's placement."""
-        nominal = build_scene(group.plan, self.sweep.simulation)
-        return apply(nominal, group.plan.plan_id, group.placement, self.sweep.seed)
+        ((_, found),) = self.scenes([group])
+        return found
+
+    def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
+        """Groups with the scenes of their placements; those of one plan, in a row, are made together."""
+        for plan, some in itertools.groupby(groups, key=lambda group: group.plan):
+            these, same = itertools.tee(some)
+            placements = (group.placement for group in same)
+            nominal = build_scene(plan, self.sweep.simulation)
+            yield from zip(these, apply_all(nominal, plan.plan_id, placements, self.sweep.seed), strict=True)
 
     # Drives.
 

@@ -23,6 +23,7 @@ from petmjx.sweeps.search import Bisection, Probe
 from petmjx.sweeps.swept import Answer, Settled
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
@@ -194,7 +195,8 @@ class SweepRun:
     def _place(self, groups: Iterable[PlacementGroup], chunk_worlds: int, keep_state: bool) -> Iterator[Settled]:
         begin = time.perf_counter()
         worlds = (
-            _Placing(group.plan, group.placement.index, self._placement(group, keep_state), group) for group in groups
+            _Placing(group.plan, group.placement.index, self._placement(group, scene, keep_state), group)
+            for group, scene in self.plan.scenes(groups)
         )
         for result in self._score(worlds, chunk_worlds, forks=keep_state):
             self.tally.placements += 1
@@ -202,8 +204,8 @@ class SweepRun:
             yield Settled(result.world.group, result.world.job.scene, result.outcome, result.attempts)
         self.tally.placement_s += time.perf_counter() - begin
 
-    def _placement(self, group: PlacementGroup, keep_state: bool) -> Job:
-        return Job(self.plan.scene(group), keep_state=keep_state, record=self.recording.of(group.plan))
+    def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
+        return Job(scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Worlds without a drive: they have the placement's outcome, with rest window."""

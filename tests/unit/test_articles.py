@@ -16,8 +16,9 @@ from petmjx.physics import PHYSICS
 from petmjx.plans.articles import Article, read_articles, with_articles
 from petmjx.plans.plan import Plan
 from petmjx.results.manifest import plan_digest
+from petmjx.world.apply import apply
 from petmjx.world.scene import build_scene
-from petmjx.world.variants import PlacementChange, Variant, apply
+from petmjx.world.variants import PlacementChange, Variant
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

@@ -18,9 +18,10 @@ from petmjx.placing import Placing, Way
 from petmjx.plans.write import save_plans
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
+from petmjx.world.apply import apply
 from petmjx.world.placing import course_of
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply
+from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant
 
 BOXES = [((300.0, 300.0, 300.0), (0.0, 0.0, 0.0), 6.0), ((300.0, 300.0, 300.0), (300.0, 0.0, 0.0), 6.0)]
 SD_2 = Distribution(DistributionShape.NORMAL, 0.0, 2.0)

@@ -13,15 +13,13 @@ import petmjx
 from petmjx.errors import InputError
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.sliding import hopeless_profiles
+from petmjx.world.apply import MIN_FRICTION_FRACTION, MIN_MASS_FRACTION, apply
 from petmjx.world.scene import Scene
 from petmjx.world.variants import (
-    MIN_FRICTION_FRACTION,
-    MIN_MASS_FRACTION,
     Distribution,
     DistributionShape,
     PlacementChange,
     Variant,
-    apply,
 )
 
 SCENE = make_scene(12)

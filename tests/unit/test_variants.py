@@ -9,8 +9,9 @@ import pytest
 
 from petmjx.config import Simulation
 from petmjx.plans.plan import Plan
+from petmjx.world.apply import apply, apply_all
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Distribution, DistributionShape, DriveSpec, PlacementChange, Variant, apply
+from petmjx.world.variants import UNCHANGED, Distribution, DistributionShape, DriveSpec, PlacementChange, Variant
 
 NORMAL_5 = Distribution(DistributionShape.NORMAL, 0.0, 5.0)
 
@@ -195,13 +196,13 @@ def test_distributions_have_their_moments() -> None:
     rng = np.random.default_rng(0)
     n = 20_000
     standard_error = 5.0 / np.sqrt(n)
-    normal = Distribution(DistributionShape.NORMAL, 2.0, 5.0).draw(rng, (n,))
+    (normal,) = Distribution(DistributionShape.NORMAL, 2.0, 5.0).draw([rng], (n,))
     assert abs(normal.mean() - 2.0) < 4 * standard_error
     assert normal.std() == pytest.approx(5.0, rel=0.03)
-    uniform = Distribution(DistributionShape.UNIFORM, -1.0, 1.0).draw(rng, (n,))
+    (uniform,) = Distribution(DistributionShape.UNIFORM, -1.0, 1.0).draw([rng], (n,))
     assert -2 <= uniform.min() < -1.99
     assert -0.01 < uniform.max() <= 0
-    assert Distribution(DistributionShape.FIXED, 3.0).draw(rng, (2,)).tolist() == [3.0, 3.0]
+    assert Distribution(DistributionShape.FIXED, 3.0).draw([rng], (2,)).tolist() == [[3.0, 3.0]]
 
 
 def test_placement_key_separates_placements_and_merges_drives() -> None:
@@ -212,3 +213,21 @@ def test_placement_key_separates_placements_and_merges_drives() -> None:
     assert Variant(1, calm).placement_key != Variant(1).placement_key
     never = PlacementChange(x_mm=Distribution(DistributionShape.NORMAL, 0.0, 0.0))
     assert Variant(1, never, replicate=0).placement_key == Variant(2, never, replicate=5).placement_key
+
+
+def test_many_worlds_are_made_together_as_each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.world.apply.AT_A_TIME", 3)
+    scene = stack()
+    changes = (
+        PlacementChange(x_mm=NORMAL_5, yaw_deg=NORMAL_5, size_mm=NORMAL_5),
+        UNCHANGED,
+        PlacementChange(friction_rel=Distribution(DistributionShape.UNIFORM, 0.0, 0.2), mass_factor=1.2),
+        PlacementChange(drop_height_mm=NORMAL_5, shifts_from_release=True),
+    )
+    variants = [Variant(k, changes[k // 5], replicate=k) for k in range(20)]
+    for variant, found in zip(variants, apply_all(scene, "a", variants, 4), strict=True):
+        alone = apply(scene, "a", variant, 4)
+        for name in ("half_size", "mass", "target", "start_pos", "start_quat", "friction"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name), err_msg=name)
+        assert found.placing == alone.placing
+        assert (found is scene) == (variant.placement == UNCHANGED)
