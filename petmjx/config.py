@@ -47,14 +47,14 @@ class Schedule(StrEnum):
 
 
 class Solver(StrEnum):
-    """Constraint solver. Which attempt takes which: petmjx/engines/retry.py."""
+    """Constraint solver. Which attempt takes which: petmjx/engines/attempts.py."""
 
     NEWTON = "newton"
     CG = "cg"
 
 
 class Attempts(StrEnum):
-    """What the last attempt at a world is (petmjx/engines/retry.py)."""
+    """What the last attempt at a world is (petmjx/engines/attempts.py)."""
 
     RIGID = "rigid"
     SOFT = "soft"

@@ -11,7 +11,7 @@ from it if nothing gave way; h is the height of its centre and x the depth of a 
 below that lean by themselves add to it by their angle times h.
 
 A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does; so a world in which
-this may have decided is simulated again in stiffer contacts (petmjx/engines/retry.py).
+this may have decided is simulated again in stiffer contacts (petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import pytest
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.engines.retry import ATTEMPTS
+from petmjx.engines.attempts import ATTEMPTS
 
 LIGHT_UNDER_HEAVY = make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))
 """Attempts 1 and 6; with conjugate gradients the first one, too, is C MuJoCo's."""
@@ -19,13 +19,13 @@ LIGHT_UNDER_HEAVY = make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.0
 RUN = """
 import sys
 import petmjx
-from petmjx.engines import retry
+from petmjx.engines import attempts, retry
 
 engine, plans, out, first = sys.argv[1:]
 # each further attempt, as if all before had failed
-retry.ATTEMPTS = (retry.ATTEMPTS[0], *retry.ATTEMPTS[int(first) - 1 :])
-retry.score_worlds.__kwdefaults__["attempts"] = retry.ATTEMPTS
-retry.AttemptRecipe.is_for = lambda self, outcome, sim: self.number == int(first) and outcome.attempt != int(first)
+asked = (attempts.ATTEMPTS[0], *attempts.ATTEMPTS[int(first) - 1 :])
+retry.score_worlds.__kwdefaults__["attempts"] = asked
+attempts.AttemptRecipe.is_for = lambda self, outcome, sim: self.number == int(first) and outcome.attempt != int(first)
 petmjx.score(plans, engine=engine, out=out)
 """
 

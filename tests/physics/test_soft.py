@@ -12,10 +12,11 @@ from support.plans import Box, make_plan
 
 import petmjx
 from petmjx.config import Simulation
+from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.soft import SoftWorld
-from petmjx.engines.retry import ATTEMPTS, World, score_worlds
+from petmjx.engines.retry import World, score_worlds
 from petmjx.errors import InputError
 from petmjx.history import CARRIER, Record
 from petmjx.plans.plan import Plan

@@ -11,8 +11,9 @@ from support.plans import make_plan, make_world, stack
 
 from petmjx.config import Simulation, Solver
 from petmjx.engines import stand_in
+from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.retry import ATTEMPTS, WorldResult, score_worlds
+from petmjx.engines.retry import WorldResult, score_worlds
 from petmjx.errors import InputError
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job

@@ -22,9 +22,9 @@ from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 
 import petmjx
 from petmjx.config import Simulation
+from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import ATTEMPTS
 from petmjx.engines.workers import cluster as cluster_module
 from petmjx.engines.workers import pool as pool_module
 from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
