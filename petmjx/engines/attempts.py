@@ -59,6 +59,9 @@ class AttemptRecipe:
     """Whether it wants double precision: an invalid world may be so by single precision, and in contacts of a twentieth
     of the time constant boxes sink by less than it resolves."""
 
+    few: bool = False
+    """Whether few worlds need it, among many of a run."""
+
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give what the one before did not. More time is not given to a world."""
         if self.checks:
@@ -114,7 +117,7 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(3, Solver.CG, doubles=True),
     AttemptRecipe(4, Solver.CG, careful=True, doubles=True),
     AttemptRecipe(5, Solver.NEWTON, timestep_divisor=2, doubles=True),
-    AttemptRecipe(6, None, stiff=0.5, most_boxes=96),
+    AttemptRecipe(6, None, stiff=0.5, most_boxes=96, few=True),
     AttemptRecipe(7, None, stiff=0.05, timestep_divisor=8, most_boxes=12, doubles=True),
     AttemptRecipe(8, None, timestep_divisor=2, checks=True),
     AttemptRecipe(9, None, soft=True),

@@ -26,6 +26,7 @@ class Progress:
 
     Attributes:
         message: what it is doing (compiling, …).
+        at_hand: outcomes that follow the last one at once; None where the engine does not say.
         notes: lines for the results, each once: what was done otherwise than asked for.
     """
 
@@ -33,6 +34,7 @@ class Progress:
     world_steps: int = 0
     compile_s: float = 0.0
     message: str = ""
+    at_hand: int | None = None
     extra: dict[str, float] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
 

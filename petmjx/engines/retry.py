@@ -8,20 +8,21 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import dataclass, field, replace
+from itertools import count, islice
 from typing import Final, Generic, TypeVar
 
 from petmjx.config import Simulation
 from petmjx.engines.attempts import ATTEMPTS, AttemptRecipe
 from petmjx.engines.base import Engine, GrowingJobs, Progress
+from petmjx.engines.beside.process import Answer, Task
 from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.sinking import note_softness
 from petmjx.engines.stand_in import STAND_INS, Engines, ready_for
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.plan import Plan
-from petmjx.text import one_line
+from petmjx.text import counted, one_line
 from petmjx.verdict import Attempt, Flag, Outcome, margin_of
 from petmjx.world.job import Job, KeptState
 
@@ -53,7 +54,8 @@ class WorldResult(Generic[AnyWorld]):
 
 MOST_TOGETHER: Final = 64
 MOST_DELAY_S: Final = 0.1
-"""Answers that come within so many seconds are looked at together, up to so many."""
+"""Answers that come within so many seconds are looked at together, up to so many; those of an engine that says how many
+are at hand, as long as there are more."""
 
 _Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts: with the outcome of the last one, and the records of all before."""
@@ -72,7 +74,8 @@ def score_worlds(
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
     ``chunk_worlds`` worlds are taken and simulated at a time. Invalid ones are collected and simulated again together,
-    at the end or when a chunk is full. So memory does not grow with the number of worlds.
+    at the end or when a chunk is full. So memory does not grow with the number of worlds. Attempts that CPU threads
+    make beside a GPU (petmjx/engines/stand_in.py) begin at once.
 
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
@@ -93,43 +96,125 @@ def score_worlds(
     engines = Engines(engine, progress)
     first, *retries = attempts
     source = iter(worlds)
-    waiting: list[_Pending[AnyWorld]] = []
+    waiting: list[tuple[AttemptRecipe, _Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
+    besides = _Besides[AnyWorld](sim, engines)
 
-    def attempt_at(
-        batch: list[_Pending[AnyWorld]], attempt: AttemptRecipe, later: Sequence[AttemptRecipe]
-    ) -> Generator[WorldResult[AnyWorld], None, list[_Pending[AnyWorld]]]:
-        """Yield results that are final; return the worlds for which there is a later attempt."""
-        again: list[_Pending[AnyWorld]] = []
+    def went_on(attempt: AttemptRecipe, found: _Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+        """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
+
+        Args:
+            found: with the attempt's outcome.
+        """
+        world, outcome, records = found
+        assert outcome is not None
+        later = attempts[attempts.index(attempt) + 1 :]
+        following = next((each for each in later if each.is_for(outcome, sim)), None)
+        if following is None:
+            yield WorldResult(world, outcome, records)
+        elif not besides.begin(following, found):
+            waiting.append((following, found))
+
+    def from_beside(wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
+        for attempt, found in besides.ended(wait=wait):
+            yield from went_on(attempt, found)
+
+    def attempt_at(batch: list[_Pending[AnyWorld]], attempt: AttemptRecipe) -> Iterator[WorldResult[AnyWorld]]:
         making = _Making(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
-        for world, outcome, records in making.run(batch):
-            if any(each.is_for(outcome, sim) for each in later):
-                again.append((world, outcome, records))
-            else:
-                yield WorldResult(world, outcome, records)
-        return again
+        for found in making.run(batch):
+            yield from went_on(attempt, found)
+            yield from from_beside()
 
-    def retry(batch: Sequence[_Pending[AnyWorld]]) -> Iterator[WorldResult[AnyWorld]]:
-        for number, attempt in enumerate(retries, start=1):
-            chosen: list[_Pending[AnyWorld]] = []
-            others: list[_Pending[AnyWorld]] = []
-            for pending in batch:
-                fits = pending[1] is not None and attempt.is_for(pending[1], sim)
-                (chosen if fits else others).append(pending)
+    def retry() -> Iterator[WorldResult[AnyWorld]]:
+        for attempt in retries:
+            chosen = [pending for asked, pending in waiting if asked is attempt]
+            waiting[:] = [each for each in waiting if each[0] is not attempt]
             if chosen:
                 progress.message = f"{len(chosen)} again, attempt {attempt.number}"
-                batch = others + (yield from attempt_at(chosen, attempt, retries[number:]))
+                yield from attempt_at(chosen, attempt)
 
-    while True:
-        chunk = list(islice(source, chunk_worlds)) or aside.copy() or list(more() if more else ())
-        aside.clear()
-        if chunk:
-            waiting += yield from attempt_at([(world, None, ()) for world in chunk], first, retries)
-        elif not waiting:
-            return
-        if len(waiting) >= chunk_worlds or not chunk:
-            invalid, waiting = waiting, []
-            yield from retry(invalid)  # from whose results more may follow
+    try:
+        while True:
+            chunk = list(islice(source, chunk_worlds)) or aside.copy() or list(more() if more else ())
+            aside.clear()
+            if chunk:
+                yield from attempt_at([(world, None, ()) for world in chunk], first)
+            elif not waiting and besides.unanswered:
+                progress.message = f"{counted(besides.unanswered, 'world')} again on CPU threads"
+                yield from from_beside(wait=True)
+            elif not waiting:
+                return
+            if len(waiting) >= chunk_worlds or not chunk:
+                yield from retry()  # from whose results more may follow
+    except GeneratorExit:
+        raise
+    except BaseException:  # ctrl-C, too, loses nothing that has come
+        yield from from_beside()
+        raise
+    finally:
+        besides.close()
+
+
+@dataclass(eq=False)
+class _Besides(Generic[AnyWorld]):
+    """Further attempts at single worlds that are made beside the engine of the run."""
+
+    sim: Simulation
+    engines: Engines
+    _numbers: Iterator[int] = field(default_factory=count)
+    _asked: dict[int, tuple[_Making[AnyWorld], _Pending[AnyWorld], str]] = field(default_factory=dict)
+    """Number of a task → the attempt that it makes, the world, and the name of the engine."""
+
+    @property
+    def unanswered(self) -> int:
+        """Worlds that are simulated now."""
+        return len(self._asked)
+
+    def begin(self, attempt: AttemptRecipe, pending: _Pending[AnyWorld]) -> bool:
+        """Begin an attempt at a world. False if it is not made beside the engine of the run."""
+        making = _Making[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
+        traits = {"doubles": attempt.doubles, "soft": making.is_soft(pending[0]), "few": attempt.few}
+        name = self.engines.beside(pending[0].job, making.sim, **traits)
+        if name is not None:
+            self._ask(making, pending, name)
+        return name is not None
+
+    def _ask(self, making: _Making[AnyWorld], pending: _Pending[AnyWorld], engine: str) -> None:
+        (job,) = making.attempt.apply_to_jobs([ready_for(engine, pending[0].job)])
+        number = next(self._numbers)
+        self._asked[number] = making, pending, engine
+        self.engines.helper.begin(Task(number, engine, job, making.sim))
+
+    def ended(self, *, wait: bool) -> Iterator[tuple[AttemptRecipe, _Pending[AnyWorld]]]:
+        """The attempts that have ended, and the worlds with their outcomes.
+
+        Args:
+            wait: for one at least, if there is any.
+        """
+        if self._asked:
+            for answer in self.engines.helper.ended(wait=wait):
+                making, pending, engine = self._asked.pop(answer.number)
+                for found in self._made(making, pending, engine, answer):
+                    yield making.attempt, found
+
+    def _made(
+        self, making: _Making[AnyWorld], pending: _Pending[AnyWorld], engine: str, answer: Answer
+    ) -> Iterator[_Pending[AnyWorld]]:
+        """What becomes of an answer: without an outcome the stand-in is asked, and then once more in this process."""
+        stand_in = self.engines.stand_in
+        if answer.outcome is not None:
+            self.engines.progress.world_steps += answer.outcome.n_steps
+            yield from making.made([(pending, answer.outcome)], engine)
+        elif stand_in is not None and engine != stand_in.name:
+            self.engines.note_failure(engine, making.attempt.number, 1, answer.message)
+            self._ask(making, pending, stand_in.name)
+        else:
+            yield from making.stood_in([pending])
+
+    def close(self) -> None:
+        """Nothing more is asked."""
+        if "helper" in vars(self.engines):
+            self.engines.helper.close()
 
 
 @dataclass(eq=False)
@@ -152,27 +237,35 @@ class _Making(Generic[AnyWorld]):
 
     def run(self, batch: Sequence[_Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """Yield world, outcome, and its records with this attempt's record."""
-        own = maker = self.engines.own
+        own = self.engines.own
         chosen = [self._engine_for(world) for world, _, _ in batch]
         left = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is own]
         others = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is not own]
         if left:
             left = yield from self._run_on(own, left)
-        if (left or others) and self.engines.stand_in is not None:
+        yield from self.stood_in(left + others)
+
+    def stood_in(self, left: list[_Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+        """The same of worlds that the stand-in takes over, if there is one."""
+        maker = self.engines.own
+        if left and self.engines.stand_in is not None:
             maker = self.engines.stand_in
-            left = yield from self._run_on(maker, left + others)
+            left = yield from self._run_on(maker, left)
         failed = [failed_outcome(0, pending[0].job, self.sim, self._message) for pending in left]
-        yield from self._made(list(zip(left, failed, strict=True)), maker)
+        yield from self.made(list(zip(left, failed, strict=True)), maker.name)
 
     def _engine_for(self, world: AnyWorld) -> Engine:
-        soft = self.attempt.soft or world.job.scene.soft is not None
-        return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles, soft=soft)
+        return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles, soft=self.is_soft(world))
+
+    def is_soft(self, world: AnyWorld) -> bool:
+        """Whether boxes of a world are soft at this attempt."""
+        return self.attempt.soft or world.job.scene.soft is not None
 
     def _run_on(
         self, engine: Engine, batch: list[_Pending[AnyWorld]]
     ) -> Generator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]], None, list[_Pending[AnyWorld]]]:
         """Yield what an engine made of worlds; return those that an error of the engine left unanswered."""
-        jobs = self.attempt.apply_to_jobs([ready_for(engine, pending[0].job) for pending in batch])
+        jobs = self.attempt.apply_to_jobs([ready_for(engine.name, pending[0].job) for pending in batch])
         takes_more = self.more is not None and engine.takes_more
         if takes_more:
             jobs = GrowingJobs(jobs)
@@ -184,14 +277,14 @@ class _Making(Generic[AnyWorld]):
             try:
                 answer = next(answers, None)
             except BaseException as error:  # ctrl-C, too, loses nothing that has come
-                yield from self._made(came, engine)
+                yield from self.made(came, engine.name)
                 if not isinstance(error, Exception):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
                 if self.attempt.number == 1 and refused:
                     raise  # the user's to change: what the engine refuses, or the user's own engine
                 self._message = one_line(error)
-                self.engines.note_failure(engine, self.attempt.number, len(unanswered), self._message)
+                self.engines.note_failure(engine.name, self.attempt.number, len(unanswered), self._message)
                 return [batch[index] for index in sorted(unanswered)]
             if answer is None:
                 break
@@ -199,14 +292,16 @@ class _Making(Generic[AnyWorld]):
                 raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
             unanswered.remove(answer.job)
             came.append((batch[answer.job], answer))
-            if takes_more or len(came) == MOST_TOGETHER or time.monotonic() - looked_s > MOST_DELAY_S:
-                yield from self._made(came, engine)
+            at_hand = self.engines.progress.at_hand if engine is self.engines.own else None
+            waits = time.monotonic() - looked_s < MOST_DELAY_S if at_hand is None else at_hand > 0
+            if takes_more or len(came) == MOST_TOGETHER or not waits:
+                yield from self.made(came, engine.name)
                 came, looked_s = [], time.monotonic()
             for world in self._following(engine) if takes_more else ():
                 unanswered.add(len(batch))
                 batch.append((world, None, ()))
-                jobs.append(ready_for(engine, world.job))
-        yield from self._made(came, engine)
+                jobs.append(ready_for(engine.name, world.job))
+        yield from self.made(came, engine.name)
         if unanswered:
             raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")
         return []
@@ -220,19 +315,19 @@ class _Making(Generic[AnyWorld]):
             else:
                 self.aside.append(world)
 
-    def _made(
-        self, came: Sequence[tuple[_Pending[AnyWorld], Outcome]], engine: Engine
+    def made(
+        self, came: Sequence[tuple[_Pending[AnyWorld], Outcome]], engine: str
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """What becomes of answers, for all of them together: one by one that took longer than a GPU's simulation."""
         worlds = [pending[0] for pending, _ in came]
         scenes = [world.job.scene.all_soft if self.attempt.soft else world.job.scene for world in worlds]
         outcomes = note_softness([answer for _, answer in came], scenes, self.sim)
         for outcome in outcomes:
-            outcome.attempt, outcome.engine = self.attempt.number, engine.name
+            outcome.attempt, outcome.engine = self.attempt.number, engine
             outcome.solver = self.sim.solver.value
             outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, self.sim.thresholds)
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
-                outcome.state = KeptState(engine.name, outcome.state)
+                outcome.state = KeptState(engine, outcome.state)
         note_edges(outcomes, [world.job for world in worlds])
         for (_, before, records), world, outcome in zip((each for each, _ in came), worlds, outcomes, strict=True):
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))

@@ -8,13 +8,32 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.plans import make_plan, stack
+from support.plans import make_plan, make_world, stack
 
 import petmjx
+from petmjx.config import Simulation
 from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.choose import make_engine
+from petmjx.engines.retry import score_worlds
 
 LIGHT_UNDER_HEAVY = make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))
 """Attempts 1 and 6; with conjugate gradients the first one, too, is C MuJoCo's."""
+
+KERNEL_ON_THREADS = """
+import sys
+import numpy as np
+from support.plans import make_plan, make_world, stack
+from petmjx.config import Simulation
+from petmjx.config import Simulation
+from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.choose import make_engine
+from petmjx.engines.retry import score_worlds
+from petmjx.engines.warp.cpu import MjxWarpCpuEngine
+
+job = make_world(make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))).job
+(outcome,) = MjxWarpCpuEngine(1).run([job], ATTEMPTS[5].apply_to_sim(Simulation()))
+print(outcome.n_steps, *outcome.boxes.pos.ravel())
+"""
 
 RUN = """
 import sys
@@ -41,4 +60,19 @@ def test_every_attempt_ends_with_nothing_kept(attempt: int, tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
     attempts = petmjx.load_run(tmp_path / "out").attempts
     assert attempts["attempt"].tolist() == [1, attempt]
-    assert attempts["engine"].tolist() == ["mjx-warp", "mujoco" if ATTEMPTS[attempt - 1].doubles else "mjx-warp"]
+    beside = "mujoco" if ATTEMPTS[attempt - 1].doubles else "mjx-warp-cpu"
+    assert attempts["engine"].tolist() == ["mjx-warp", beside]
+
+
+@pytest.mark.gpu
+@pytest.mark.slow
+def test_what_is_made_beside_a_gpu_is_the_same_as_without_one() -> None:
+    """To the last bit: the process beside the run sees no GPU."""
+    (result,) = score_worlds([make_world(LIGHT_UNDER_HEAVY)], Simulation(), make_engine("mjx-warp"))
+    assert [attempt.engine for attempt in result.attempts] == ["mjx-warp", "mjx-warp-cpu"]
+    path = os.pathsep.join(sys.path)
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": "", "PYTHONPATH": path}
+    command = [sys.executable, "-c", KERNEL_ON_THREADS]
+    alone = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+    assert int(alone[0]) == result.outcome.n_steps
+    assert [float(each) for each in alone[1:]] == result.outcome.boxes.pos.ravel().tolist()

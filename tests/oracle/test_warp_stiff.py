@@ -1,4 +1,4 @@
-"""Worlds that soft contacts may have decided are simulated again in stiffer ones, by mjx-warp itself."""
+"""Worlds that soft contacts may have decided are simulated again in stiffer ones, beside a run on mjx-warp."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from support.plans import make_plan, make_world, stack
 from support.tiny_worlds import shared_engine
 
 from petmjx.config import Simulation
+from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import WorldResult, score_worlds
+from petmjx.engines.warp.cpu import MjxWarpCpuEngine
 from petmjx.verdict import Verdict
 
 SIM = Simulation()
@@ -35,8 +37,11 @@ def scored(engine: Engine) -> dict[str, WorldResult]:
 @pytest.mark.slow
 def test_the_kernel_s_further_attempts_end_as_c_mujoco_s() -> None:
     expected = scored(MujocoEngine(1))
+    alone = MjxWarpCpuEngine(1)
     for name, result in scored(shared_engine()).items():
-        assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp")], name
+        assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp-cpu")], name
+        (itself,) = alone.run([result.world.job], ATTEMPTS[5].apply_to_sim(SIM))
+        np.testing.assert_array_equal(result.outcome.boxes.pos, itself.boxes.pos, err_msg=name)
         oracle = expected[name].outcome
         assert (result.outcome.verdict, result.outcome.culprit) == (oracle.verdict, oracle.culprit), name
         if oracle.verdict is Verdict.STABLE:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pytest
+from support.fake_beside import AtOnce
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
 from petmjx.config import Simulation, Solver
-from petmjx.engines import stand_in
+from petmjx.engines import retry, stand_in
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import WorldResult, score_worlds
@@ -23,36 +25,48 @@ WORLDS = 3
 
 @dataclass
 class Scripted(Engine):
-    """Raises in some of its runs, after it has answered one job; in the others answers with these reasons."""
+    """Raises in some of its runs, after it has answered the first of several jobs; else answers with these reasons."""
 
     name: str
-    raises: Callable[[int], Exception | None]
+    raises: Callable[[int, Simulation], Exception | None]
     reason: Reason = Reason.NONE
     sims: list[Simulation] = field(default_factory=list)
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         self.sims.append(sim)
-        error = self.raises(len(self.sims))
+        error = self.raises(len(self.sims), sim)
         for index in range(len(jobs)):
-            if error is not None and index == 1:
+            if error is not None and index == min(1, len(jobs) - 1):
                 raise error
             verdict = Verdict.INVALID if self.reason else Verdict.STABLE
             flags = Flag.SINKING if self.reason is Reason.SINKING else Flag.NONE
             yield make_outcome(1, verdict, self.reason, job=index, flags=flags)
 
 
-def never(_: int) -> None:
+def never(run: int, sim: Simulation) -> None:
     return None
 
 
-def in_run(number: int) -> Callable[[int], Exception | None]:
-    return lambda run: RuntimeError("Warp CUDA error 901") if run == number else None
+def in_run(number: int) -> Callable[[int, Simulation], Exception | None]:
+    return lambda run, _: RuntimeError("Warp CUDA error 901") if run == number else None
+
+
+def at_attempt(number: int, of: Simulation) -> Callable[[int, Simulation], Exception | None]:
+    asked = ATTEMPTS[number - 1].apply_to_sim(of)
+    return lambda _, sim: RuntimeError("no") if sim == asked else None
 
 
 def scored(
-    own: Scripted, c_engine: Scripted, monkeypatch: pytest.MonkeyPatch, sim: Simulation | None = None
+    own: Scripted,
+    c_engine: Scripted,
+    monkeypatch: pytest.MonkeyPatch,
+    sim: Simulation | None = None,
+    kernel: Scripted | None = None,
 ) -> tuple[list[WorldResult], list[str]]:
-    monkeypatch.setattr(stand_in, "make_engine", lambda name: c_engine)
+    """Results and notes. ``c_engine`` and ``kernel`` are what makes attempts beside the run, too."""
+    engines = {"mujoco": c_engine, "mjx-warp-cpu": kernel or Scripted("mjx-warp-cpu", never)}
+    monkeypatch.setattr(stand_in, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(stand_in, "InProcess", lambda: AtOnce(engines.__getitem__))
     progress = Progress()
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = list(score_worlds(worlds, sim or Simulation(), own, progress=progress))
@@ -68,27 +82,52 @@ def test_what_an_engine_leaves_unanswered_goes_to_c_mujoco(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("number", [each.number for each in ATTEMPTS[1:] if not each.checks])
 def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """C MuJoCo makes those that want double precision, and takes what the run's engine leaves unanswered.
+    """C MuJoCo makes those that want double precision, and what another engine leaves unanswered.
 
     Attempts 6 and 7 are for worlds that sank, and 9 comes after 2 to 5 where it is asked for.
     """
     sinks = number in (6, 7)
+    sim = Simulation(attempts="soft" if number == 9 else "rigid")
     reason = Reason.SINKING if sinks else Reason.EXPLOSION
-    run = 1 if sinks else min(number - 1, 5)
-    own = Scripted("mjx-warp", in_run(2) if number == 6 else never, reason)
-    c_engine = Scripted("mujoco", in_run(run), reason)
-    results, notes = scored(own, c_engine, monkeypatch, Simulation(attempts="soft" if number == 9 else "rigid"))
-    assert len(own.sims) == (2 if sinks else 1)
+    own, fails = Scripted("mjx-warp", never, reason), at_attempt(number, sim)
+    c_engine, kernel = Scripted("mujoco", fails, reason), Scripted("mjx-warp-cpu", fails, reason)
+    results, notes = scored(own, c_engine, monkeypatch, sim, kernel)
+    assert len(own.sims) == 1
     failed = [result for result in results if result.outcome.reason is Reason.FAILED]
     assert {result.outcome.verdict for result in results} == {Verdict.INVALID}
     assert any(f"attempt {number}: mujoco failed" in note for note in notes)
-    assert "worlds were simulated again on mujoco, in double precision" in notes
+    if number == 6:
+        assert "attempt 6: mjx-warp-cpu failed (no); 1 world: went to mujoco" in notes
+    else:
+        assert "worlds were simulated again on mujoco, in double precision" in notes
     by_attempt = [(a.attempt, a.reason) for result in results for a in result.attempts]
-    assert (number, "failed") in by_attempt
+    assert by_attempt.count((number, "failed")) == WORLDS
     wants_doubles = {each.number for each in ATTEMPTS if each.doubles}
     assert all(a.engine == "mujoco" for result in results for a in result.attempts if a.attempt in wants_doubles)
     assert all(result.attempts[0].engine == "mjx-warp" for result in results)
     assert all(result.outcome.message for result in failed)
+
+
+def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the engine of the run has answered the next world. The kernel on CPU threads makes them in stiffer
+    contacts, and C MuJoCo the others; checks at half the timestep, of which there may be many, wait for a GPU."""
+    told: list[str] = []
+    monkeypatch.setattr(retry, "MOST_TOGETHER", 1)
+
+    @dataclass
+    class Telling(Scripted):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            for outcome in super().run(jobs, sim, progress):
+                told.append(self.name)
+                yield replace(outcome, boxes=replace(outcome.boxes, max_tilt_deg=np.array([15.0])))
+
+    own = Telling("mjx-warp", never, Reason.SINKING)
+    kernel, c_engine = Telling("mjx-warp-cpu", never, Reason.SINKING), Telling("mujoco", never)
+    results, notes = scored(own, c_engine, monkeypatch, Simulation(check_timestep=True), kernel)
+    assert told == ["mjx-warp", "mjx-warp-cpu", "mujoco"] * WORLDS + ["mjx-warp"] * WORLDS
+    made = [(1, "mjx-warp"), (6, "mjx-warp-cpu"), (7, "mujoco"), (8, "mjx-warp")]
+    assert all([(a.attempt, a.engine) for a in result.attempts] == made for result in results)
+    assert "worlds were simulated again on mjx-warp-cpu, in stiffer contacts" in notes
 
 
 def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,7 +139,7 @@ def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_an_engine_refuses_is_the_user_s_to_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    refusing = Scripted("mjx-warp", lambda run: InputError("too many boxes"))
+    refusing = Scripted("mjx-warp", lambda run, sim: InputError("too many boxes"))
     with pytest.raises(InputError, match="too many boxes"):
         scored(refusing, Scripted("mujoco", never), monkeypatch)
 

@@ -87,9 +87,9 @@ def tables(
     return worlds, started_states(jobs, fresh)
 
 
-def round_up(n: int) -> int:
-    """The least multiple of ``GRANULE`` that holds n boxes."""
-    return -(-n // GRANULE) * GRANULE
+def round_up(n: int, granule: int = GRANULE) -> int:
+    """The least multiple of ``granule`` that holds n boxes."""
+    return -(-n // granule) * granule
 
 
 def is_out_of_memory(error: Exception) -> bool:

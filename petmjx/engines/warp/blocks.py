@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import warp as wp
 
@@ -54,7 +54,7 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
                 call.launch(block, 1, device=device)
 
     blocks = max(call.blocks for call in calls)
-    running = [_threads(blocks).submit(run, block) for block in range(blocks)]
+    running = [_threads().submit(run, block) for block in range(blocks)]
     _, late = wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
     if late:
         clock.numpy()[0] = 1  # the kernels' own memory
@@ -62,7 +62,10 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
         each.result()
 
 
+MOST_THREADS: Final = 1024
+
+
 @functools.cache
-def _threads(count: int) -> ThreadPoolExecutor:
-    """Threads for blocks, kept since each slice needs them."""
-    return ThreadPoolExecutor(count, thread_name_prefix="mjx-warp")
+def _threads() -> ThreadPoolExecutor:
+    """Threads for the blocks of all engines, as many as are needed at once. They are kept: each slice needs them."""
+    return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")

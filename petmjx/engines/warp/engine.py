@@ -16,7 +16,7 @@ from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.setup import set_up_jax, set_up_warp
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.batch.upload import is_out_of_memory, load, round_up, tables
+from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, round_up, tables
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
@@ -82,7 +82,7 @@ def _sizes(run: Run) -> list[int]:
     return sorted(run.widths, reverse=True)
 
 
-def _widths(jobs: Sequence[Job]) -> dict[int, int]:
+def _widths(jobs: Sequence[Job], granule: int) -> dict[int, int]:
     """``Run.widths`` for some jobs."""
     largest = max(job.scene.n_boxes for job in jobs)
     if largest > MAX_BOXES:
@@ -93,7 +93,7 @@ def _widths(jobs: Sequence[Job]) -> dict[int, int]:
     widest: dict[int, int] = {}
     for job in jobs:
         size = _size(job)
-        widest[size] = max(widest.get(size, 0), round_up(job.scene.n_boxes))
+        widest[size] = max(widest.get(size, 0), round_up(job.scene.n_boxes, granule))
     return widest
 
 
@@ -112,6 +112,9 @@ class MjxWarpEngine(Engine):
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device: slow, for tests.
         group_size: worlds whose states are on the device at the same time; it bounds memory for any number of jobs.
         slice_ns: time between two looks at which worlds have ended, ns.
+
+    Attributes:
+        granule: tables have room for a multiple of so many boxes.
 
     Raises:
         EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
@@ -134,6 +137,7 @@ class MjxWarpEngine(Engine):
         set_up_warp()
         set_up_jax()
         self.lanes, self.group_size, self.slice_ns = lanes, group_size, slice_ns
+        self.granule = GRANULE
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
         """The last rollout for each kind of launches, and what it depends on."""
@@ -163,9 +167,9 @@ class MjxWarpEngine(Engine):
         with self._running:
             while first < len(jobs):  # more may have been appended
                 rest = jobs[first:]
-                timetable = build_timetable(sim, round_up(max(job.scene.n_boxes for job in rest)))
+                timetable = build_timetable(sim, round_up(max(job.scene.n_boxes for job in rest), self.granule))
                 traits = (any(map(trait, rest)) for trait in (_wants_hands, _gives, _is_wrapped))
-                run = Run(sim, timetable, _widths(rest), progress, jobs, *traits)
+                run = Run(sim, timetable, _widths(rest, self.granule), progress, jobs, *traits)
                 size = math.ceil(len(rest) / math.ceil(len(rest) / self.group_size))
                 end = len(jobs)
                 while first < end:
@@ -263,7 +267,9 @@ class MjxWarpEngine(Engine):
                         rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                yield from outcomes(ended, picked, jobs, 0, run.sim, group.recorder)
+                found = outcomes(ended, picked, jobs, 0, run.sim, group.recorder)
+                for run.progress.at_hand, outcome in zip(reversed(range(len(ended))), found, strict=True):
+                    yield outcome
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
                     rollout.keep_under_way(at_once, group, queues.order)
         except BaseException:

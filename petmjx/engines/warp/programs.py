@@ -108,14 +108,15 @@ class Programs:
         self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
-        self._compiling = Lock()
 
     def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
         """The program for arguments of these sizes: those of ``_advance``. ``progress`` learns how long compiling
         took."""
         table, _, _, profiles, order, frames = arguments
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
-        with self._compiling:
+        if sizes in self._compiled:
+            return self._compiled[sizes]
+        with _COMPILING:
             if sizes not in self._compiled:
                 begin, progress.message = time.perf_counter(), "compiling"
                 self.march.load()
@@ -142,6 +143,9 @@ class Programs:
         table = State(**after, metrics=metrics)
         return table, workspace, table.status + 0, frames, counts
 
+
+_COMPILING = Lock()
+"""Of all programs: Warp does not say that two threads may load the same kernel at once."""
 
 MOST_KEPT = 16
 """Sets of programs that are kept: a score with further attempts has up to four. The largest have 16 MB each."""

@@ -1,0 +1,171 @@
+"""Tasks for the process beside a run, and their answers: the side of the run."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import pickle
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Final, Protocol
+
+from petmjx.engines.beside.process import Answer, Task, next_of
+from petmjx.text import one_line
+
+LOOK_S: Final = 0.25
+"""Longest wait for an answer, s: a signal is noticed after it."""
+
+_CODE: Final = "from petmjx.engines.beside.process import main; main()"
+
+
+class Beside(Protocol):
+    """Simulates worlds beside the caller."""
+
+    def begin(self, task: Task) -> None:
+        """Simulate a world. Returns at once."""
+
+    def ended(self, *, wait: bool) -> Iterator[Answer]:
+        """The answers that have come, each once.
+
+        Args:
+            wait: for one at least, if a task is unanswered.
+        """
+        ...
+
+    def close(self) -> None:
+        """Nothing is asked any more. What is unanswered is for nobody."""
+
+
+class InProcess:
+    """Worlds in a process of their own, which starts with the first one.
+
+    Tasks that a process leaves unanswered when it dies are answered without an outcome. The next task starts another
+    one.
+    Processes that have nothing to do are kept for the next user, since each has to load JAX, Warp and the kernel.
+    """
+
+    def __init__(self) -> None:
+        self._process: _Process | None = None
+        self._unanswered: set[int] = set()
+
+    def begin(self, task: Task) -> None:
+        """As in the protocol."""
+        if self._process is None:
+            self._process = _taken()
+        self._unanswered.add(task.number)
+        self._process.tasks.put(task)
+
+    def ended(self, *, wait: bool) -> Iterator[Answer]:
+        """As in the protocol."""
+        while self._unanswered:
+            assert self._process is not None
+            try:
+                answer = self._process.answers.get(timeout=LOOK_S) if wait else self._process.answers.get_nowait()
+            except queue.Empty:
+                if wait:
+                    continue
+                return
+            wait = False
+            if answer is not None:
+                self._unanswered.discard(answer.number)
+                yield answer
+                continue
+            died, self._unanswered = sorted(self._unanswered), set()
+            self._process.end()
+            self._process = None
+            for number in died:
+                yield Answer(number, None, "the process beside the run died")
+
+    def close(self) -> None:
+        """As in the protocol."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        if self._unanswered:
+            process.end()
+        else:
+            _IDLE.setdefault(os.getpid(), []).append(process)
+
+
+class _Process:
+    """A process, with threads that write its tasks and read its answers.
+
+    Attributes:
+        answers: None is the last one.
+    """
+
+    def __init__(self) -> None:
+        self.tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+        self.answers: queue.SimpleQueue[Answer | None] = queue.SimpleQueue()
+        path = os.pathsep.join(each or os.getcwd() for each in sys.path)
+        environment = {**os.environ, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": "", "PYTHONPATH": path}
+        environment["PYTHONSAFEPATH"] = "1"  # no file of the user's folder stands before a module
+        self._popen: subprocess.Popen[bytes] | None = None
+        try:
+            self._popen = subprocess.Popen(
+                [sys.executable, "-c", _CODE],
+                env=environment,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            )
+        except OSError:  # no memory for it, or an interpreter inside another program
+            self.answers.put(None)
+            return
+        for target in (self._write, self._read):
+            threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
+
+    @property
+    def lives(self) -> bool:
+        return self._popen is not None and self._popen.poll() is None
+
+    def end(self) -> None:
+        """Kill it."""
+        self.tasks.put(None)
+        if self._popen is not None:
+            self._popen.kill()
+            self._popen.wait()
+
+    def _write(self, popen: subprocess.Popen[bytes]) -> None:
+        assert popen.stdin is not None
+        with contextlib.suppress(OSError), popen.stdin as pipe:
+            while (task := self.tasks.get()) is not None:
+                try:
+                    data = pickle.dumps(task)
+                except Exception as error:
+                    self.answers.put(Answer(task.number, None, one_line(error)))
+                    continue
+                pipe.write(data)
+                pipe.flush()
+
+    def _read(self, popen: subprocess.Popen[bytes]) -> None:
+        assert popen.stdout is not None
+        with popen.stdout as pipe:
+            while (answer := next_of(pipe)) is not None:
+                self.answers.put(answer)
+        self.answers.put(None)
+
+
+_IDLE: Final[dict[int, list[_Process]]] = {}
+"""Processes that have nothing to do, by the process that has started them: a fork of it must not use them, too."""
+
+
+def _taken() -> _Process:
+    """One that has nothing to do, or a new one."""
+    idle = _IDLE.get(os.getpid(), [])
+    while idle:
+        process = idle.pop()
+        if process.lives:
+            return process
+        process.end()
+    return _Process()
+
+
+@atexit.register
+def _end_idle() -> None:
+    for process in _IDLE.pop(os.getpid(), []):
+        process.end()

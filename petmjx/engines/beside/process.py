@@ -1,0 +1,103 @@
+"""What runs in the process beside a run: engines of one thread each, and tasks from a pipe.
+
+The process has no GPU, so that JAX and Warp work on its CPU whatever they do in the process of the run. It ends when
+the pipe does, with the process that started it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import IO, Any
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Engine
+from petmjx.engines.choose import make_engine
+from petmjx.errors import EngineUnavailable
+from petmjx.machine import cpu_threads
+from petmjx.text import one_line
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+NICE = 5
+"""How much later its threads come than those of the run, which keep a GPU at work."""
+
+GRANULE = 96
+"""Tables have room for a multiple of so many boxes: single worlds of nearly all sizes use the same programs."""
+
+_BUILDING = threading.Lock()
+"""The first engine starts JAX and Warp."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A world to simulate, on an engine of this name. ``sim`` and ``job`` are as an engine takes them."""
+
+    number: int
+    engine: str
+    job: Job
+    sim: Simulation
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The outcome of a task; None where there is none, with why, in one line."""
+
+    number: int
+    outcome: Outcome | None
+    message: str = ""
+
+
+def main() -> None:
+    """Answer tasks from standard input on standard output, in any order, until the input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends this process when it wants to
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    tasks, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no answer
+    own, writing = threading.local(), threading.Lock()
+
+    def answer(task: Task) -> None:
+        found = _answer(task, vars(own))
+        try:
+            data = pickle.dumps(found)
+        except Exception as error:
+            data = pickle.dumps(Answer(task.number, None, one_line(error)))
+        with writing, suppress(BrokenPipeError):
+            answers.write(data)
+            answers.flush()
+
+    pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-beside")
+    while (task := next_of(tasks)) is not None:
+        pool.submit(answer, task)
+    os._exit(0)  # whatever still runs is for nobody
+
+
+def next_of(pipe: IO[bytes]) -> Any:
+    """The next object of a pipe; None at its end."""
+    try:
+        return pickle.load(pipe)
+    except (EOFError, OSError, pickle.UnpicklingError):
+        return None
+
+
+def _answer(task: Task, engines: dict[str, Engine]) -> Answer:
+    """Simulate a world, on one of a thread's engines."""
+    try:
+        if task.engine not in engines:
+            with _BUILDING:
+                engines[task.engine] = make_engine(task.engine, threads=1)
+            if hasattr(engines[task.engine], "granule"):
+                engines[task.engine].granule = GRANULE
+        (outcome,) = engines[task.engine].run([task.job], task.sim)
+    except EngineUnavailable as error:
+        return Answer(task.number, None, str(error))
+    except Exception as error:
+        return Answer(task.number, None, one_line(error))
+    return Answer(task.number, outcome)

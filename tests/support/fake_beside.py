@@ -1,0 +1,34 @@
+"""Attempts beside a run that are made at once, in the same process: for tests with engines that are scripted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from petmjx.engines.base import Engine
+from petmjx.engines.beside.process import Answer, Task
+
+
+@dataclass
+class AtOnce:
+    """Each task is a run of its own on the engine of that name. What it raises is told as the process tells it."""
+
+    engine_named: Callable[[str], Engine]
+    tasks: list[Task] = field(default_factory=list)
+    answers: list[Answer] = field(default_factory=list)
+
+    def begin(self, task: Task) -> None:
+        self.tasks.append(task)
+        try:
+            (outcome,) = self.engine_named(task.engine).run([task.job], task.sim)
+        except Exception as error:
+            self.answers.append(Answer(task.number, None, str(error)))
+        else:
+            self.answers.append(Answer(task.number, outcome))
+
+    def ended(self, *, wait: bool) -> Iterator[Answer]:
+        while self.answers:
+            yield self.answers.pop(0)
+
+    def close(self) -> None:
+        self.tasks.clear()
