@@ -13,13 +13,12 @@ from itertools import count, islice
 from typing import Final, Generic, TypeVar
 
 from petmjx.config import Simulation
-from petmjx.engines.attempts import ATTEMPTS, AttemptRecipe
+from petmjx.engines.attempts import ATTEMPTS, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import Engine, GrowingJobs, Progress
 from petmjx.engines.beside.process import Answer, Task
 from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.sinking import note_softness
-from petmjx.engines.stand_in import STAND_INS, Engines, ready_for
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.plan import Plan
 from petmjx.text import counted, one_line
@@ -75,12 +74,12 @@ def score_worlds(
 
     ``chunk_worlds`` worlds are taken and simulated at a time. Invalid ones are collected and simulated again together,
     at the end or when a chunk is full. So memory does not grow with the number of worlds. Attempts that CPU threads
-    make beside a GPU (petmjx/engines/stand_in.py) begin at once.
+    make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
 
-    An error of an engine that has a stand-in (petmjx/engines/stand_in.py) does not end the run: the stand-in simulates
+    An error of an engine that has a stand-in (petmjx/engines/attempts.py) does not end the run: the stand-in simulates
     what was left unanswered. Nor does an error at a further attempt: without a stand-in such worlds are invalid by
     ``failed``.
 

@@ -12,7 +12,7 @@ from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
 from petmjx.config import Simulation, Solver
-from petmjx.engines import retry, stand_in
+from petmjx.engines import attempts, retry
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import WorldResult, score_worlds
@@ -65,8 +65,8 @@ def scored(
 ) -> tuple[list[WorldResult], list[str]]:
     """Results and notes. ``c_engine`` and ``kernel`` are what makes attempts beside the run, too."""
     engines = {"mujoco": c_engine, "mjx-warp-cpu": kernel or Scripted("mjx-warp-cpu", never)}
-    monkeypatch.setattr(stand_in, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(stand_in, "InProcess", lambda: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
     progress = Progress()
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = list(score_worlds(worlds, sim or Simulation(), own, progress=progress))

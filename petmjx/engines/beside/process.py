@@ -92,9 +92,10 @@ def _answer(task: Task, engines: dict[str, Engine]) -> Answer:
     try:
         if task.engine not in engines:
             with _BUILDING:
-                engines[task.engine] = make_engine(task.engine, threads=1)
-            if hasattr(engines[task.engine], "granule"):
-                engines[task.engine].granule = GRANULE
+                engine = make_engine(task.engine, threads=1)
+            if hasattr(engine, "granule"):
+                engine.granule = GRANULE
+            engines[task.engine] = engine
         (outcome,) = engines[task.engine].run([task.job], task.sim)
     except EngineUnavailable as error:
         return Answer(task.number, None, str(error))

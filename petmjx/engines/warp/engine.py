@@ -105,7 +105,7 @@ def _halved(fleet: Fleet) -> Fleet:
 class MjxWarpEngine(Engine):
     """Worlds on Warp's kernels, each at its own pace, in a thread block of its own (petmjx/engines/warp/march.py).
 
-    With Newton's method only: C MuJoCo simulates what needs another one (petmjx/engines/stand_in.py).
+    With Newton's method only: C MuJoCo simulates what needs another one (petmjx/engines/attempts.py).
 
     Args:
         lanes: most worlds of a size at the same time; None: as many as the device has room for.
