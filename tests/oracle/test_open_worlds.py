@@ -24,7 +24,7 @@ from support.tiny_worlds import engine as warp_engine
 from support.worlds import boxes_by_plan, make_plan
 
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
-from petmjx.engines.batch.state import upload_worlds
+from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.open_worlds import fork
 from petmjx.engines.warp.simulator import Open

@@ -11,8 +11,9 @@ import pytest
 
 from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, State, Status, Worlds, fresh_state, upload_worlds
+from petmjx.engines.batch.state import NEVER, State, Status, fresh_state
 from petmjx.engines.batch.timetable import build_timetable
+from petmjx.engines.batch.worlds import Worlds, upload_worlds
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
 

@@ -14,8 +14,8 @@ import petmjx
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.give import laws
-from petmjx.engines.batch.state import upload_worlds
 from petmjx.engines.batch.template import padded_template
+from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.plans.articles import Article, Articles, with_articles
 from petmjx.verdict import Outcome, Verdict

@@ -15,7 +15,8 @@ from support.tiny_worlds import shared_engine
 from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.film import hold
-from petmjx.engines.batch.state import fresh_state, upload_worlds
+from petmjx.engines.batch.state import fresh_state
+from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.film import ActingFilm
 from petmjx.history import Record

@@ -7,7 +7,7 @@ import pytest
 from support.worlds import make_plan
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.state import upload_worlds
+from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene

@@ -12,7 +12,8 @@ from support.plans import Box, make_scene
 
 from petmjx.config import Simulation
 from petmjx.engines.batch import hand
-from petmjx.engines.batch.state import NEVER, State, Worlds, fresh_state, upload_worlds
+from petmjx.engines.batch.state import NEVER, State, fresh_state
+from petmjx.engines.batch.worlds import Worlds, upload_worlds
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.units import FloatArray

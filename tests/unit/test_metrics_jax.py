@@ -12,7 +12,8 @@ from support.plans import make_scene
 
 from petmjx.config import Simulation, Thresholds
 from petmjx.engines.batch.outcomes import reduce_metrics
-from petmjx.engines.batch.state import fresh_state, upload_worlds
+from petmjx.engines.batch.state import fresh_state
+from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics import force_jax as force
 from petmjx.metrics import force_np, motion_np

@@ -20,19 +20,10 @@ from petmjx.config import Simulation
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import started_states
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import (
-    NEVER,
-    Metrics,
-    State,
-    Worlds,
-    fresh_state,
-    narrow,
-    per_box,
-    take_rows,
-    upload_worlds,
-)
+from petmjx.engines.batch.state import NEVER, Metrics, State, fresh_state, narrow, per_box, take_rows
 from petmjx.engines.batch.template import parked_positions
 from petmjx.engines.batch.timetable import Timetable, build_timetable
+from petmjx.engines.batch.worlds import Worlds, upload_worlds
 from petmjx.metrics import motion_jax as motion
 from petmjx.world.job import Job
 from petmjx.world.pairs import MOST_SURFACES

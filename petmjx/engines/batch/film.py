@@ -5,7 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from petmjx.engines.batch.state import State, Worlds
+from petmjx.engines.batch.state import State
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.world.wrap import SLACK_M, spring_rate_1_s
 
 

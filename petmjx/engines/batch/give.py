@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from petmjx.engines.batch.state import Worlds
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.physics import Physics
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE

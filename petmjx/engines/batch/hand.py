@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.state import NEVER, State, Worlds
+from petmjx.engines.batch.state import NEVER, State
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.metrics import motion_jax as motion
 from petmjx.world.placing import (
     AT_PLACE_M,

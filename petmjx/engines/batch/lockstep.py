@@ -14,8 +14,9 @@ from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import compiler_options
-from petmjx.engines.batch.state import State, Worlds
+from petmjx.engines.batch.state import State
 from petmjx.engines.batch.template import FIRST_BOX_BODY, override_fields
+from petmjx.engines.batch.worlds import Worlds
 
 CHUNK_STEPS = 25
 """Steps of one call of a program. Between two calls the host looks whether any world still runs."""

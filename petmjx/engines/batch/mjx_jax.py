@@ -19,9 +19,10 @@ from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
-from petmjx.engines.batch.state import State, Status, uploaded
+from petmjx.engines.batch.state import State, Status
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import GRANULE, Batch, is_out_of_memory, load, round_up
+from petmjx.engines.batch.worlds import uploaded
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import ACCELERATION, Job
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
-from petmjx.engines.batch.state import State, Worlds, narrow, take_rows, uploaded
+from petmjx.engines.batch.state import State, narrow, take_rows
+from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge

@@ -15,9 +15,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Schedule, Simulation
 from petmjx.engines.batch import hand
-from petmjx.engines.batch.state import NEVER, Metrics, State, Status, Worlds
+from petmjx.engines.batch.state import NEVER, Metrics, State, Status
 from petmjx.engines.batch.template import PARKING_HEIGHT_M, parked_positions
 from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.history import CARRIER
 from petmjx.metrics import motion_jax as motion
 from petmjx.verdict import Flag

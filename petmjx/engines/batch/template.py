@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from petmjx.config import Solver
 from petmjx.engines.batch.give import laws
-from petmjx.engines.batch.state import Worlds
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.physics import Physics
 from petmjx.world.body import Body
 from petmjx.world.model import HeldCarrier, build_spec

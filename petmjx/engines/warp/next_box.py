@@ -10,7 +10,8 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.state import State, Status, Worlds, uploaded
+from petmjx.engines.batch.state import State, Status
+from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import Readings
 from petmjx.units import FloatArray

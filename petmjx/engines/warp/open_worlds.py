@@ -15,17 +15,10 @@ from jaxtyping import Array, Float, Int
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.outcomes import outcomes, pick
-from petmjx.engines.batch.state import (
-    State,
-    Status,
-    Worlds,
-    put_rows,
-    take_rows,
-    upload_worlds,
-    uploaded,
-)
+from petmjx.engines.batch.state import State, Status, put_rows, take_rows
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import Batch, load, round_up
+from petmjx.engines.batch.worlds import Worlds, upload_worlds, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import OpenWorlds, Reading, Readings
 from petmjx.engines.warp import records

@@ -14,9 +14,10 @@ from jaxtyping import Array, Int
 from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State, Worlds
+from petmjx.engines.batch.state import NEVER, Metrics, State
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp.march import Fleet, March
 from petmjx.physics import Cone, Physics
 from petmjx.world.contact import MOST_IMPEDANCE

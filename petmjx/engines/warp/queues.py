@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.state import uploaded
+from petmjx.engines.batch.worlds import uploaded
 from petmjx.engines.cost import MEASURED
 from petmjx.world.job import Job
 

@@ -1,8 +1,8 @@
 """The data that the GPU engine's kernel works on, as records: constants, worlds, their state, workspace, and results.
 
 Each array is declared only here, with its element type and its axes. The kernel and its C++ take whole records. JAX
-passes the arrays of ``Worlds`` and ``State``: they are the tables of petmjx/engines/batch/state.py, field by field, and
-the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
+passes the arrays of ``Worlds`` and ``State``: they are the tables of petmjx/engines/batch/worlds.py and state.py, field
+by field, and the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
 
 Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
 of one size. ``body``: the carrier, then the boxes in packing order; ``free_body``: one that moves; ``dof``: one
@@ -104,7 +104,7 @@ class Model:
 
 @record
 class Worlds:
-    """Constants of worlds: fields of ``batch.state.Worlds``. And ``profiles``, whose rows are excitations."""
+    """Constants of worlds: fields of ``batch.worlds.Worlds``. And ``profiles``, whose rows are excitations."""
 
     n_boxes: Annotated[wp.array[int], "world"]
     half: Annotated[wp.array3d[float], "world box 3"]

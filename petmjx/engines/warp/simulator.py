@@ -11,17 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Check, Simulation
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import (
-    NEVER,
-    Metrics,
-    State,
-    Status,
-    Worlds,
-    fresh_state,
-    put_rows,
-    take_rows,
-)
+from petmjx.engines.batch.state import NEVER, Metrics, State, Status, fresh_state, put_rows, take_rows
 from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp import records
 from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
