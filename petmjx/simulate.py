@@ -15,6 +15,7 @@ from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice
 from petmjx.engines.resolve import engine_for
 from petmjx.machine import package_versions
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.physics import Physics
 from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
@@ -28,7 +29,6 @@ from petmjx.run_options import RunOptions
 from petmjx.study import FinishedWorld, Study
 from petmjx.text import counted, shown
 from petmjx.units import FloatArray
-from petmjx.verdict import BoxMetrics
 from petmjx.world.idle import notes_about
 from petmjx.world.scene import Scene
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Any, Final, Self
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,7 @@ from numpy.typing import NDArray
 from petmjx.config import Thresholds
 from petmjx.history import History
 from petmjx.metrics.motion_np import excess
-from petmjx.metrics.spec import box_metrics
-from petmjx.units import FloatArray
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.world.job import EngineState, KeptState
 
 
@@ -70,36 +70,6 @@ class Flag(IntFlag):
 
 
 @dataclass(eq=False)
-class BoxMetrics:
-    """Metrics of one world's n boxes, in packing order. Meaning and unit of each: petmjx.metrics.spec.
-
-    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN: there is no value.
-    """
-
-    shift_m: FloatArray
-    max_tilt_deg: FloatArray
-    max_lin_acc: FloatArray
-    max_ang_acc: FloatArray
-    max_top_force_n: FloatArray
-    rest_top_force_n: FloatArray
-    dropped: NDArray[np.bool_]
-    drop_s: FloatArray
-    max_sway_m: FloatArray
-    pos: FloatArray
-    quat: FloatArray
-
-    @classmethod
-    def measured(cls, n: int, **values: NDArray[Any]) -> Self:
-        """Metrics of n boxes from those that an engine has measured; the others have no values.
-
-        Raises:
-            TypeError: there is no metric of that name.
-        """
-        found: dict[str, Any] = {metric.attribute: metric.nothing(n) for metric in box_metrics()}
-        return cls(**found | values)
-
-
-@dataclass(eq=False)
 class Outcome:
     """The outcome of one world. ``culprit`` is a box index (packing order, from 0), −1 for none."""
 
@@ -144,6 +114,13 @@ INVALID_FLAGS: Final = (
 """Flags that make a world invalid, with their reasons. The first one that is set decides."""
 
 
+def failures(boxes: BoxMetrics, thresholds: Thresholds) -> Iterator[tuple[Reason, NDArray[np.bool_]]]:
+    """What makes boxes fail, in the order in which it is looked for, and the boxes that fail by it: (…, n)."""
+    yield Reason.DROP, boxes.dropped
+    yield Reason.TILT, boxes.max_tilt_deg > thresholds.tilt_deg
+    yield Reason.SHIFT, (np.abs(boxes.shift_m) > thresholds.shift_m).any(axis=-1)
+
+
 def judge(
     flags: Flag,
     boxes: BoxMetrics,
@@ -171,41 +148,26 @@ def judge(
             return Verdict.INVALID, reason
     if sank:
         return Verdict.INVALID, Reason.SINKING
-    placed = slice(n_placed)
-    if boxes.dropped[placed].any():
-        return Verdict.UNSTABLE, Reason.DROP
-    if (boxes.max_tilt_deg[placed] > thresholds.tilt_deg).any():
-        return Verdict.UNSTABLE, Reason.TILT
-    if (np.abs(boxes.shift_m[placed]) > thresholds.shift_m).any():
-        return Verdict.UNSTABLE, Reason.SHIFT
+    for reason, failed in failures(boxes, thresholds):
+        if failed[:n_placed].any():
+            return Verdict.UNSTABLE, reason
     return placement
 
 
 def judge_all(
-    flags: NDArray[np.int64],
-    dropped: NDArray[np.bool_],
-    tilt_deg: FloatArray,
-    shift_m: FloatArray,
-    thresholds: Thresholds,
+    flags: NDArray[np.int64], boxes: BoxMetrics, thresholds: Thresholds
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """The verdicts and reasons of many worlds, each as ``judge`` says it of one.
 
     Args:
         flags: (m,).
-        dropped, tilt_deg: (m, k), ``shift_m``: (m, k, 3) of their placed boxes, NaN beyond.
+        boxes: with rows for the m worlds, (m, n) instead of (n,); of boxes that are not placed it has no values.
     """
-    with np.errstate(invalid="ignore"):
-        failed = {
-            Reason.DROP: dropped.any(axis=1),
-            Reason.TILT: (tilt_deg > thresholds.tilt_deg).any(axis=1),
-            Reason.SHIFT: (np.abs(shift_m) > thresholds.shift_m).any(axis=(1, 2)),
-        }
-    invalid = {reason: (flags & int(bits)) != 0 for bits, reason in INVALID_FLAGS}
-    names = [*invalid, *failed]
-    verdicts = [Verdict.INVALID] * len(invalid) + [Verdict.UNSTABLE] * len(failed)
-    where = [*invalid.values(), *failed.values()]
+    invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
+    unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
+    verdicts, reasons, where = zip(*invalid, *unstable, strict=True)
     verdict = np.select(where, [str(each) for each in verdicts], str(Verdict.STABLE))
-    return verdict, np.select(where, [str(each) for each in names], str(Reason.NONE))
+    return verdict, np.select(where, [str(each) for each in reasons], str(Reason.NONE))
 
 
 DROPPED_EXCESS: Final = 2.0

@@ -14,8 +14,9 @@ from benchmarks.referees.base import RefereeWorld
 from petmjx.config import Check, Simulation
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.running import OracleMetrics
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.units import FloatArray, seconds_to_steps
-from petmjx.verdict import BoxMetrics, Flag, Reason, Verdict, judge, margin_of
+from petmjx.verdict import Flag, Reason, Verdict, judge, margin_of
 from petmjx.world.scene import Scene
 
 SETTLE_S = 0.2

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from petmjx.config import Simulation
-from petmjx.verdict import BoxMetrics, Flag, Outcome, judge
+from petmjx.metrics.spec import BoxMetrics
+from petmjx.verdict import Flag, Outcome, judge
 from petmjx.world.job import Job
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from petmjx.config import Thresholds
 from petmjx.engines.open import Readings, joined, widened
 from petmjx.metrics.motion_np import has_dropped, shift, tilt_deg
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.units import MM_PER_M, FloatArray
 from petmjx.verdict import DROPPED_EXCESS, Flag, Outcome, Verdict, judge_all, margin_of
 
@@ -82,7 +83,15 @@ class Told:
             shifted[here] = shift(pos, found.target[here], thresholds.shift_floor_m)
             tilted[here] = np.fmax(found.max_tilt_deg[here], tilt_deg(quat))
             dropped[here] |= has_dropped(pos, quat, found.half_size[here], thresholds)
-            verdict, reason = judge_all(found.flags, dropped, tilted, shifted, thresholds)
+            boxes = BoxMetrics.measured(
+                m,
+                k,
+                shift_m=shifted,
+                max_tilt_deg=tilted,
+                max_top_force_n=np.where(here, found.max_top_force_n, np.nan),
+                dropped=dropped,
+            )
+            verdict, reason = judge_all(found.flags, boxes, thresholds)
             over = np.maximum(np.abs(shifted).max(axis=2) / thresholds.shift_m, tilted / thresholds.tilt_deg)
             over = np.nan_to_num(np.maximum(over, DROPPED_EXCESS * dropped), nan=-np.inf)
         stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)

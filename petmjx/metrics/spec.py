@@ -98,9 +98,9 @@ class BoxMetric:
     compared: bool = True
     relative: bool = False
 
-    def nothing(self, n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
-        """Values of n boxes on which it was not measured: NaN, or no."""
-        shape = (n, len(self.columns)) if len(self.columns) > 1 else (n,)
+    def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
+        """Values of (…, n) boxes on which it was not measured: NaN, or no."""
+        shape = (*n, len(self.columns)) if len(self.columns) > 1 else n
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
     def world_columns(self) -> list[Column]:
@@ -217,6 +217,37 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric("n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, np.int64, compared=False),
 )  # fmt: skip
 """In the order of the columns. Those with ``driven_only`` come last in ``boxes``."""
+
+
+@dataclass(eq=False)
+class BoxMetrics:
+    """Metrics of one world's n boxes, in packing order. Meaning and unit of each: ``METRICS``.
+
+    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN: there is no value.
+    """
+
+    shift_m: FloatArray
+    max_tilt_deg: FloatArray
+    max_lin_acc: FloatArray
+    max_ang_acc: FloatArray
+    max_top_force_n: FloatArray
+    rest_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+    drop_s: FloatArray
+    max_sway_m: FloatArray
+    pos: FloatArray
+    quat: FloatArray
+
+    @classmethod
+    def measured(cls, *n: int, **values: NDArray[Any]) -> Self:
+        """Metrics of n boxes, or of (…, n), from those that an engine has measured; the others have no values.
+
+        Raises:
+            TypeError: there is no metric of that name.
+        """
+        found: dict[str, Any] = {metric.attribute: metric.nothing(*n) for metric in box_metrics()}
+        return cls(**found | values)
+
 
 FORCE_INTERVAL: Final = tuple(
     Column(

@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from petmjx.metrics.spec import box_metrics, world_metrics
+from petmjx.metrics.spec import BoxMetrics, box_metrics, world_metrics
 from petmjx.results.reader import RunResults
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
 """Table → the table whose parts of the same numbers say which worlds it has; ``worlds`` for all others."""

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.metrics.spec import DIMENSIONLESS, TEXT
+from petmjx.metrics.spec import DIMENSIONLESS, TEXT, BoxMetrics
 from petmjx.results.schema import Param
 from petmjx.units import FloatArray
-from petmjx.verdict import BoxMetrics
 
 EUMOS_PROFILE = "eumos-40509"
 """Worlds with this profile are also compared with the limits of the standard."""

@@ -10,10 +10,11 @@ import pytest
 
 from petmjx.config import Simulation
 from petmjx.history import Contacts, History
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.pictures.offscreen import why_no_pictures
 from petmjx.plans.plan import Plan
 from petmjx.story.tell import Story
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.scene import build_scene
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

@@ -9,10 +9,11 @@ import numpy as np
 
 from petmjx.config import Simulation
 from petmjx.history import CARRIER, Contacts, History
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.results.plain import plain
 from petmjx.story.tell import Story
 from petmjx.units import FloatArray
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import ACCELERATION, Drive, Excitation
 from petmjx.world.scene import Scene, build_scene
 from support.plans import Box, make_plan

@@ -11,7 +11,8 @@ from support.plans import heap, make_plan
 
 from petmjx.config import Simulation, Thresholds
 from petmjx.engines.cpu.models import MOST_SPARE, Templates, set_options
-from petmjx.verdict import BoxMetrics, Flag, judge, judge_all
+from petmjx.metrics.spec import BoxMetrics
+from petmjx.verdict import Flag, judge, judge_all
 from petmjx.world.model import add_boxes, build_spec
 from petmjx.world.next_boxes import Blank, NextBoxes, Stacks
 from petmjx.world.release import release_of, release_of_next
@@ -94,7 +95,8 @@ def test_many_worlds_are_judged_as_one() -> None:
     shift, placed = rng.uniform(-0.022, 0.022, (m, k, 3)), rng.integers(0, k + 1, m)
     beyond = np.arange(k) >= placed[:, None]
     dropped[beyond], tilt[beyond], shift[beyond] = False, np.nan, np.nan
-    verdict, reason = judge_all(flags, dropped, tilt, shift, limits)
+    all_boxes = BoxMetrics.measured(m, k, shift_m=shift, max_tilt_deg=tilt, dropped=dropped)
+    verdict, reason = judge_all(flags, all_boxes, limits)
     for row in range(m):
         boxes = BoxMetrics.measured(k, shift_m=shift[row], max_tilt_deg=tilt[row], dropped=dropped[row])
         assert (verdict[row], reason[row]) == judge(Flag(int(flags[row])), boxes, int(placed[row]), limits)

@@ -14,11 +14,12 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.config import Simulation, Thresholds
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.results.compare import compare_runs
 from petmjx.sweeps.file import nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.swept import Settled
-from petmjx.verdict import BoxMetrics, Flag, Reason, Verdict, judge, margin_of
+from petmjx.verdict import Flag, Reason, Verdict, judge, margin_of
 
 LIMITS = Thresholds()
 STANDS = make_plan("stands", stack(2, 100.0))

@@ -10,10 +10,11 @@ import pandas as pd
 import pytest
 from support.outcomes import make_boxes, make_outcome
 
+from petmjx.metrics.spec import BoxMetrics
 from petmjx.results.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.sweeps.eumos import eumos_assessment
 from petmjx.sweeps.search import Bisection, Probe, failure_mode
-from petmjx.verdict import BoxMetrics, Outcome, Reason, Verdict
+from petmjx.verdict import Outcome, Reason, Verdict
 
 
 def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:

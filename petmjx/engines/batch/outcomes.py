@@ -4,54 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
 from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
+from petmjx.engines.batch.running import Measured, measured, of_boxes
 from petmjx.engines.batch.state import State, narrow, take_rows
 from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.clock import Clock
-from petmjx.metrics import motion_jax as motion
-from petmjx.verdict import BoxMetrics, Flag, Outcome, Verdict, judge
+from petmjx.metrics.spec import BoxMetrics
+from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
 
 
-class Reduced(NamedTuple):
-    """Metrics of worlds that need the whole run."""
-
-    shift: Float[Array, "world box 3"]
-    max_tilt: Float[Array, "world box"]
-    max_top_force: Float[Array, "world box"]
-    rest_force: Float[Array, "world box"]
-
-
 @partial(jax.jit, static_argnames="sim")
-def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Reduced:
+def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Measured:
     """Metrics that need the whole run, for every world of a table, on the device."""
-    m = state.metrics
     placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
-    middles = motion.middles(state.qpos, worlds.middle)
-    shift = motion.shift(middles, worlds.target, sim.thresholds.shift_floor_m, worlds.sinks)
-    rested = (m.rest_samples > 0) & (state.step >= state.end)
-    mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
-    tilt = jnp.where(placed, motion.tilt_deg(state.qpos[..., 3:]), 0.0)
-    return Reduced(
-        shift=jnp.where(placed[..., None], shift, 0.0),
-        max_tilt=jnp.fmax(m.max_tilt, tilt),
-        max_top_force=jnp.where(rested[:, None], jnp.maximum(m.max_top_force, mean), m.max_top_force),
-        rest_force=jnp.where(rested[:, None], mean, jnp.nan),
-    )
-
-
-def doubles(values: Any) -> NDArray[np.float64]:
-    """Fetched values as outcomes hold them."""
-    return np.asarray(values, np.float64)
+    return measured(state.metrics, state.qpos, worlds, placed, state.step >= state.end, sim.thresholds)
 
 
 PICKED = 256
@@ -59,12 +35,12 @@ PICKED = 256
 
 
 @partial(jax.jit, static_argnames="sim")
-def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> tuple[State, Reduced]:
+def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> tuple[State, Measured]:
     some = take_rows(table, rows)
     return some, reduce_metrics(some, take_rows(worlds, rows), sim)
 
 
-def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[tuple[State, Reduced]]:
+def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[tuple[State, Measured]]:
     """States and metrics of some rows of a table, still on the device, in batches of ``PICKED``."""
     batches = []
     for first in range(0, len(rows), PICKED):
@@ -76,7 +52,7 @@ def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation)
 
 def outcomes(
     rows: NDArray[np.int64],
-    picked: Sequence[tuple[State, Reduced]],
+    picked: Sequence[tuple[State, Measured]],
     jobs: Sequence[Job],
     first_job: int,
     sim: Simulation,
@@ -92,7 +68,7 @@ def outcomes(
 def _outcomes(
     rows: NDArray[np.int64],
     host: State,
-    found: Reduced,
+    found: Measured,
     jobs: Sequence[Job],
     first_job: int,
     clock: Clock,
@@ -104,18 +80,12 @@ def _outcomes(
         job = jobs[row]
         n = job.scene.n_boxes
         driven = job.drive is not None and host.driven_from[i] <= host.step[i]
-        drops, pose = m.drop_step[i, :n], doubles(host.qpos[i, :n])
+        drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)
         boxes = BoxMetrics.measured(
             n,
-            shift_m=doubles(found.shift[i, :n]),
-            max_tilt_deg=doubles(found.max_tilt[i, :n]),
-            max_lin_acc=doubles(m.max_lin_acc[i, :n]),
-            max_ang_acc=doubles(m.max_ang_acc[i, :n]),
-            max_top_force_n=doubles(found.max_top_force[i, :n]),
-            rest_top_force_n=doubles(found.rest_force[i, :n]),
+            **of_boxes(m, found, i, n, driven),
             dropped=np.asarray(drops >= 0),
             drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
-            max_sway_m=doubles(m.max_sway[i, :n]) if driven else np.full(n, np.nan),
             pos=job.scene.middles(pose[:, :3], pose[:, 3:]),
             quat=pose[:, 3:],
         )

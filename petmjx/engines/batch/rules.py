@@ -15,7 +15,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Schedule, Simulation
 from petmjx.engines.batch import hand
-from petmjx.engines.batch.state import NEVER, Metrics, State, Status
+from petmjx.engines.batch.running import Sample
+from petmjx.engines.batch.state import NEVER, State, Status
 from petmjx.engines.batch.template import PARKING_HEIGHT_M, parked_positions
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
@@ -116,7 +117,8 @@ class Rules:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = state.driven_from + worlds.drive_steps
-        metrics = self._without_rest(self._forget_transients(state, worlds, begins), begins)
+        # signs from the placement (a hard landing) are forgotten where no box is over a threshold now
+        metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
         return state._replace(
@@ -125,23 +127,6 @@ class Rules:
             rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
             still_qpos=jnp.where(begins[:, None, None], state.qpos, state.still_qpos),
             metrics=metrics._replace(sway_anchor=anchor),
-        )
-
-    @staticmethod
-    def _without_rest(metrics: Metrics, where: Bool[Array, " world"]) -> Metrics:
-        """Begin with another rest window."""
-        return metrics._replace(
-            rest_force_sum=jnp.where(where[:, None], 0.0, metrics.rest_force_sum),
-            rest_samples=jnp.where(where, 0, metrics.rest_samples),
-        )
-
-    def _forget_transients(self, state: State, worlds: Worlds, begins: Bool[Array, " world"]) -> Metrics:
-        """Forget signs from the placement (a hard landing) in worlds in which no box is over a threshold now."""
-        m = state.metrics
-        clean = begins & ~self._is_over(state, worlds)
-        return m._replace(
-            culprit=jnp.where(clean, -1, m.culprit),
-            sign_step=jnp.where(clean, -1, m.sign_step),
         )
 
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
@@ -221,23 +206,20 @@ class Rules:
         violent_since = jnp.where(counts, since, state.violent_since)
         exploded = counts & violent & (state.step - since >= landing) & (not self.driven)
 
-        def keep_max(old: Array, new: Array, where: Array) -> Array:
-            return jnp.where(where, jnp.maximum(old, new), old)
-
-        max_sway = m.max_sway
-        if self.driven:
-            sway = jnp.sqrt(((pos[..., :2] - m.sway_anchor) ** 2).sum(-1))
-            max_sway = keep_max(max_sway, sway, looked)
-        metrics = Metrics(
-            max_tilt=keep_max(m.max_tilt, tilt, sampled),
-            max_lin_acc=keep_max(m.max_lin_acc, lin, sampled),
-            max_ang_acc=keep_max(m.max_ang_acc, ang, sampled),
-            max_top_force=keep_max(m.max_top_force, seen.top_force, sampled),
-            rest_force_sum=m.rest_force_sum + jnp.where(standing & resting[:, None], seen.top_force, 0.0),
-            rest_samples=m.rest_samples + resting,
-            drop_step=jnp.where(dropped & (m.drop_step < 0), state.step[:, None], m.drop_step),
-            max_sway=max_sway,
-            sway_anchor=m.sway_anchor,
+        found = Sample(
+            step=state.step,
+            pos=pos,
+            tilt=tilt,
+            lin_acc=lin,
+            ang_acc=ang,
+            top_force=seen.top_force,
+            dropped=dropped,
+            sampled=sampled,
+            looked=looked,
+            rested=standing & resting[:, None],
+            rests=resting,
+        )
+        metrics = m.with_sample(found, worlds, driven=self.driven)._replace(
             culprit=culprit,
             sign_step=jnp.where(signs, state.step, m.sign_step),
             sign_placed=jnp.where(signs & sample, state.placed, m.sign_placed),
@@ -362,5 +344,5 @@ class Rules:
             driven_from=jnp.where(settles, state.step, state.driven_from),
             flags=state.flags | jnp.where(moves & ~again, int(Flag.MOVING), 0),
             status=jnp.where(settles, Status.SETTLED, jnp.where(finished, Status.FINISHED, state.status)),
-            metrics=self._without_rest(state.metrics, again),
+            metrics=state.metrics.without_rest(again),
         )

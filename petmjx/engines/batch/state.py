@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import SOFT_START_STEPS
+from petmjx.engines.batch.running import Metrics, no_metrics
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.world.scene import IDENTITY_QUAT
 
@@ -32,23 +33,6 @@ class Status:
     """On mjx-warp: a buffer is too small for the next step."""
     PAUSED = 5
     """All boxes of an open world are placed and rest, and more may come."""
-
-
-class Metrics(NamedTuple):
-    """Running statistics of boxes; everything over the samples since a box was placed."""
-
-    max_tilt: Float[Array, "world box"]
-    max_lin_acc: Float[Array, "world box"]
-    max_ang_acc: Float[Array, "world box"]
-    max_top_force: Float[Array, "world box"]
-    rest_force_sum: Float[Array, "world box"]
-    rest_samples: Int[Array, " world"]
-    drop_step: Int[Array, "world box"]
-    max_sway: Float[Array, "world box"]
-    sway_anchor: Float[Array, "world box 2"]
-    culprit: Int[Array, " world"]
-    sign_step: Int[Array, " world"]
-    sign_placed: Int[Array, " world"]
 
 
 class State(NamedTuple):
@@ -157,20 +141,6 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
     zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)
     never = jnp.full(n, NEVER, jnp.int32)
     upright = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (n, 4))
-    metrics = Metrics(
-        max_tilt=zeros,
-        max_lin_acc=zeros,
-        max_ang_acc=zeros,
-        max_top_force=zeros,
-        rest_force_sum=zeros,
-        rest_samples=ints,
-        drop_step=jnp.full((n, width), -1, jnp.int32),
-        max_sway=zeros,
-        sway_anchor=jnp.zeros((n, width, 2)),
-        culprit=jnp.full(n, -1, jnp.int32),
-        sign_step=jnp.full(n, -1, jnp.int32),
-        sign_placed=ints,
-    )
     return State(
         qpos=worlds.start,
         qvel=jnp.zeros((n, width, 6)),
@@ -203,6 +173,6 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         status=ints,
         flags=ints,
         steps_done=ints,
-        metrics=metrics,
+        metrics=no_metrics(n, width),
         top_force=zeros,
     )

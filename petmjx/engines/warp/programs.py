@@ -14,7 +14,8 @@ from jaxtyping import Array, Int
 from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State
+from petmjx.engines.batch.running import Metrics
+from petmjx.engines.batch.state import NEVER, State
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds

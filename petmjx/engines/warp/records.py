@@ -1,8 +1,9 @@
 """The data that the GPU engine's kernel works on, as records: constants, worlds, their state, workspace, and results.
 
-Each array is declared only here, with its element type and its axes. The kernel and its C++ take whole records. JAX
-passes the arrays of ``Worlds`` and ``State``: they are the tables of petmjx/engines/batch/worlds.py and state.py, field
-by field, and the kernel changes ``State`` in place. The workspace is one buffer, divided by the shapes given here.
+The kernel and its C++ take whole records. Each array is declared once, with its element type and its axes: ``Worlds``
+and ``State`` are the tables of petmjx/engines/batch/worlds.py, state.py and running.py, field by field; JAX passes
+their arrays, and the kernel changes ``State`` in place. All others are declared here. The workspace is one buffer,
+divided by the shapes given here.
 
 Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
 of one size. ``body``: the carrier, then the boxes in packing order; ``free_body``: one that moves; ``dof``: one
@@ -14,10 +15,14 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, get_args
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import warp as wp
+from jaxtyping import Bool, Float, Int
+
+from petmjx.engines.batch import running, state, worlds
 
 PANEL = 16
 """Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
@@ -32,16 +37,30 @@ a row (D, 1), friction (1)."""
 BUFFER_WORDS = 1024
 """Numbers in a row of the buffer that holds workspaces."""
 
+TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
+"""Element types of tables on the device, by those of JAX."""
 
-def record(cls: type) -> Any:
-    """A Warp struct whose arrays name their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number."""
-    shapes = {}
-    for name, kind in inspect.get_annotations(cls, eval_str=True).items():
+
+def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) -> Any:
+    """A Warp struct whose arrays name their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
+
+    Args:
+        tables: records of JAX arrays, whose fields it has, too, but for those in ``without``.
+    """
+    annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
+    for name, kind in annotations.items():
         if hasattr(kind, "__metadata__"):
-            cls.__annotations__[name], axes = get_args(kind)
-            shapes[name] = tuple(int(axis) if axis.isdigit() else axis for axis in axes.split())
+            annotations[name], axes[name] = get_args(kind)
+    for table in tables:
+        for name, kind in get_type_hints(table).items():
+            if name not in without:
+                annotations[name] = wp.array(dtype=TYPES[kind.dtype], ndim=len(kind.dims))
+                axes[name] = kind.dim_str
+    cls.__annotations__ = annotations
     made: Any = wp.struct(cls)
-    made.shapes = shapes
+    made.shapes = {
+        name: tuple(int(axis) if axis.isdigit() else axis for axis in of.split()) for name, of in axes.items()
+    }
     return made
 
 
@@ -102,99 +121,25 @@ class Model:
     settled_nominally: wp.array[int]  # by number of boxes
 
 
-@record
+@partial(record, tables=(worlds.Worlds,), without=("driven",))
 class Worlds:
-    """Constants of worlds: fields of ``batch.worlds.Worlds``. And ``profiles``, whose rows are excitations."""
+    """Constants of worlds: the table ``batch.worlds.Worlds``. And ``profiles``, whose rows are excitations."""
 
-    n_boxes: Annotated[wp.array[int], "world"]
-    half: Annotated[wp.array3d[float], "world box 3"]
-    middle: Annotated[wp.array3d[float], "world box 3"]
-    target: Annotated[wp.array3d[float], "world box 3"]
-    start: Annotated[wp.array3d[float], "world box 7"]
-    support: Annotated[wp.array2d[int], "world box"]
-    sinks: Annotated[wp.array2d[float], "world box"]
-    most_followed: Annotated[wp.array[float], "world"]
-    carrier_pos: Annotated[wp.array2d[float], "world 3"]
-    mass: Annotated[wp.array2d[float], "world body"]
-    inertia_box: Annotated[wp.array3d[float], "world body 3"]
-    first_shape: Annotated[wp.array2d[int], "world body_end"]
-    shape_body: Annotated[wp.array2d[int], "world shape"]
-    shape_half: Annotated[wp.array3d[float], "world shape 3"]
-    shape_pos: Annotated[wp.array3d[float], "world shape 3"]
-    friction: Annotated[wp.array3d[float], "world shape 3"]
-    floor_friction: Annotated[wp.array2d[float], "world 3"]
-    shape_surface: Annotated[wp.array2d[int], "world shape"]
-    shape_give: Annotated[wp.array2d[float], "world shape"]
-    pair_friction: Annotated[wp.array3d[float], "world surface surface"]
-    floor_z: Annotated[wp.array[float], "world"]
-    profile: Annotated[wp.array[int], "world"]
-    drive_scale: Annotated[wp.array[float], "world"]
-    drive_yaw: Annotated[wp.array2d[float], "world 2"]
-    drive_steps: Annotated[wp.array[int], "world"]
-    held: Annotated[wp.array[wp.bool], "world"]
-    settles: Annotated[wp.array[wp.bool], "world"]
-    pauses: Annotated[wp.array[wp.bool], "world"]
-    appears: Annotated[wp.array[wp.bool], "world"]
-    way_offset: Annotated[wp.array3d[float], "world box 3"]
-    way_steps: Annotated[wp.array2d[int], "world box"]
-    falls: Annotated[wp.array2d[wp.bool], "world box"]
-    hand_force: Annotated[wp.array[float], "world"]
-    hand_speed: Annotated[wp.array[float], "world"]
-    hand_aside: Annotated[wp.array[float], "world"]
-    wrap_press: Annotated[wp.array3d[float], "world box 3"]
-    wrap_hold: Annotated[wp.array2d[float], "world box"]
     profiles: Annotated[wp.array3d[float], "profile step 3"]
     order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
 
+    if TYPE_CHECKING:
 
-@record
+        def __getattr__(self, name: str) -> Any: ...
+
+
+@partial(record, tables=(state.State, running.Metrics), without=("metrics",))
 class State:
-    """The state of worlds: fields of ``batch.state.State`` and its metrics."""
+    """The state of worlds: the table ``batch.state.State`` with its metrics."""
 
-    qpos: Annotated[wp.array3d[float], "world box 7"]
-    qvel: Annotated[wp.array3d[float], "world box 6"]
-    qacc: Annotated[wp.array3d[float], "world box 6"]
-    qacc_warmstart: Annotated[wp.array3d[float], "world box 6"]
-    carrier_qpos: Annotated[wp.array2d[float], "world 7"]
-    carrier_qvel: Annotated[wp.array2d[float], "world 6"]
-    carrier_qacc: Annotated[wp.array2d[float], "world 6"]
-    carrier_qacc_warmstart: Annotated[wp.array2d[float], "world 6"]
-    position: Annotated[wp.array2d[int], "world box"]
-    carrier_position: Annotated[wp.array[int], "world"]
-    step: Annotated[wp.array[int], "world"]
-    placed: Annotated[wp.array[int], "world"]
-    last_placed_at: Annotated[wp.array[int], "world"]
-    carried_from: Annotated[wp.array[int], "world"]
-    lowered_from: Annotated[wp.array[int], "world"]
-    carried_steps: Annotated[wp.array[int], "world"]
-    way_begin: Annotated[wp.array2d[float], "world 3"]
-    way_end: Annotated[wp.array2d[float], "world 3"]
-    film_home: Annotated[wp.array3d[float], "world box 3"]
-    film_anchor: Annotated[wp.array3d[float], "world box 3"]
-    waits_since: Annotated[wp.array[int], "world"]
-    quiet_steps: Annotated[wp.array[int], "world"]
-    quiet_speed: Annotated[wp.array2d[float], "world box"]
-    violent_since: Annotated[wp.array[int], "world"]
-    driven_from: Annotated[wp.array[int], "world"]
-    rest_from: Annotated[wp.array[int], "world"]
-    end: Annotated[wp.array[int], "world"]
-    still_qpos: Annotated[wp.array3d[float], "world box 7"]
-    status: Annotated[wp.array[int], "world"]
-    flags: Annotated[wp.array[int], "world"]
-    steps_done: Annotated[wp.array[int], "world"]
-    top_force: Annotated[wp.array2d[float], "world box"]
-    max_tilt: Annotated[wp.array2d[float], "world box"]
-    max_lin_acc: Annotated[wp.array2d[float], "world box"]
-    max_ang_acc: Annotated[wp.array2d[float], "world box"]
-    max_top_force: Annotated[wp.array2d[float], "world box"]
-    rest_force_sum: Annotated[wp.array2d[float], "world box"]
-    rest_samples: Annotated[wp.array[int], "world"]
-    drop_step: Annotated[wp.array2d[int], "world box"]
-    max_sway: Annotated[wp.array2d[float], "world box"]
-    sway_anchor: Annotated[wp.array3d[float], "world box 2"]
-    culprit: Annotated[wp.array[int], "world"]
-    sign_step: Annotated[wp.array[int], "world"]
-    sign_placed: Annotated[wp.array[int], "world"]
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
 
 
 @record

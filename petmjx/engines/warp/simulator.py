@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Check, Simulation
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State, Status, fresh_state, put_rows, take_rows
+from petmjx.engines.batch.running import Metrics
+from petmjx.engines.batch.state import NEVER, State, Status, fresh_state, put_rows, take_rows
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp import records

@@ -1,6 +1,6 @@
 """What a sample measures of a box: tilt, speed, how far it is over its thresholds, and whether it has dropped.
 
-The twin of petmjx/metrics/motion_jax.py, and of what petmjx/engines/batch/rules.py does with it.
+The twin of petmjx/metrics/motion_jax.py, and of what petmjx/engines/batch/running.py keeps of it.
 """
 
 from __future__ import annotations
