@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,31 @@ COM_FIELDS_JSON: Final = tuple(name.replace("_mm", "/mm") for name in COM_FIELDS
 
 LARGEST_DEG: Final = 360.0
 """Approaches, both ways."""
+
+
+class SparseField(NamedTuple):
+    """A number that placements may have.
+
+    Attributes:
+        low, high: its limits.
+        unit: of columns of files; ``units``: in sentences.
+        reaches_results: whether a simulation depends on it.
+    """
+
+    low: float
+    high: float
+    unit: str
+    units: str
+    reaches_results: bool = True
+
+
 SPARSE: Final = {
-    "approach_deg": (-LARGEST_DEG, LARGEST_DEG, "degrees"),
-    "stiffness_n_mm": (0.01, 1e6, "N/mm"),
-    "strength_n": (0.01, 1e9, "N"),
+    "approach_deg": SparseField(-LARGEST_DEG, LARGEST_DEG, "deg", "degrees"),
+    "stiffness_n_mm": SparseField(0.01, 1e6, "N/mm", "N/mm"),
+    "strength_n": SparseField(0.01, 1e9, "N", "N", reaches_results=False),
 }
-"""Optional numbers of placements: limits and unit. Corrugated boxes have 100 to 500 N/mm."""
+"""Optional numbers of placements; a plan has a field of the same name. Corrugated boxes have 100 to 500 N/mm."""
+
 SHEET: Final = "sheet"
 KINDS: Final = ("box", SHEET)
 """What an item may be; by default it is a box."""
@@ -145,7 +164,8 @@ def orientation_fault(value: object) -> str | None:
 
 def sparse_fault(field: str, value: object) -> str | None:
     """What is wrong with one of the numbers that may be missing; None if nothing is."""
-    return None if value is None else coordinate_fault(field, value, *SPARSE[field])
+    known = SPARSE[field]
+    return None if value is None else coordinate_fault(field, value, known.low, known.high, known.units)
 
 
 def kind_fault(value: object) -> str | None:

@@ -78,11 +78,11 @@ class Plan:
             fields["orientation"] = _whole_numbers(self.orientation, "orientation")
             if not ((fields["orientation"] == 0) | (fields["orientation"] == 1)).all():
                 raise InputError("orientation must be 0 or 1 for each box")
-        for name, (low, high, _) in SPARSE.items():
+        for name, known in SPARSE.items():
             if (values := getattr(self, name)) is not None:
                 fields[name] = array_of(values, name, (), may_lack=True)
-                if ((fields[name] < low) | (fields[name] > high)).any():
-                    raise InputError(f"{name} must be from {low:g} to {high:g}")
+                if ((fields[name] < known.low) | (fields[name] > known.high)).any():
+                    raise InputError(f"{name} must be from {known.low:g} to {known.high:g}")
         kinds = tuple(list_of(self.kinds, "kinds", str, "text"))
         if not set(kinds) <= {"", *KINDS}:
             raise InputError(f"kinds must be {' or '.join(KINDS)} for each box")

@@ -235,10 +235,10 @@ class _Reading:
     def _sparse(self) -> dict[str, FloatArray]:
         """Optional numbers of placements; NaN where a value is unusable or missing."""
         found = {}
-        for name, (low, high, _) in SPARSE.items():
+        for name, known in SPARSE.items():
             if name in self.table.columns:
                 numbers, usable = self.table.columns[name].numbers()
-                found[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers, np.nan)
+                found[name] = np.where(usable & (numbers >= known.low) & (numbers <= known.high), numbers, np.nan)
         return found
 
     @cached_property

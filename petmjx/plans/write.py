@@ -33,9 +33,7 @@ _UNITS: Final = {
     **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm", *COM_FIELDS), "mm"),
     "weight_kg": "kg",
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
-    "approach_deg": "deg",
-    "stiffness_n_mm": "N/mm",
-    "strength_n": "N",
+    **{name: field.unit for name, field in SPARSE.items()},
 }
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 import pyarrow as pa
 
 from petmjx.errors import InputError
+from petmjx.plans.fields import SPARSE
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
@@ -38,10 +39,9 @@ def plan_digest(plan: Plan) -> str:
         digest.update(repr(plan.materials).encode("utf-8", "backslashreplace"))
     if plan.mass_center_mm is not None:
         digest.update(plan.mass_center_mm.tobytes())
-    if plan.approach_deg is not None:
-        digest.update(b"approach_deg" + plan.approach_deg.tobytes())
-    if plan.stiffness_n_mm is not None:
-        digest.update(b"stiffness_n_mm" + plan.stiffness_n_mm.tobytes())
+    for name, field in SPARSE.items():
+        if field.reaches_results and (values := getattr(plan, name)) is not None:
+            digest.update(name.encode() + values.tobytes())
     if plan.kinds:
         digest.update(repr(("kinds", plan.kinds)).encode())
     return digest.hexdigest()

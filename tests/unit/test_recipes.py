@@ -139,6 +139,29 @@ def test_a_column(copy: Copy) -> None:
     assert copy.failing("tests/oracle/test_warp_rules.py", "-k", "default") == []
 
 
+def test_a_property_of_boxes(copy: Copy) -> None:
+    copy.follow("A property of boxes of your own")
+    printed = copy.printed_by(
+        """
+import numpy as np
+import petmjx
+from petmjx.results.manifest import plan_digest
+from petmjx.world.model import build_spec
+from petmjx.world.scene import build_scene
+boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 200)], mass_kg=[5.0] * 2)
+plan = petmjx.Plan.from_boxes("stack", **boxes, friction=[0.3, None])
+for name in ("plans.json", "plans.csv", "plans.parquet"):
+    petmjx.save_plans(plan, name)
+    print(petmjx.load_plans(name).plans[0].friction.tolist())
+sim = petmjx.Simulation()
+model = build_spec(build_scene(plan, sim), sim.physics).compile()
+print(model.geom_friction[-2:, 0].tolist(), plan_digest(plan) != plan_digest(petmjx.Plan.from_boxes("stack", **boxes)))
+"""
+    )
+    assert printed.count("[0.3, nan]\n") == 3
+    assert "[0.3, 0.5] True" in printed
+
+
 def test_a_reason(copy: Copy) -> None:
     overloaded = f"""{STACK}
 run = petmjx.score(plan, engine='mujoco', thresholds={{'load_n': 60}}, out='out', overwrite=True)
