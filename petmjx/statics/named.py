@@ -1,15 +1,25 @@
-"""The criteria by name: what each asks, and what its slack is. Tables, columns and docs are made from this list."""
+"""The criteria by name: what each asks, and what its slack is. Tables, columns and docs are made from this list.
+
+A criterion of your own, step by step: docs/extending.md.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
 
 from petmjx.checked import hint
 from petmjx.errors import InputError
 from petmjx.metrics.spec import DIMENSIONLESS
+from petmjx.statics.asked import Asked
+from petmjx.statics.base import corner_and_area_slack
+from petmjx.statics.load_polygon import load_polygon_slack
+from petmjx.statics.loads import even_bedding, lever_rule, load_slack, strength_slack
 from petmjx.text import shown
+from petmjx.units import FloatArray
 
 SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
 """Shares of the base that are asked for: full support, and those of Bortfeldt & Wäscher's survey and the ADAMS
@@ -23,7 +33,7 @@ CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
 
 _MM: Final = "mm"
 
-STRENGTH: Final = "strength"
+LEANING: Final = "force_balance_leaning"
 
 
 @dataclass(frozen=True)
@@ -36,8 +46,11 @@ class Criterion:
         slack: what the slack is; its sign is the answer.
         unit: of the slack.
         source: where the criterion comes from.
+        slack_of: (n,) the slacks of a plan's boxes; NaN where there is none.
         strict: whether a slack of 0 is not enough.
         number: the number behind it, if a threshold can be asked of it; "" otherwise.
+        ends: whether nothing is asked after the first box that fails.
+        usual: whether it is asked if none is named.
     """
 
     name: str
@@ -45,8 +58,11 @@ class Criterion:
     slack: str
     unit: str
     source: str
+    slack_of: Callable[[Asked], FloatArray]
     strict: bool = False
     number: str = ""
+    ends: bool = False
+    usual: bool = True
 
 
 def _support(share: float) -> Criterion:
@@ -56,6 +72,7 @@ def _support(share: float) -> Criterion:
         f"borne share - {share:g}",
         DIMENSIONLESS,
         "Bortfeldt & Wäscher 2013",
+        lambda asked: asked.share - share,
         number="borne share of the base" if share == 1 else "",
     )
 
@@ -68,6 +85,7 @@ def _corner_area(name: str, least: tuple[float, float, float], source: str) -> C
         "borne share - share asked for",
         DIMENSIONLESS,
         source,
+        lambda asked: corner_and_area_slack(asked.share, asked.corners, least),
         strict=True,
     )
 
@@ -80,6 +98,7 @@ CRITERIA: Final = (
         f"corners borne - {LEAST_CORNERS}",
         DIMENSIONLESS,
         "Paquay, Schyns, Limbourg 2016",
+        lambda asked: (asked.corners - LEAST_CORNERS).astype(np.float64),
     ),
     _corner_area("corner_area_paper", CORNER_AREA_PAPER, "Zhao et al. 2021, paper"),
     _corner_area("corner_area_code", CORNER_AREA_CODE, "Zhao et al. 2021, code"),
@@ -89,6 +108,7 @@ CRITERIA: Final = (
         "distance of the centre from the hull's edge, inwards",
         _MM,
         "common",
+        lambda asked: asked.hulls.distance(np.arange(asked.contacts.n_boxes), asked.contacts.centre_mm[:, :2]),
         number="centre inside the hull's edge",
     ),
     Criterion(
@@ -97,6 +117,7 @@ CRITERIA: Final = (
         "distance of the centre from that hull's edge, inwards",
         _MM,
         "Gao et al. 2025, arXiv 2507.09123",
+        lambda asked: load_polygon_slack(asked.contacts),
         number="centre inside the load polygon's edge",
     ),
     Criterion(
@@ -105,6 +126,7 @@ CRITERIA: Final = (
         "least distance of the resultant from a hull's edge, inwards",
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
+        lambda asked: load_slack(asked.contacts, asked.hulls, lever_rule),
         number="resultant inside the hulls' edges",
     ),
     Criterion(
@@ -113,6 +135,7 @@ CRITERIA: Final = (
         "least distance of the resultant from a hull's edge, inwards",
         _MM,
         "Ramos et al. 2016",
+        lambda asked: load_slack(asked.contacts, asked.hulls, even_bedding),
         number="resultant inside the hulls' edges",
     ),
     Criterion(
@@ -121,33 +144,38 @@ CRITERIA: Final = (
         "share of an even load that every corner can carry",
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
+        lambda asked: asked.balance[0],
         number="even load on every corner",
+        ends=True,
     ),
     Criterion(
-        "force_balance_leaning",
+        LEANING,
         "such forces exist if boxes may also press on neighbours that they touch side by side",
         "share of an even load that every corner can carry",
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
+        lambda asked: asked.balance[1],
         number="even load on every corner",
+        ends=True,
     ),
     Criterion(
-        STRENGTH,
+        "strength",
         "neither it nor a box that bears part of it carries more than its strength, by loads passed down in balance",
         "1 - load / strength, the least of these boxes that have a strength; 1 where none has",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
+        lambda asked: strength_slack(asked.contacts, asked.strength_n, even_bedding),
+        usual=False,  # where no strength is known it accepts everything
     ),
 )
 """In the order of tables, from what is asked of the base to what is asked of the stack."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
-_UNNAMED: Final = tuple(name for name in NAMES if name != STRENGTH)
-"""Those that are asked if none is named: where no strength is known that of strength accepts everything."""
+_UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria of these names in the order of ``CRITERIA``; if none is named all but ``STRENGTH``.
+    """The criteria of these names in the order of ``CRITERIA``; if none is named those that usually are.
 
     Raises:
         InputError: there is no such criterion.

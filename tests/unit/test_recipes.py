@@ -162,6 +162,19 @@ print(model.geom_friction[-2:, 0].tolist(), plan_digest(plan) != plan_digest(pet
     assert "[0.3, 0.5] True" in printed
 
 
+def test_a_criterion(copy: Copy) -> None:
+    copy.follow("A criterion of your own")
+    printed = copy.printed_by(
+        """
+import petmjx
+boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 200)])
+plans = [petmjx.Plan.from_boxes(f"top-{kg}", **boxes, mass_kg=[5.0, kg]) for kg in (4.0, 6.0)]
+print(petmjx.criteria(plans, only=["light_on_heavy"]).plans.set_index("plan_id").light_on_heavy.to_dict())
+"""
+    )
+    assert "{'top-4.0': True, 'top-6.0': False}" in printed
+
+
 def test_a_reason(copy: Copy) -> None:
     overloaded = f"""{STACK}
 run = petmjx.score(plan, engine='mujoco', thresholds={{'load_n': 60}}, out='out', overwrite=True)
