@@ -118,7 +118,7 @@ def failures(boxes: BoxMetrics, thresholds: Thresholds) -> Iterator[tuple[Reason
     """What makes boxes fail, in the order in which it is looked for, and the boxes that fail by it: (…, n)."""
     yield Reason.DROP, boxes.dropped
     yield Reason.TILT, boxes.max_tilt_deg > thresholds.tilt_deg
-    yield Reason.SHIFT, (np.abs(boxes.shift_m) > thresholds.shift_m).any(axis=-1)
+    yield Reason.SHIFT, np.any(np.abs(boxes.shift_m) > thresholds.shift_m, axis=-1)
 
 
 def judge(

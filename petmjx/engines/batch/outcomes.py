@@ -79,7 +79,7 @@ def _outcomes(
     for i, row in enumerate(rows):
         job = jobs[row]
         n = job.scene.n_boxes
-        driven = job.drive is not None and host.driven_from[i] <= host.step[i]
+        driven = job.drive is not None and bool(host.driven_from[i] <= host.step[i])
         drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)
         boxes = BoxMetrics.measured(
             n,
