@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,7 +239,7 @@ class BoxMetrics:
     quat: FloatArray
 
     @classmethod
-    def measured(cls, *n: int, **values: NDArray[Any]) -> Self:
+    def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:
         """Metrics of n boxes, or of (…, n), from those that an engine has measured; the others have no values.
 
         Raises:
