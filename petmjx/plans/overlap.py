@@ -12,12 +12,14 @@ from petmjx.units import FloatArray
 
 
 def shared(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(n, n) length that two boxes share along an axis, from their (n,) ends there; negative where they are apart."""
-    length: FloatArray = np.minimum.outer(high, high) - np.maximum.outer(low, low)
+    """(…, n, n) length that two boxes share along an axis, from their (…, n) ends there; negative where they are
+    apart."""
+    ends, begins = np.minimum(high[..., :, None], high[..., None, :]), np.maximum(low[..., :, None], low[..., None, :])
+    length: FloatArray = ends - begins
     return length
 
 
 def meets(low: FloatArray, high: FloatArray, tolerance: float) -> NDArray[np.bool_]:
-    """(n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance."""
-    found: NDArray[np.bool_] = np.abs(np.subtract.outer(high, low)) <= tolerance
+    """(…, n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance."""
+    found: NDArray[np.bool_] = np.abs(high[..., :, None] - low[..., None, :]) <= tolerance
     return found

@@ -7,6 +7,7 @@ docs/rules.md, section 4.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from petmjx.config import Check, Simulation
 from petmjx.placing import Placing, Way
 from petmjx.units import MM_PER_M, FloatArray
+from petmjx.world.alike import stacked
 from petmjx.world.scene import Scene
 from petmjx.world.turned import rotations
 
@@ -69,7 +71,8 @@ errors."""
 
 
 class Course(NamedTuple):
-    """How the n boxes of a scene come to their places. Places are those of their middles, m.
+    """How the n boxes of a scene come to their places; of many scenes that are alike, with an axis of these before the
+    others. Places are those of their middles, m.
 
     Attributes:
         lift: (n, 3) from where a box would rest to where it is let go.
@@ -102,6 +105,27 @@ def course_of(scene: Scene, sim: Simulation) -> Course | None:
             falls = np.ones(n, dtype=bool)
         steps = way_steps(np.linalg.norm(offset, axis=1), scene.mass, placing, sim.physics.timestep_s)
     return Course(lift, quat, offset, steps, falls)
+
+
+def courses_of(scenes: Sequence[Scene], sim: Simulation) -> Course | None:
+    """The courses of plain scenes that are alike (petmjx.world.alike), to the last bit as ``course_of`` has each."""
+    placing = scenes[0].placing
+    if placing.appears or sim.check is Check.STATIC:
+        return None
+    if placing.name is Way.TINES:
+        each = [course_of(scene, sim) for scene in scenes]
+        return Course(*(np.array(values) for values in zip(*(course for course in each if course), strict=True)))
+    start, target = (stacked(scenes, name) for name in ("start_pos", "target"))
+    quat, offset = stacked(scenes, "start_quat"), np.zeros(start.shape)
+    offset[..., 2] = placing.height_mm / MM_PER_M
+    steps, falls = np.zeros(start.shape[:2], np.int64), start[..., 2] > target[..., 2]
+    if placing.carries:
+        half_size = stacked(scenes, "half_size")
+        approach, _ = _approaches_of(_beside(target, half_size, placing), scenes[0].approach)
+        offset[..., :2] = -placing.side_mm / MM_PER_M * approach
+        length_m, mass = np.linalg.norm(offset, axis=-1), stacked(scenes, "mass")
+        steps = way_steps(length_m, mass, placing, sim.physics.timestep_s)
+    return Course(np.zeros(start.shape), quat, offset, steps, falls)
 
 
 def way_steps(
@@ -187,43 +211,54 @@ def _overlap(
 
 
 def _approaches(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) direction in which each box goes to its place, level, as a share of what the options say, and (n, 2) unit
-    vectors towards what it goes to.
+    """As ``_approaches_of`` of a scene."""
+    return _approaches_of(_beside(scene.target, scene.half_size, scene.placing), scene.approach)
+
+
+def _approaches_of(beside: NDArray[np.bool_], given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """(…, n, 2) direction in which each box goes to its place, level, as a share of what the options say, and (…, n, 2)
+    unit vectors towards what it goes to.
 
     Where the plan says nothing it goes, along x and y each, towards the side on which something stands if there is
     nothing on the other one. So a box beside which nothing stands, or that goes between two others, comes from straight
     above. The second vector is the first one's nearest axis of the box; without a first one an axis along which nothing
     stands, +x before +y.
+
+    Args:
+        beside: as ``_beside`` has it; ``given``: (n, 2) of the plan.
     """
-    beside = _beside(scene)
-    towards = beside[:, 1].astype(float) - beside[:, 0]
-    if scene.approach is not None:
-        towards = np.where(scene.approach.any(axis=1, keepdims=True), scene.approach, towards)
-    busy = beside.all(axis=1) | (towards == 0) & beside.any(axis=1)
-    x_first = np.abs(towards[:, 0]) >= np.abs(towards[:, 1])
-    none = ~towards.any(axis=1)
-    along_x = np.where(none, ~busy[:, 0] | busy[:, 1], x_first)
-    sign = np.where(none, 1.0, np.where(np.where(along_x, towards[:, 0], towards[:, 1]) < 0, -1.0, 1.0))
-    side = np.stack([sign * along_x, sign * ~along_x], axis=1)
+    towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
+    if given is not None:
+        towards = np.where(given.any(axis=1, keepdims=True), given, towards)
+    busy = beside.all(axis=-2) | (towards == 0) & beside.any(axis=-2)
+    x_first = np.abs(towards[..., 0]) >= np.abs(towards[..., 1])
+    none = ~towards.any(axis=-1)
+    along_x = np.where(none, ~busy[..., 0] | busy[..., 1], x_first)
+    sign = np.where(none, 1.0, np.where(np.where(along_x, towards[..., 0], towards[..., 1]) < 0, -1.0, 1.0))
+    side = np.stack([sign * along_x, sign * ~along_x], axis=-1)
     return towards, side
 
 
-def _beside(scene: Scene) -> NDArray[np.bool_]:
-    """(n, 2, 2) whether something stands beside each box before it is placed, by the plan: on its low and its high side
-    along x and y, no further away than the box may go aside."""
-    place, half = scene.target, scene.half_size
-    near_m = most_aside_m(scene.placing)
-    lifted_m = scene.placing.height_mm / MM_PER_M
-    between = place[None] - place[:, None]  # from the row's box to the column's
-    gap = np.abs(between) - (half[None] + half[:, None])
-    before = np.tri(scene.n_boxes, k=-1, dtype=bool)
-    level = (gap[..., 2] < -_BESIDE_M) | ((gap[..., 2] < lifted_m) & (between[..., 2] > 0))
-    found = np.zeros((scene.n_boxes, 2, 2), dtype=bool)
+def _beside(place: FloatArray, half: FloatArray, placing: Placing) -> NDArray[np.bool_]:
+    """(…, n, 2, 2) whether something stands beside each box before it is placed, by the plan: on its low and its high
+    side along x and y, no further away than the box may go aside.
+
+    Args:
+        place: (…, n, 3) planned middles, m, ``half``: half extents.
+    """
+    near_m = most_aside_m(placing)
+    lifted_m = placing.height_mm / MM_PER_M
+    # along each axis, from the row's box to the column's
+    between = [place[..., None, :, axis] - place[..., :, None, axis] for axis in range(3)]
+    gap = [np.abs(between[axis]) - (half[..., None, :, axis] + half[..., :, None, axis]) for axis in range(3)]
+    before = np.tri(place.shape[-2], k=-1, dtype=bool)
+    level = before & ((gap[2] < -_BESIDE_M) | ((gap[2] < lifted_m) & (between[2] > 0)))
+    found = np.zeros((*place.shape[:-1], 2, 2), dtype=bool)
     for axis in range(2):
-        shares = gap[..., 1 - axis] < -_BESIDE_M
-        beside = before & level & shares & (gap[..., axis] >= -_BESIDE_M) & (gap[..., axis] < near_m)
+        shares = gap[1 - axis] < -_BESIDE_M
+        beside = level & shares & (gap[axis] >= -_BESIDE_M) & (gap[axis] < near_m)
         for side in range(2):
-            found[:, side, axis] = (beside & ((between[..., axis] > 0) == bool(side))).any(axis=1)
+            found[..., side, axis] = (beside & ((between[axis] > 0) == bool(side))).any(axis=-1)
     return found
 
 

@@ -8,6 +8,7 @@ bears it as its weight will press it, and it follows how far that has come down 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from petmjx.config import Check, Simulation
 from petmjx.history import CARRIER
 from petmjx.plans.overlap import meets, shared
 from petmjx.units import FloatArray
+from petmjx.world.alike import stacked
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE, cone_factor, depth_m
 from petmjx.world.give import bed_depth_m, sinks_m
@@ -31,7 +33,7 @@ MOST_FOLLOWED_M: Final = 0.002
 
 
 class Release(NamedTuple):
-    """How n boxes are released.
+    """How n boxes are released; of many scenes that are alike, with an axis of these before the others.
 
     Attributes:
         support: (n,) the box that a box follows, ``CARRIER``, or ``NOTHING``: the one with which it shares most area.
@@ -62,7 +64,7 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
     """How the boxes of a scene are released, one by one. In a static check all stand at their planned places."""
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not scene.n_boxes:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
-    support = _supports(scene)
+    support = _supports(scene.target, scene.half_size)
     touches = (support != NOTHING) & (scene.start_pos[:, 2] <= scene.target[:, 2])
     physics, own = sim.physics, scene.friction[:, 0]
     on_carrier, below = support == CARRIER, np.maximum(support, 0)
@@ -76,6 +78,27 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
         most += float(sinks.max())
     pos[:, 2] -= np.where(touches, depth, 0.0)
     return Release(support, pos, most)
+
+
+def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
+    """The releases of plain scenes that are alike (petmjx.world.alike), to the last bit as ``release_of`` has each."""
+    start = stacked(scenes, "start_pos")
+    m, n = start.shape[:2]
+    if sim.physics.falls_into_place or sim.check is Check.STATIC or not n:
+        return Release(np.full((m, n), NOTHING), start)
+    target, half = (stacked(scenes, name) for name in ("target", "half_size"))
+    mass, own = stacked(scenes, "mass"), stacked(scenes, "friction")[..., 0]
+    carrier_mass = stacked(scenes, "carrier.mass")[:, None]
+    carrier_friction = stacked(scenes, "carrier.friction")[..., 0].max(axis=1)[:, None]
+    support = _supports(target, half)
+    touches = (support != NOTHING) & (start[..., 2] <= target[..., 2])
+    on_carrier, below = support == CARRIER, np.maximum(support, 0)
+    physics = sim.physics
+    share = 1.0 + mass / np.where(on_carrier, carrier_mass, np.take_along_axis(mass, below, axis=1))
+    soft = cone_factor(physics, own, np.where(on_carrier, carrier_friction, np.take_along_axis(own, below, axis=1)))
+    depth = depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE)
+    start[..., 2] -= np.where(touches, depth, 0.0)
+    return Release(support, start)
 
 
 def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Release:
@@ -103,10 +126,10 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     return Release(support, pos)
 
 
-def _supports(scene: Scene) -> NDArray[np.intp]:
-    """(n,) what each box lies on by the planned places, or most of it."""
-    low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    length, width = (np.maximum(shared(low[:, axis], high[:, axis]), 0.0) for axis in range(2))
-    area = length * width * np.triu(meets(low[:, 2], high[:, 2], TOUCH_M), k=1)
-    found = np.where(area.any(axis=0), area.argmax(axis=0), NOTHING)
-    return np.where(low[:, 2] <= TOUCH_M, CARRIER, found)
+def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
+    """(…, n) what each box lies on by the planned places, or most of it."""
+    low, high = target - half_size, target + half_size
+    length, width = (np.maximum(shared(low[..., axis], high[..., axis]), 0.0) for axis in range(2))
+    area = length * width * np.triu(meets(low[..., 2], high[..., 2], TOUCH_M), k=1)
+    found = np.where(area.any(axis=-2), area.argmax(axis=-2), NOTHING)
+    return np.where(low[..., 2] <= TOUCH_M, CARRIER, found)

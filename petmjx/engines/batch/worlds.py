@@ -15,15 +15,9 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.config import Simulation
-from petmjx.history import CARRIER
+from petmjx.engines.batch.scene_rows import rows_of
 from petmjx.units import seconds_to_steps
-from petmjx.world.give import gives, sinks_m
 from petmjx.world.job import Job
-from petmjx.world.pairs import filled_up
-from petmjx.world.placing import course_of, most_aside_m
-from petmjx.world.release import NOTHING, release_of
-from petmjx.world.scene import IDENTITY_QUAT
-from petmjx.world.wrap import film_of
 
 
 class Worlds(NamedTuple):
@@ -108,48 +102,9 @@ def upload_worlds(
     """
     scenes = list({id(job.scene): job.scene for job in jobs}.values())
     row_of = {id(scene): row for row, scene in enumerate(scenes)}
-    n, boards = len(scenes), max(boards, *(len(scene.shapes.body) - scene.n_boxes for scene in scenes))
-    half, middle = np.full((n, width, 3), 0.1, np.float32), np.zeros((n, width, 3), np.float32)
-    target, start = np.zeros((n, width, 3), np.float32), np.zeros((n, width, 7), np.float32)
-    start[:, :, 3:] = IDENTITY_QUAT
-    support, sinks = np.full((n, width), NOTHING, np.int32), np.zeros((n, width), np.float32)
-    most_followed = np.zeros(n, np.float32)
-    way_offset, way_steps = np.zeros((n, width, 3), np.float32), np.zeros((n, width), np.int32)
-    falls, appears = np.zeros((n, width), np.bool_), np.ones(n, np.bool_)
-    wrap_press, wrap_hold = np.zeros((n, width, 3), np.float32), np.zeros((n, width), np.float32)
-    mass, inertia_box = np.ones((n, width + 1), np.float32), np.full((n, width + 1, 3), 0.1, np.float32)
-    first_shape = np.tile(np.arange(width + 2, dtype=np.int32), (n, 1))
-    shape_body, shape_surface = (np.zeros((n, boards + width), np.int32) for _ in range(2))
-    shape_give = np.zeros((n, boards + width), np.float32)
-    shape_half, shape_pos, friction = (np.full((n, boards + width, 3), fill, np.float32) for fill in (0.1, 0.0, 1.0))
-    for row, scene in enumerate(scenes):
-        k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
-        half[row, :k], middle[row, :k], target[row, :k] = scene.half_size, scene.middle, scene.target
-        place, quat, course = release.pos, scene.start_quat, course_of(scene, sim)
-        if course is not None:
-            place, quat, appears[row] = place + course.lift, course.quat, False
-            way_offset[row, :k], way_steps[row, :k], falls[row, :k] = course.offset, course.steps, course.falls
-        start[row, :k, :3], start[row, :k, 3:] = scene.frames(place, quat), quat
-        if scene.wrap.holds:
-            wrap_press[row, :k], wrap_hold[row, :k] = film_of(scene)
-        support[row, :k], most_followed[row] = release.support, release.most_followed_m
-        mass[row, : k + 1] = np.append(scene.carrier.mass, scene.mass)
-        inertia_box[row, : k + 1] = scene.inertia_boxes
-        s = len(shapes.body)
-        more_shapes = np.bincount(shapes.body - CARRIER, minlength=width + 1) - 1
-        first_shape[row, 1 : k + 2] += np.cumsum(more_shapes[: k + 1])
-        first_shape[row, k + 2 :] += more_shapes[: k + 1].sum()
-        shape_body[row, :s], shape_half[row, :s] = shapes.body - CARRIER, shapes.half_size
-        shape_pos[row, :s], friction[row, :s] = shapes.pos, shapes.friction
-        shape_surface[row, :s] = shapes.surface
-        if scene.stiffness is not None:
-            sinks[row, :k] = sinks_m(scene, sim.physics.gravity_m_s2)
-            shape_give[row, :s] = np.append(gives(scene.stiffness, scene.half_size), 0.0)[shapes.body]
+    of_scenes = rows_of(scenes, width, sim, boards)
     spare = rows - len(jobs)
     fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
-
-    def spread(values: Any, dtype: Any = np.float32) -> jax.Array:
-        return uploaded(np.asarray(values, dtype)[fan_out])
 
     def each(value: Callable[[Job], Any], dtype: Any) -> jax.Array:
         values = np.array([value(job) for job in jobs], dtype)
@@ -161,27 +116,7 @@ def upload_worlds(
         return len(job.drive.excitation.samples) + seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s)
 
     return Worlds(
-        n_boxes=spread([scene.n_boxes for scene in scenes], np.int32),
-        half=spread(half),
-        middle=spread(middle),
-        target=spread(target),
-        start=spread(start),
-        support=spread(support, np.int32),
-        sinks=spread(sinks),
-        most_followed=spread(most_followed),
-        carrier_pos=spread([scene.carrier.pos for scene in scenes]),
-        mass=spread(mass),
-        inertia_box=spread(inertia_box),
-        first_shape=spread(first_shape, np.int32),
-        shape_body=spread(shape_body, np.int32),
-        shape_half=spread(shape_half),
-        shape_pos=spread(shape_pos),
-        friction=spread(friction),
-        floor_friction=spread([scene.floor_friction for scene in scenes]),
-        shape_surface=spread(shape_surface, np.int32),
-        shape_give=spread(shape_give),
-        pair_friction=spread([filled_up(scene.pair_friction) for scene in scenes]),
-        floor_z=spread([scene.floor_z for scene in scenes]),
+        **{name: uploaded(values[fan_out]) for name, values in of_scenes.items()},
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
         drive_scale=each(_drive_factor, np.float32),
         drive_yaw=each(lambda job: _direction(job), np.float32),
@@ -190,15 +125,6 @@ def upload_worlds(
         held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
         settles=each(lambda job: job.drive is not None or job.keep_state, np.bool_),
         pauses=uploaded(np.zeros(rows, np.bool_)),
-        appears=spread(appears, np.bool_),
-        way_offset=spread(way_offset),
-        way_steps=spread(way_steps, np.int32),
-        falls=spread(falls, np.bool_),
-        hand_force=spread([scene.placing.force_n for scene in scenes]),
-        hand_speed=spread([scene.placing.speed_m_s for scene in scenes]),
-        hand_aside=spread([most_aside_m(scene.placing) for scene in scenes]),
-        wrap_press=spread(wrap_press),
-        wrap_hold=spread(wrap_hold),
     )
 
 

@@ -1,0 +1,67 @@
+"""Tables of worlds that are alike are filled in together, to the last bit as one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+from support.plans import heap, make_plan, make_scene, stack
+
+from petmjx.config import Simulation
+from petmjx.engines.batch import scene_rows
+from petmjx.engines.batch.scene_rows import rows_of
+from petmjx.world.alike import AT_A_TIME, groups
+from petmjx.world.apply import apply_all
+from petmjx.world.scene import Scene, build_scene
+from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant
+
+ERROR = Distribution(DistributionShape.NORMAL, 0.0, 3.0)
+SHARE = Distribution(DistributionShape.NORMAL, 0.0, 0.05)
+
+
+def with_errors(sim: Simulation, count: int, n_boxes: int = 24) -> list[Scene]:
+    """Worlds of one plan with errors of everything."""
+    change = PlacementChange(
+        x_mm=ERROR, y_mm=ERROR, yaw_deg=ERROR, size_mm=ERROR, mass_rel=SHARE, friction_rel=SHARE, drop_height_mm=ERROR
+    )
+    variants = [Variant(k + 1, change, replicate=k) for k in range(count)]
+    return list(apply_all(build_scene(make_plan("heap", heap(n_boxes)), sim), "heap", variants, seed=3))
+
+
+def one_by_one(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
+    return (([number], False) for number in range(len(scenes)))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"placing": "exact"},
+        {"placing": "drop"},
+        {"placing": "hand", "carrier": "epal-1"},
+        {"placing": "tines"},
+        {"physics": "reference"},
+        {"check": "static"},
+        {"wrap": {"turns": 3}},
+    ],
+)
+def test_worlds_that_are_alike_are_filled_in_together(
+    options: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sim = Simulation(**options)
+    scenes = [*with_errors(sim, 5), make_scene(stack(3), sim), *with_errors(sim, AT_A_TIME), *with_errors(sim, 2, 7)]
+    together = rows_of(scenes, 28, sim, 1)
+    monkeypatch.setattr(scene_rows, "groups", one_by_one)
+    apart = rows_of(scenes, 28, sim, 1)
+    assert together.keys() == apart.keys()
+    for name, values in apart.items():
+        np.testing.assert_array_equal(together[name], values, err_msg=name, strict=True)
+
+
+def test_groups_have_each_scene_once_and_only_those_alike() -> None:
+    sim = Simulation()
+    scenes = [*with_errors(sim, AT_A_TIME + 5, 7), make_scene(stack(3), sim), make_scene(stack(3), sim)]
+    found = list(groups(scenes))
+    assert sorted(number for numbers, _ in found for number in numbers) == [*range(len(scenes))]
+    assert sorted(len(numbers) for numbers, _ in found) == [2, 5, AT_A_TIME]
+    assert all(len({scenes[number].n_boxes for number in numbers}) == 1 for numbers, _ in found)
