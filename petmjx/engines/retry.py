@@ -172,7 +172,11 @@ class _Besides(Generic[AnyWorld]):
     def begin(self, attempt: AttemptRecipe, pending: _Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
         making = _Making[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
-        traits = {"doubles": attempt.doubles, "soft": making.is_soft(pending[0]), "few": attempt.few}
+        traits = {
+            "doubles": attempt.doubles,
+            "soft": making.is_soft(pending[0]),
+            "few": attempt.few and pending[0].variant == 0,
+        }
         name = self.engines.beside(pending[0].job, making.sim, **traits)
         if name is not None:
             self._ask(making, pending, name)

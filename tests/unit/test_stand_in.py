@@ -18,7 +18,7 @@ from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import WorldResult, score_worlds
 from petmjx.errors import InputError
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
-from petmjx.world.job import Job
+from petmjx.world.job import Drive, Excitation, Job
 
 WORLDS = 3
 
@@ -128,6 +128,23 @@ def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypat
     made = [(1, "mjx-warp"), (6, "mjx-warp-cpu"), (7, "mujoco"), (8, "mjx-warp")]
     assert all([(a.attempt, a.engine) for a in result.attempts] == made for result in results)
     assert "worlds were simulated again on mjx-warp-cpu, in stiffer contacts" in notes
+
+
+def test_worlds_with_errors_and_drives_keep_to_the_gpu_in_stiffer_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of these a fifth may need them."""
+    engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
+    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
+    nominal = make_world(make_plan("p", stack(1)))
+    drive = Drive(Excitation("push", "force", np.zeros((3, 3))))
+    worlds = [
+        replace(nominal, variant=1),
+        replace(nominal, job=replace(nominal.job, drive=drive)),
+        replace(nominal, job=replace(nominal.job, keep_state=True)),
+    ]
+    own = Scripted("mjx-warp", never, Reason.SINKING)
+    for result in score_worlds(worlds, Simulation(), own, attempts=ATTEMPTS[:6]):
+        assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp")]
 
 
 def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> None:
