@@ -18,7 +18,7 @@ import pandas as pd
 from petmjx.config import LONGEST_S, Check, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.live import BodyState, LiveWorld
-from petmjx.engines.cpu.world import SettledState
+from petmjx.engines.cpu.settled import SettledState
 from petmjx.errors import InputError
 from petmjx.metrics.force_np import VERTICAL_COSINE, contact_normal_and_tangents
 from petmjx.metrics.motion_np import tilt_deg

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from functools import cached_property
-from math import sqrt
 
 import mujoco
 import numpy as np
@@ -15,6 +14,7 @@ from petmjx.config import Simulation
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
+from petmjx.engines.cpu.waiting import add_waiting, press_waiting
 from petmjx.metrics.force_np import top_forces
 from petmjx.physics import Cone
 from petmjx.units import FloatArray
@@ -35,13 +35,6 @@ ORDERED_FROM = 64
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
 
-_WAITING_NAME = "waiting"
-_WAITING_MASS_KG = 1.0
-_STOP_STIFFNESS = 99.0
-"""Constraint weight of the stop, per kg: impedance / (1 − impedance) at solimp 0.99."""
-_FLOOR_STIFFNESS = 396.0
-"""Sum of the weights of a box's four pyramidal contacts with the floor (solimp 0.99, friction 1), per kg."""
-
 _NO_CONTACTS = np.zeros((0, 2), dtype=np.intp)
 
 
@@ -60,11 +53,7 @@ class LiveWorld:
     Boxes that are in the model but not placed yet hang far apart in the air, each held by a force equal to its weight.
     They touch nothing, so they do not influence the pallet.
 
-    With pyramidal cones (physics ``reference``) one small body on a stop represents the boxes that wait. Reason:
-    Newton's method starts from the accelerations of the last step or from the unconstrained ones, from those with the
-    lower cost in the *whole* world, and it stops at a tolerance. So the choice is visible in the results: up to 100 N
-    in single sampled impacts. In the reference implementation the waiting boxes stand on the floor and take part in the
-    choice. The stop adds exactly their part of the difference in cost, with one constraint row.
+    With pyramidal cones another body represents them (``petmjx.engines.cpu.waiting``).
 
     The bodies of a large plan are in an order of their own (``petmjx.engines.cpu.ordering``), those of others in
     packing order, and all with pyramidal cones, as in the reference implementation, to the last bit. All that this
@@ -111,20 +100,10 @@ class LiveWorld:
             return
         self._spec = build_spec(self.scene, self._sim.physics, held_carrier=self._held, n_boxes=0)
         if self._has_waiting:
-            self._add_waiting()
+            add_waiting(self._spec, self._sim.physics)
         held = self._held is not None
         add_boxes(self._spec, self.scene, self._sim.physics, self.order.tolist(), held=held)
         self._compile()
-
-    def _add_waiting(self) -> None:
-        body = self._spec.worldbody.add_body(name=_WAITING_NAME, pos=[0.0, 0.0, -_PARKING_M])
-        body.mass = _WAITING_MASS_KG
-        body.inertia = np.ones(3)
-        body.explicitinertial = True
-        stop = body.add_joint(name=_WAITING_NAME, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0])
-        stop.range = np.array([0.0, 1.0])
-        stop.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-        stop.solimp_limit[:3] = self._sim.physics.solimp
 
     def _compile(self) -> None:
         model = self._spec.compile()
@@ -257,7 +236,8 @@ class LiveWorld:
         self.n_placed += 1
         self._carry()
         if self._has_waiting:
-            self._press_waiting()
+            waiting_kg = float(self.scene.mass[self.n_placed :].sum())
+            press_waiting(self.model, self.data, waiting_kg, self._sim.physics.gravity_m_s2)
 
     def _take_up(self, course: Course, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(3,) where a box begins, m, and (4,) how it is turned; a hand may then have it.
@@ -296,17 +276,6 @@ class LiveWorld:
         if self.hand is not None:
             row = self._row[self.hand.box]
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
-
-    def _press_waiting(self) -> None:
-        """Press on the stop so that its cost equals that of the waiting boxes if they stood on the floor.
-
-        A mass m at rest on constraints of summed weight D, pulled by g, costs (D + m)·g²/2 more with the unconstrained
-        acceleration than with the true one. In both cases D is proportional to m.
-        """
-        waiting_kg = float(self.scene.mass[self.n_placed :].sum())
-        gravity = self._sim.physics.gravity_m_s2
-        share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _WAITING_MASS_KG)
-        self.data.xfrc_applied[self.model.body(_WAITING_NAME).id, 2] = _WAITING_MASS_KG * gravity * (1.0 - sqrt(share))
 
     def step(self, count: int) -> None:
         """Advance by ``count`` steps in C, with the GIL released."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,12 +13,13 @@ from petmjx.engines.clock import Clock
 from petmjx.engines.cpu.drive import ActingDrive
 from petmjx.engines.cpu.explosion import Explosion
 from petmjx.engines.cpu.hand import Hand
-from petmjx.engines.cpu.live import BodyState, LiveWorld
+from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.recorder import WorldRecorder
 from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.engines.cpu.soft import SoftState, SoftWorld
+from petmjx.engines.cpu.settled import SettledState
+from petmjx.engines.cpu.soft import SoftWorld
 from petmjx.engines.cpu.waits import NEVER, Waits
 from petmjx.units import seconds_to_steps
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -29,18 +30,6 @@ _FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
 
 class Cancelled(Exception):
     """The run was interrupted; the world has no outcome."""
-
-
-@dataclass(frozen=True, eq=False)
-class SettledState:
-    """A world at the end of its placement, when it has settled. Other worlds start from it."""
-
-    step: int
-    bodies: BodyState | SoftState | None
-    metrics: OracleMetrics
-    flags: Flag
-    ended: Outcome | None
-    """The outcome, if the world ended before it settled; its forks have the same outcome."""
 
 
 class WorldRun:
@@ -91,10 +80,9 @@ class WorldRun:
             Cancelled: the run was interrupted.
         """
         start = self._job.start
-        if isinstance(start, SettledState) and start.ended is not None:
-            flags = start.ended.flags | Flag.FORKED
-            return replace(start.ended, job=self._index, flags=flags, n_steps=0, state=None)
         if isinstance(start, SettledState):
+            if (ended := start.ended_as(self._index)) is not None:
+                return ended
             self._resume(start)
             begun = True
         else:
@@ -125,13 +113,8 @@ class WorldRun:
         return begun
 
     def _resume(self, start: SettledState) -> None:
-        assert start.bodies is not None
         self._step = self._first_step = self._waits.last_placement = start.step
-        time_s, bodies = self._clock.time_s(start.step), start.bodies
-        if isinstance(bodies, SoftState):
-            self._live = SoftWorld.resume(self._scene, self._sim, bodies, time_s)
-        else:
-            self._live = LiveWorld.resume(self._scene, self._sim, bodies, time_s)
+        self._live = start.resumed(self._scene, self._sim, self._clock.time_s(start.step))
         self._metrics = start.metrics.fork()
         self._flags |= start.flags | Flag.FORKED
         if self._recorder is not None:
