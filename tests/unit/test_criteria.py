@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,11 +19,10 @@ from petmjx.history import CARRIER
 from petmjx.statics.answers import NO, NOT_ASKED, YES, Answers, answer
 from petmjx.statics.balance import _slack_alone, _VerticalSystem, balance_slack
 from petmjx.statics.base import support_share
-from petmjx.statics.contacts import PlanContacts, find_contacts, find_sides
+from petmjx.statics.contacts import find_contacts
 from petmjx.statics.friction import Friction
 from petmjx.statics.hulls import contact_hulls
 from petmjx.statics.load_polygon import load_polygons
-from petmjx.statics.loads import even_bedding, lever_rule
 from petmjx.statics.named import CRITERIA, NAMES, chosen_criteria
 
 MU = Friction(0.5)
@@ -356,53 +354,9 @@ def test_friction_can_hold_what_vertical_forces_cannot() -> None:
     assert [balanced_by_rays(boxes, mu, lean=False) for mu in (0.0, 0.8)] == [False, True]
 
 
-@pytest.mark.parametrize("sharing", [lever_rule, even_bedding])
-def test_shares_add_up_to_the_load(sharing: object) -> None:
-    contacts = find_contacts(make_plan(boxes=[*three_posts(), box(0, 0, 200, 500, 500, 100, 4)]))
-    shares = sharing(contacts)[contacts.upper == 3]  # type: ignore[operator]
-    load = np.array([1.0, 240.0, 230.0])
-    assert shares.sum(axis=0) @ load == pytest.approx(load)
-
-
-def three_posts() -> list[Box]:
-    return [box(0, 0, 0, 100, 100, 200), box(400, 0, 0, 100, 100, 200), box(200, 400, 0, 100, 100, 200)]
-
-
-def test_lever_rule_of_two() -> None:
-    contacts = find_contacts(make_plan(boxes=[beam(0, 100, 0, 200), beam(300, 400, 0, 200), beam(0, 400, 200, 300)]))
-    shares = lever_rule(contacts)[contacts.upper == 2]
-    load = np.array([4.0, 4 * 125, 4 * 150])  # at 125, a quarter of the way from 50 to 350
-    assert (shares @ load)[:, 0] == pytest.approx([3, 1])
-
-
-def test_hull_distances_are_those_of_shapely() -> None:
-    import shapely
-
-    contacts = find_contacts(make_plan(boxes=[*three_posts(), box(0, 0, 200, 500, 500, 100)]))
-    hulls, rng = contact_hulls(contacts), np.random.default_rng(1)
-    polygon = shapely.MultiPoint(contacts.corners_mm[contacts.upper == 3].reshape(-1, 2)).convex_hull
-    points = rng.uniform(-200, 700, size=(500, 2))
-    distance = shapely.distance(polygon.exterior, shapely.points(points))
-    signed = np.where(shapely.contains_xy(polygon, *points.T), distance, -distance)
-    assert hulls.distance(np.full(500, 3), points) == pytest.approx(signed)
-
-
-def test_sides_are_found_once_for_each_pair() -> None:
-    sides = find_sides(find_contacts(make_plan(boxes=LEANING)))
-    assert list(zip(sides.first, sides.second, sides.axis, strict=True)) == [(2, 1, 0)]
-    assert sides.low_mm.tolist() == [[630, 0, 200]]
-    assert sides.high_mm.tolist() == [[630, 300, 400]]
-
-
 def test_answers_do_not_depend_on_where_the_plan_is() -> None:
     boxes = random_stack(np.random.default_rng(3))
     moved = [(size, (x + 3000, y - 700, z), kg) for size, (x, y, z), kg in boxes]
     here, there = asked(boxes), asked(moved)
     assert (here.stable == there.stable).all()
     assert there.slack == pytest.approx(here.slack, abs=1e-6, nan_ok=True)
-
-
-def test_contacts_are_in_the_order_of_the_boxes_above() -> None:
-    contacts: PlanContacts = find_contacts(make_plan(boxes=random_stack(np.random.default_rng(5), 20)))
-    assert all(first <= second for first, second in pairwise(contacts.upper.tolist()))
-    assert (contacts.lower < contacts.upper).all()

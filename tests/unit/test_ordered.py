@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 from support.command_line import write
 from support.kills import SEARCH, tables
-from support.plan_files import order_of
+from support.plan_files import order_of, tower
 from support.plans import make_plan
 from support.runs import edit_info, relisted
+from test_tables import read, row
 
 import petmjx
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -287,3 +288,11 @@ def test_shards_whose_table_has_lost_its_columns_are_not_merged(orders: Path, tm
     relisted(one)
     with pytest.raises(petmjx.InputError, match="damaged part, it has no column ordered_boxes"):
         petmjx.merge_runs([one, two], tmp_path / "merged")
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_orders_of_plans_without_ids_are_told_apart_by_article() -> None:
+    (plan,) = read(row(), row(sequence=2))
+    items = {str(number): {**tower(1)[0]["item"], "article": "carton", "id": str(number)} for number in (1, 2, 3)}
+    orders = {"A": {"item_sequence": items, "properties": {"target": "euro-pallet"}}}
+    assert check_orders(write(Path("orders.json"), orders), [plan]).of_plan["A"] == (3, 1, 0)

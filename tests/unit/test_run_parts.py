@@ -1,0 +1,143 @@
+"""Parts of a run appear whole or not at all, whatever stops it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from support.outcomes import make_outcome, make_plan
+from test_results import part_files, write_run
+
+from petmjx.errors import InputError, PetmjxError
+from petmjx.results import files
+from petmjx.results.reader import load_run
+from petmjx.results.writer import RunWriter
+
+
+def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}, worlds_per_part=2, expected_worlds=5) as run:
+        assert json.loads((tmp_path / "run.json").read_text())["status"] == "running"
+        for number in range(5):
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+            on_disk = json.loads((tmp_path / "run.json").read_text())["counts"]["worlds"]
+            assert on_disk == (number + 1) // 2 * 2
+    assert [file for file in part_files(tmp_path) if file.startswith("worlds")] == [
+        f"worlds/part-0000{number}.parquet" for number in range(3)
+    ]
+    assert load_run(tmp_path).worlds.plan_id.tolist() == list("01234")
+
+
+def test_slow_worlds_are_written_after_a_while(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}, seconds_per_part=0.0) as run:
+        run.add(make_plan(), 0, "fixed", make_outcome())
+        assert (tmp_path / "worlds/part-00000.parquet").exists()
+
+
+def test_ctrl_c_keeps_whole_parts_and_says_how_many(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        write_run(tmp_path, ids=("0", "1", "2"), end=KeyboardInterrupt(), worlds_per_part=2)
+    results = load_run(tmp_path)
+    assert results.info["status"] == "interrupted"
+    assert results.info["counts"]["worlds"] == len(results.worlds) == 3
+    assert len(results.boxes) == 9
+
+
+def test_ctrl_c_while_a_part_is_written_neither_loses_nor_doubles_worlds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = os.replace
+    calls = 0
+
+    def interrupted_replace(source: Any, target: Any) -> None:
+        nonlocal calls
+        real(source, target)
+        calls += str(target).endswith(".parquet")
+        if calls == 1:  # the boxes are in place, the worlds are not
+            calls += 1
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(files.os, "replace", interrupted_replace)
+    with pytest.raises(KeyboardInterrupt):
+        write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
+    results = load_run(tmp_path)
+    assert results.worlds.plan_id.tolist() == ["0", "1"]
+    assert results.boxes.plan_id.tolist() == ["0"] * 3 + ["1"] * 3
+    assert results.info["counts"]["worlds"] == 2
+
+
+def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError):
+        write_run(tmp_path, ids=("a",), end=RuntimeError("the engine\nbroke"))
+    info = load_run(tmp_path).info
+    assert (info["status"], info["error"], info["counts"]["worlds"]) == ("failed", "RuntimeError: the engine broke", 1)
+
+
+CRASH = """
+import os, sys
+sys.path.insert(0, sys.argv[2])
+from support.outcomes import make_outcome, make_plan
+from petmjx.results.writer import RunWriter
+real = os.replace
+def replace(source, target):
+    if str(target).endswith("worlds/part-00001.parquet"):
+        os._exit(9)
+    real(source, target)
+os.replace = replace
+with RunWriter(sys.argv[1], {}, worlds_per_part=2) as run:
+    for number in range(4):
+        run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+"""
+
+
+def test_a_crash_between_the_renames_of_a_part_leaves_readable_results(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    here = Path(__file__).parents[1]
+    command = [sys.executable, "-c", CRASH, str(out), str(here)]
+    environment = {**os.environ, "PYTHONPATH": str(here.parent)}
+    assert subprocess.run(command, check=False, timeout=60, env=environment).returncode == 9
+    assert (out / "boxes/part-00001.parquet").exists()
+    assert list((out / "worlds").glob(".part-00001.parquet.*.tmp"))
+    results = load_run(out)
+    assert results.worlds.plan_id.tolist() == ["0", "1"]
+    assert sorted(set(results.boxes.plan_id)) == ["0", "1"]
+    assert results.info["status"] == "running"
+    assert results.info["counts"]["worlds"] == 2
+    # leftovers do not disturb a reader that knows nothing of petmjx, and overwriting takes them away
+    assert len(pd.read_parquet(out / "worlds")) == 2
+    write_run(out, overwrite=True)
+    assert part_files(out) == ["boxes/part-00000.parquet", "run.json", "worlds/part-00000.parquet"]
+
+
+def test_a_run_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
+    write_run(tmp_path, ids=("a", "b"), worlds_per_part=1)
+    note = tmp_path / "note.txt"
+    note.write_text("mine")
+    with pytest.raises(InputError, match="holds a run already"):
+        write_run(tmp_path)
+    assert len(load_run(tmp_path).worlds) == 2
+    write_run(tmp_path, ids=("c",), overwrite=True)
+    assert load_run(tmp_path).worlds.plan_id.tolist() == ["c"]
+    assert note.read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write results there"):
+        write_run(tmp_path / "file" / "run")
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.pq, "write_table", full)
+    with pytest.raises(PetmjxError, match="cannot write results: No space left"):
+        write_run(tmp_path)
+    assert load_run(tmp_path).info["status"] == "failed"
+    assert load_run(tmp_path).worlds.empty
