@@ -15,6 +15,8 @@ import petmjx
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.rating.submission import parse_name
 
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
 
 def test_names_of_submissions() -> None:
     day = datetime.date(2026, 2, 3)
