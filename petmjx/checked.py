@@ -134,7 +134,7 @@ def _lax(annotation: Any, value: Any) -> str:
         return "" if value is None or isinstance(value, bool) else "must be true or false"
     if kinds and kinds <= {float, int} and isinstance(value, _NO_NUMBERS):
         return _TEXTS["int_type" if kinds == {int} else "float_type"]
-    numbers = get_origin(annotation) is tuple and set(get_args(annotation)) <= {float, int}
+    numbers = get_origin(annotation) is tuple and set(get_args(annotation)) - {Ellipsis} <= {float, int}
     if numbers and isinstance(value, list | tuple) and any(isinstance(each, _NO_NUMBERS) for each in value):
         return "must be a list of numbers"
     return ""

@@ -267,6 +267,9 @@ def _advice(name: str, records: tuple[type[Checked], ...]) -> str:
     """What to write instead of an unknown option; fields of the tables inside ``Simulation`` are easily given alone."""
     for table, field in Simulation.model_fields.items():
         inner = field.annotation
-        if isinstance(inner, type) and issubclass(inner, Checked) and name in inner.model_fields:
-            return f"it is a field of {table}: {table}={{{name!r}: …}}"
+        if not (isinstance(inner, type) and issubclass(inner, Checked)):
+            continue
+        for own, info in inner.model_fields.items():
+            if name in (own, *(each.name[2:].replace("-", "_") for each in info.metadata if isinstance(each, CliFlag))):
+                return f"it is a field of {table}: {table}={{{own!r}: …}}"
     return hint(name, [field for record in records for field in record.model_fields])

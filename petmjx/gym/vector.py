@@ -14,6 +14,7 @@ from petmjx.arguments import whole_of
 from petmjx.errors import InputError
 from petmjx.gym.core import Episodes, Observation
 from petmjx.gym.env import PalletizingEnv, check_render_mode, spaces_of
+from petmjx.loop.opening import MOST_PALLETS
 
 Info = dict[str, Any]
 
@@ -46,7 +47,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         except ValueError:
             names = ", ".join(mode.value for mode in AutoresetMode)
             raise InputError(f"autoreset_mode must be one of {names}, got {autoreset_mode!r}") from None
-        self.num_envs, self.render_mode = whole_of(num_envs, "num_envs", 1), render_mode
+        self.num_envs, self.render_mode = whole_of(num_envs, "num_envs", 1, MOST_PALLETS), render_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = Episodes(self.num_envs, options)
         self.single_observation_space, self.single_action_space = spaces_of(self.episodes)

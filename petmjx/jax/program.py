@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.arguments import whole_of
@@ -15,7 +16,8 @@ from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.jax.host import empty_host
 from petmjx.jax.told import Told
-from petmjx.loop.opening import check_open, open_engine
+from petmjx.loop.asked import check_limits
+from petmjx.loop.opening import MOST_PALLETS, check_open, open_engine
 from petmjx.run_options import AUTO
 
 State = Any
@@ -40,7 +42,7 @@ def empty(
     Raises:
         InputError: an unusable option.
     """
-    whole_of(n, "n", 1)
+    whole_of(n, "n", 1, MOST_PALLETS)
     sim = Simulation(**{"carrier": carrier, **options})
     check_open(sim)
     made, _ = open_engine(engine, n, {})
@@ -69,12 +71,13 @@ def place(
     Returns:
         The pallets, and how each is now. Pallets that had fallen before have only the reason ``ended``.
     """
-    n = state.n
+    n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)
     gets = jnp.ones(n, bool) if active is None else _of_kind(active, "active", jnp.bool_, "true or false")
     if gets.shape not in ((), (n,)):
         raise InputError(f"active must have the shape ({n},), got {gets.shape}")
     gets = jnp.broadcast_to(gets, (n,))
+    _check_numbers(boxes, gets)
     found: tuple[State, Told] = state.place(*boxes, gets)
     return found
 
@@ -93,8 +96,17 @@ def try_all(
     rows = _of_kind(pallet, "pallet", jnp.integer, "whole numbers").astype(jnp.int32)
     if rows.ndim != 1:
         raise InputError(f"pallet must have the shape (m,), got {rows.shape}")
-    found: Told = state.try_all(*_boxes(size_mm, corner_mm, mass_kg, len(rows)), rows)
+    n, boxes = _pallets(state), _boxes(size_mm, corner_mm, mass_kg, len(rows))
+    _check_numbers(boxes, (rows >= 0) & (rows < n))
+    found: Told = state.try_all(*boxes, rows)
     return found
+
+
+def _pallets(state: State) -> int:
+    """How many there are. Raises InputError if they are something else."""
+    if not isinstance(getattr(state, "n", None), int):
+        raise InputError(f"state must be what petmjx.jax.empty or petmjx.jax.place returned, {got(state)}")
+    return int(state.n)
 
 
 def _of_kind(values: Any, name: str, kind: Any, what: str) -> jax.Array:
@@ -124,3 +136,11 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
             raise InputError(f"{name} must have the shape {shape}, got {array.shape}")
         found.append(array)
     return found[0], found[1], found[2]
+
+
+def _check_numbers(boxes: tuple[jax.Array, ...], asked: jax.Array) -> None:
+    """Raises InputError if a box that is asked about has a number out of range; under ``jit`` nobody knows them."""
+    if any(isinstance(each, jax.core.Tracer) for each in (*boxes, asked)):
+        return
+    for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):
+        check_limits(np.asarray(values)[np.asarray(asked)], name)

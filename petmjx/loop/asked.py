@@ -12,6 +12,7 @@ from petmjx.arguments import array_of
 from petmjx.checked import got
 from petmjx.errors import InputError
 from petmjx.plans.fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
+from petmjx.text import counted
 from petmjx.units import FloatArray
 
 _LIMITS: Final = {
@@ -129,11 +130,16 @@ def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> FloatArray:
     except Exception:  # a ragged list; array_of says so
         one = False
     found = array_of([values] if one else values, name, shape)
+    check_limits(found, name)
+    return found
+
+
+def check_limits(values: NDArray[Any], name: str) -> None:
+    """Raises InputError if a number of ``size_mm``, ``corner_mm`` or ``mass_kg`` is out of range, or NaN."""
     low, high, unit = _LIMITS[name]
-    wrong = found[(found < low) | (found > high)]
+    wrong = values[~((values >= low) & (values <= high))]
     if wrong.size:
         raise InputError(f"{name} must be from {low:g} to {high:g} {unit}, got {wrong[0]:g}")
-    return found
 
 
 def _as_many(values: Any, name: str, m: int) -> Any:
@@ -141,5 +147,5 @@ def _as_many(values: Any, name: str, m: int) -> Any:
     if len(values) == 1 and m != 1:
         return np.repeat(values, m, axis=0)
     if len(values) != m:
-        raise InputError(f"{name} must have a row for each of {m} boxes, got {len(values)}")
+        raise InputError(f"{name} must have {counted(m, 'row')}, one for each box, got {len(values)}")
     return values

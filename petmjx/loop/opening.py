@@ -17,6 +17,9 @@ from petmjx.run_options import AUTO, RunOptions
 MANY_PALLETS: Final = 64
 """From so many on ``auto`` takes a GPU where there is one: with fewer it is not busy."""
 
+MOST_PALLETS: Final = 1_000_000
+"""More are a mistake: their arrays alone would fill the memory."""
+
 OF_RUN: Final = ("threads", "lanes")
 """Of ``RunOptions``, those that pallets have."""
 

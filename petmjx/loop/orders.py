@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.arguments import list_of, path_of
-from petmjx.checked import got
+from petmjx.checked import got, reason
 from petmjx.errors import InputError
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
@@ -126,7 +126,9 @@ def _of_file(path: Path, articles: Articles | None) -> list[Boxes]:
             return _of_sheet(pd.read_excel(path, sheet_name=0), name)
         if kind in (".csv", ".parquet"):
             return _of_table(pd.read_csv(path) if kind == ".csv" else pd.read_parquet(path), name)
-    except (OSError, ValueError, KeyError, ImportError) as error:
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {reason(error)}") from error
+    except (ValueError, KeyError, ImportError) as error:
         raise InputError(f"{name}: cannot be read as orders: {error}") from error
     raise InputError(f"{name}: orders are .json, .csv, .parquet, .xlsx or .txt files")
 

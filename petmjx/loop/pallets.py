@@ -20,7 +20,7 @@ from petmjx.errors import InputError
 from petmjx.loop.asked import Asked, asked_of, boxes_of, grid_of, once_each, pallets_of
 from petmjx.loop.closing import Closable
 from petmjx.loop.heights import height_maps
-from petmjx.loop.opening import OF_RUN, check_open, open_engine
+from petmjx.loop.opening import MOST_PALLETS, OF_RUN, check_open, open_engine
 from petmjx.loop.places import Places, free_places
 from petmjx.loop.settled import SettledEngine, scene_key
 from petmjx.loop.stock import Stock
@@ -78,7 +78,7 @@ class Pallets(Closable):
         most_boxes: int = MOST_BOXES,
         **options: Any,
     ) -> None:
-        self.n = whole_of(n, "n", 1)
+        self.n = whole_of(n, "n", 1, MOST_PALLETS)
         self.most_boxes = whole_of(most_boxes, "most_boxes", 1, 512)
         of_simulation, of_run = sorted_options(options)
         if other := next((name for name in of_run if name not in OF_RUN), None):

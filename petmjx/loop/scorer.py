@@ -135,7 +135,7 @@ class Scorer(Closable):
     def _usable(self, plans: PlanSource) -> Sequence[Plan]:
         if not isinstance(plans, Plan | PlanSet | SupportsArrow):
             if plans is None or isinstance(plans, str | PathLike):
-                raise InputError(f"plans must be plans or a data frame; petmjx.score reads files, {got(plans)}")
+                raise InputError(f"plans must be plans or a data frame, {got(plans)}; petmjx.score reads files")
             plans = list_of(plans, "plans", Plan, "plans")
             if not plans:
                 raise InputError("plans: there are none")
@@ -177,7 +177,7 @@ def _plans_of(size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray) -
     plans = []
     for row, count in enumerate(counts):
         if np.isfinite(mass_kg[row, count:]).any():
-            raise InputError(f"mass_kg: row {row} has a box behind one that it lacks")
+            raise InputError(f"mass_kg: row {row} has NaN before its last box; NaN may only fill the end of a row")
         size, corner, mass = (values[row, :count] for values in (size_mm, corner_mm, mass_kg))
         plans.append(Plan.from_boxes(str(row), size_mm=size, corner_mm=corner, mass_kg=mass))
     return plans

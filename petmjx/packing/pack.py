@@ -148,7 +148,9 @@ def _sorted(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]
     if "confidence" in sure:
         raise InputError("confidence: a packer has worlds, the number of worlds with errors")
     asked = PhysicalOptions(**own)
-    if sure and not asked.worlds:
-        raise InputError("errors needs worlds > 0")
+    if not asked.worlds and (idle := next((name for name in ("errors", "least_share") if name in sure | own), None)):
+        raise InputError(f"{idle} needs worlds > 0")
+    if not asked.worlds and asked.maximise == "share":
+        raise InputError("maximise share needs worlds > 0")
     Simulation(**sim), RunOptions(**run)
     return asked, {**sim, **run, **sure}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
@@ -101,7 +102,7 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _length(values: Any, what: str) -> int:
-    try:
-        return len(values)
-    except Exception:  # whatever an object says when it is asked
-        raise InputError(f"{what} must be a list of values, one for each box") from None
+    with suppress(Exception):  # whatever an object says when it is asked
+        if not isinstance(values, str | bytes):
+            return len(values)
+    raise InputError(f"{what} must be a list of values, one for each box, {got(values)}")

@@ -118,14 +118,14 @@ def test_what_was_refused_leaves_nothing_behind() -> None:
     state = petmjx.jax.empty(2, engine="mujoco", most_boxes=3)
     for _ in range(2):
         with pytest.raises(Exception, match="mass_kg must be from"):
-            jax.block_until_ready(petmjx.jax.place(state, SIZE, STEPS[0], np.array([5.0, 0.0])))
+            jax.block_until_ready(jax.jit(petmjx.jax.place)(state, SIZE, STEPS[0], np.array([5.0, 0.0])))
     first, told = petmjx.jax.place(state, SIZE, STEPS[0], MASS)
     assert told.n_boxes.tolist() == [1, 1]
     _, told = petmjx.jax.place(first, SIZE, STEPS[1], MASS)
     assert (told.stable.tolist(), told.n_boxes.tolist()) == ([True, True], [2, 2])
 
 
-def test_wrong_shapes_are_one_line() -> None:
+def test_wrong_shapes_and_numbers_are_one_line() -> None:
     state = petmjx.jax.empty(2, engine="mujoco", most_boxes=2)
     for call, message in (
         (lambda: petmjx.jax.place(state, SIZE[:1], STEPS[0], MASS), r"size_mm must have the shape \(2, 3\)"),
@@ -136,6 +136,9 @@ def test_wrong_shapes_are_one_line() -> None:
             "pallet must be an array of whole numbers",
         ),
         (lambda: petmjx.jax.place(state, SIZE, STEPS[0], MASS, [1, 0]), "active must be an array of true or false"),
+        (lambda: petmjx.jax.place(state, SIZE, STEPS[0], np.array([5.0, -6.0])), "mass_kg must be from .*, got -6"),
+        (lambda: petmjx.jax.try_all(state, SIZE * np.nan, STEPS[0], MASS, [0, 1]), "size_mm must be from .*, got nan"),
+        (lambda: petmjx.jax.place(2, SIZE, STEPS[0], MASS), "state must be what petmjx.jax.empty"),
         (lambda: petmjx.jax.empty(0), "n must be at least 1"),
         (lambda: petmjx.jax.empty(1, engine="mjx-jax"), "engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu"),
     ):

@@ -183,7 +183,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
     pallets, good = Pallets(2, engine=engine, most_boxes=4), carton((0, 0, 0))
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"size_mm": (400, 300)}, r"size_mm must have the shape \(n, 3\)"),
-        ({"size_mm": [(400, 300, 200)] * 3}, "size_mm must have a row for each of 1 boxes, got 3"),
+        ({"size_mm": [(400, 300, 200)] * 3}, "size_mm must have 1 row, one for each box, got 3"),
         ({"size_mm": (0.4, 0.3, 0.2)}, "size_mm must be from 1 to 4000 millimetres, got 0.4"),
         ({"mass_kg": "6"}, "mass_kg must be an array of numbers"),
         ({"mass_kg": -1}, "mass_kg must be from"),

@@ -81,6 +81,8 @@ def test_options_are_sorted_by_record_and_unknown_ones_refused_with_a_hint() -> 
     inside = r"^unknown option tilt_deg; it is a field of thresholds: thresholds=\{'tilt_deg': …\}$"
     with pytest.raises(InputError, match=inside):
         sorted_options({"tilt_deg": 15})
+    with pytest.raises(InputError, match=r"^unknown option wrap_turns; it is a field of wrap: wrap=\{'turns': …\}$"):
+        sorted_options({"wrap_turns": 4})
     assert not set(Simulation.model_fields) & set(RunOptions.model_fields)
 
 

@@ -248,6 +248,8 @@ def test_without_worlds_only_exact_placement_counts() -> None:
         ({"confidence": 8}, "confidence: a packer has worlds"),
         ({"out": "x"}, "out: a packer has no such option"),
         ({"worlds": 0, "errors": "confidence"}, "errors needs worlds > 0"),
+        ({"worlds": 0, "maximise": "share"}, "maximise share needs worlds > 0"),
+        ({"clearances_mm": [True]}, "clearances_mm must be a list of numbers"),
         ({"widht": 3}, "unknown option widht; did you mean width"),
         ({"n": 1, "orders": "orders.json"}, "n is for drawn orders"),
     ],

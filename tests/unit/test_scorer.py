@@ -78,12 +78,16 @@ def test_arrays() -> None:
 def test_what_is_wrong_is_one_line() -> None:
     scorer, good = petmjx.Scorer(engine="mujoco"), np.ones((2, 1, 3))
     for call, message in (
-        (lambda: scorer.score("plans.json"), "plans must be plans or a data frame; petmjx.score reads files"),
+        (lambda: scorer.score("plans.json"), "plans must be plans or a data frame, .*; petmjx.score reads files"),
         (lambda: scorer.score(None), "plans must be plans or a data frame"),  # type: ignore[arg-type]
         (lambda: scorer.score([]), "plans: there are none"),
         (lambda: scorer.tell(size_mm=good, corner_mm=good, mass_kg=[1, 2]), r"mass_kg must have the shape \(m, k\)"),
         (lambda: scorer.tell(size_mm=good[:1], corner_mm=good, mass_kg=[[1], [2]]), "size_mm must have 2 rows"),
         (lambda: scorer.tell(size_mm=good, corner_mm=good, mass_kg=[[1], [-2]]), "plan '?1'?.*weight"),
+        (
+            lambda: scorer.tell(size_mm=np.ones((1, 2, 3)), corner_mm=np.ones((1, 2, 3)), mass_kg=[[np.nan, 1]]),
+            "mass_kg: row 0 has NaN before its last box",
+        ),
         (lambda: petmjx.Scorer(out="x"), "out: a Scorer has no such option"),
         (lambda: petmjx.Scorer(engine="mjx"), "engine: there are mujoco"),
     ):
