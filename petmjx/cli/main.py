@@ -139,6 +139,8 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
         given = sys.argv[1:] if arguments is None else list(arguments)
         if "" in given:  # a path would be the current folder
             raise InputError(f"argument {given.index('') + 1} is empty; is a shell variable not set?")
+        if "-" in given:  # it would be a file of this name
+            raise InputError(f"argument {given.index('-') + 1} is -: name a file; /dev/stdout is standard output")
         with as_notes():
             result = application(args=given or ["--help"], standalone_mode=False)
         sys.stdout.flush()  # an error shows here at the latest

@@ -17,6 +17,7 @@ from petmjx.run_options import Confidence
 from petmjx.text import counted, printable
 from petmjx.whole import check_free
 
+DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
 """Drawn orders with boxes left out that get a line of their own."""
 
@@ -28,7 +29,10 @@ MOST_SHOWN: Final = 10
 )
 def samples(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; *.gz is gzipped.")],
-    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of plans, 1 to 200,000.")] = 100,
+    n: Annotated[
+        int | None,
+        typer.Option("-n", metavar="N", help="Number of plans, 1 to 200,000.  [default: 100]", show_default=False),
+    ] = None,
     seed: Annotated[
         int,
         typer.Option("--seed", metavar="SEED", help="Plan i depends on the seed, i, --packer and --loose-share alone."),
@@ -80,7 +84,7 @@ def samples(
     The packer physical simulates several packings of each order and takes the densest that stands often enough; it
     takes seconds an order on CPUs.
 
-    With --orders it packs the orders of a file instead; -n and --loose-share then do not apply. Boxes that find no
+    With --orders it packs the orders of a file instead. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
     from petmjx.machine import cpu_threads
@@ -91,6 +95,10 @@ def samples(
     if is_csv(out) or is_parquet_name(out):
         raise InputError(f"{out}: samples are written as JSON; use petmjx convert to make a table")
     check_free(out, overwrite, [orders] if orders is not None else ())
+    drawn = {"-n": n, "--loose-share": loose_share}
+    if orders is not None and (given := next((name for name, value in drawn.items() if value is not None), None)):
+        raise InputError(f"{given} is for drawn orders, and --orders names a file of orders")
+    n = DEFAULT_SAMPLES if n is None else n
     if packer == PHYSICAL:
         write_physical(out, orders, n, seed, workers or cpu_threads(), options)
         return

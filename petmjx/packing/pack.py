@@ -14,11 +14,13 @@ from petmjx.errors import InputError
 from petmjx.packing.options import PhysicalOptions
 from petmjx.packing.packed import PackedOrder
 from petmjx.packing.physical import pack_physical
+from petmjx.plans.forms import is_csv, is_parquet_name
 from petmjx.plans.gather import PathArgument
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import MOST_SAMPLES, write_plans
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Order, draw_order
+from petmjx.plans.write import save_plans
 from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
 from petmjx.run_options import MOST_WORKERS, Confidence, RunOptions, sorted_options
 from petmjx.text import counted
@@ -73,12 +75,17 @@ class Packed:
         return block_as_html([repr(self)], [table_as_html(self.orders, SHOWN, "orders")])
 
     def save(self, path: PathArgument) -> None:
-        """Write the plans to a file of BED-BPP's JSON, gzipped if it is named ``*.gz``.
+        """Write the plans to a file: BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``; gzipped
+        if it ends in ``.gz``. A file that is there is replaced.
 
         Raises:
             InputError: there is no plan, or the file cannot be written.
         """
-        write_plans(path_of(path, "path"), ((each.order_id, each.placements) for each in self.each if each.taken))
+        file = path_of(path, "path")
+        if is_csv(file) or is_parquet_name(file):
+            save_plans(self.plans, file)
+        else:
+            write_plans(file, ((each.order_id, each.placements) for each in self.each if each.taken))
 
 
 def pack(

@@ -142,6 +142,11 @@ def test_what_makes_no_leaderboard_is_one_line(tmp_path: Path, board: Path) -> N
         ({"a": board, "b": None}, {}, r"packers\['b'\] must be a path, got None"),
         (3, {}, "packers must be a list of runs or files of plans, got 3"),
         ([board / "plans" / "careful.json"], {"baselines": True}, "needs orders"),
+        (
+            {"balanced": board / "plans" / "careful.json"},
+            {"baselines": True, "orders": board / "plans" / "careful.json"},
+            "balanced: baselines .* has a packer of this name",
+        ),
         ([board, board], {"stories": -1}, "stories must be"),
     ]
     for packers, options, said in refused:
@@ -149,3 +154,15 @@ def test_what_makes_no_leaderboard_is_one_line(tmp_path: Path, board: Path) -> N
             petmjx.leaderboard(packers, tmp_path / "board", **options)
     with pytest.raises(InputError, match="overwrite"):
         petmjx.leaderboard([board], board)
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path, board: Path) -> None:
+    (tmp_path / "stories").mkdir()
+    (tmp_path / "stories" / "mine.html").write_text("mine")
+    (tmp_path / "mine.txt").write_text("mine")
+    packers = [board / "plans" / "careful.json", board / "plans" / "<b>eager&'.json"]
+    with pytest.raises(InputError, match=r"has mine\.txt in it; name a new folder"):
+        petmjx.leaderboard(packers, tmp_path)
+    with pytest.raises(InputError, match=r"mine\.txt: is a file; name a folder"):
+        petmjx.leaderboard(packers, tmp_path / "mine.txt")
+    assert (tmp_path / "stories" / "mine.html").read_text() == "mine"

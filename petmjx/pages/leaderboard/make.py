@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -17,8 +18,9 @@ from petmjx.errors import InputError
 from petmjx.packers.compare import PackerComparison, compare_packers
 from petmjx.packers.rating import rate
 from petmjx.pages.leaderboard.board import Board, Told, board_page
-from petmjx.pages.leaderboard.entries import ORDERS, PLANS, Entry, Watch, enter, keep_plans, named, pack_ours
+from petmjx.pages.leaderboard.entries import ORDERS, PLANS, RUNS, Entry, Watch, enter, keep_plans, named, pack_ours
 from petmjx.pages.story_page import story_page
+from petmjx.plans.samples.packers import PACKERS
 from petmjx.results.plain import plain
 from petmjx.story.tell import tell
 from petmjx.text import printable, shown
@@ -66,7 +68,8 @@ def leaderboard(
         The path of ``index.html``.
 
     Raises:
-        InputError: fewer than two packers, unusable plans, runs or options, or the folder cannot be written.
+        InputError: fewer than two packers, unusable plans, runs or options, or the folder cannot be written or holds
+            something that is no leaderboard.
     """
     flag_of(baselines, "baselines")
     whole_of(stories, "stories", 0, MOST_STORIES)
@@ -77,6 +80,11 @@ def leaderboard(
     source = None if orders is None else path_of(orders, "orders")
     if baselines and source is None:
         raise InputError("baselines (--baselines) needs orders (--orders FILE): petmjx's packers pack them")
+    if baselines and (taken := next((name for name in paths if name in PACKERS), None)):
+        raise InputError(
+            f"{taken}: baselines (--baselines) has a packer of this name; give yours another, as NAME=PATH"
+        )
+    check_folder(folder)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         entries = _entries(paths, folder, source, baselines, watch, options)
@@ -93,6 +101,24 @@ def leaderboard(
     return folder / PAGE
 
 
+def check_folder(folder: Path) -> None:
+    """Check that a folder may become a leaderboard: what is there already is one, or the beginning of one, or nothing.
+
+    Raises:
+        InputError: it is a file, or holds something else.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{printable(str(folder))}: is a file; name a folder for the leaderboard")
+    if not folder.is_dir() or (folder / DATA).is_file():
+        return
+    ours = {PAGE, STORIES, PLANS, RUNS, ORDERS}
+    with writing(folder):
+        if other := next((each.name for each in sorted(folder.iterdir()) if each.name not in ours), None):
+            raise InputError(
+                f"{printable(str(folder))}: has {shown(other)} in it; name a new folder for the leaderboard"
+            )
+
+
 def _entries(
     paths: Mapping[str, Path],
     folder: Path,
@@ -104,7 +130,7 @@ def _entries(
     options = options if orders is None else {**options, "orders": orders}
     ours: dict[str, Path] = {}
     if baselines and orders is not None:
-        ours = {name: file for name, file in pack_ours(orders, folder).items() if name not in paths}
+        ours = pack_ours(orders, folder)
     if len(paths) + len(ours) < 2:
         raise InputError("give at least two packers to rate, or one with baselines (--baselines)")
     first = [enter(name, path, folder, watch, options, ours=True) for name, path in ours.items()]
@@ -126,7 +152,8 @@ def _stories(entries: Sequence[Entry], found: PackerComparison, folder: Path, mo
     """Tell some plans of each packer, each simulated again as its run did; pages of an earlier board are removed."""
     if folder.is_dir():
         for page in folder.glob("*.html"):
-            page.unlink()
+            if re.fullmatch(r"\d+-\d+", page.stem):  # as they are named below
+                page.unlink()
     folder.mkdir(exist_ok=True)
     told: list[Told] = []
     for number, entry in enumerate(entries, start=1):
