@@ -55,7 +55,7 @@ _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 """Of the longer side and the height. A half-size dolly has 400 mm, and a pallet in cm, inches or metres less than 200;
 a pallet is 100 to 170 mm high, the base of a roll container about 200."""
 _THINNEST_MM: Final = 0.001
-"""Of a board: one given in metres is to be asked about all of its carrier's."""
+"""Largest size of a board for which metres are suspected: then the hint is about the whole carrier."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
 """A carrier of cardboard has 2 kg. What is lighter than its load by a factor of 1,000 sinks into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
@@ -202,7 +202,7 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
         shared = min(_shared_mm(carrier.boards[one], carrier.boards[two]))
         if shared > TOUCH_MM:
             both = f"{_called(carrier, one)} and {_called(carrier, two)}"
-            raise complaint(f": {both} lie in each other, by {shared:.3g} mm")
+            raise complaint(f": {both} overlap by {shared:.3g} mm")
         if shared >= -TOUCH_MM:
             joined[one].add(two)
             joined[two].add(one)
@@ -304,7 +304,7 @@ AnyCarrier = Annotated[
     Discriminator(shape),
     BeforeValidator(carrier_given),
 ]
-"""A carrier that petmjx has, or one of a user's own."""
+"""A built-in carrier, or a user's own."""
 
 
 def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:

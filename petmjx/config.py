@@ -199,7 +199,7 @@ class Simulation(Checked):
     )
     attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
         Attempts.RIGID,
-        description="soft: simulate worlds once more with all boxes as flex bodies that are invalid after all other "
+        description="soft: once more simulate, with all boxes as flex bodies, worlds that are invalid after all other "
         "attempts, or whose verdict soft contacts may have decided; rigid: do not",
     )
     placing: Placing = Field(Placing(), description="how a box is placed")

@@ -99,8 +99,8 @@ class Physics(Checked):
     )
     falls_into_place: bool = Field(
         False,
-        description="whether boxes are released above their place, by size_reduction_mm at least, and fall into it; "
-        "else they are released as they will rest",
+        description="whether boxes are released above their place, by at least size_reduction_mm, and fall into it; "
+        "else they are released where they will rest",
     )
 
     @property

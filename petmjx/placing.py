@@ -48,14 +48,14 @@ class Placing(Checked):
         "as far aside of what is in its way, mm",
     )
     speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
-        0.08, description="hand, tines: largest speed on the way, m/s; a way that would take more than 2 s is faster"
+        0.08, description="hand, tines: largest speed on the way, m/s; a path that would take more than 2 s is faster"
     )
     force_n: Annotated[float, within(0.1, 100_000), CliFlag("--placing-force-n", "N")] = Field(
         100.0, description="hand, tines: what the robot presses with at most, beside holding the box's weight, N"
     )
     tines_mm: Annotated[float, within(0, 1000), CliFlag("--tines-height-mm", "MM")] = Field(
         10.0,
-        description="tines: how high the edge that comes down last is when the box is let go, mm; the box is tilted by "
+        description="tines: height of the edge that comes down last when the box is released, mm; the box is tilted by "
         "at most half of tilt_deg",
     )
 

@@ -91,7 +91,7 @@ class Confidence(Checked):
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
-        description="simulate each plan also in this many worlds with errors of placement, friction, mass and size, "
+        description="also simulate each plan in this many worlds with errors of placement, friction, mass and size, "
         "and report the share that stands; at least 4, since fewer worlds cannot tell a share from one half",
     )
     errors: Annotated[File | None, CliFlag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(

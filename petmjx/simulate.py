@@ -194,7 +194,9 @@ class _Run:
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = counted(missing, "world")
-            writer.warn(f"no history of {of} of before, not simulated again: name another folder to record them")
+            writer.warn(
+                f"{of} of an earlier run have no history and are not simulated again: name another folder to record"
+            )
 
     def _start(self, recorded: int) -> RunStart:
         left = 1 - recorded / max(self.study.n_worlds, 1)

@@ -62,7 +62,7 @@ class Flag(IntFlag):
     """The world took longer than ``RunOptions.world_timeout_s``."""
     MOVING = 4096
     """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
-    depend on how long one looked."""
+    depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
     """A load acts within half a millimetre of the edge of what bears it (petmjx.engines.edges)."""
     TIMESTEP = 16384

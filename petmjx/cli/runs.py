@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 
 BURST_S: Final = 2.0
-"""Signals that come closer than this are one: who presses Ctrl-C six times in a row wants the run to end, once."""
+"""Signals that come closer together than this count as one: pressing Ctrl-C six times in a row is one
+interruption."""
 
 
 class Interrupted(Exception):

@@ -35,7 +35,7 @@ def samples(
     ] = None,
     seed: Annotated[
         int,
-        typer.Option("--seed", metavar="SEED", help="Plan i depends on the seed, i, --packer and --loose-share alone."),
+        typer.Option("--seed", metavar="SEED", help="Plan i depends only on the seed, i, --packer and --loose-share."),
     ] = 0,
     loose_share: Annotated[
         float | None,
@@ -68,7 +68,7 @@ def samples(
             "--workers",
             metavar="N",
             min=1,
-            help="Processes that pack (physical: that search). The plans do not depend on it.  "
+            help="Number of processes that pack (physical: that search). It does not change the plans.  "
             "[default: one for each CPU]",
             show_default=False,
         ),

@@ -172,7 +172,7 @@ class Engines:
             if doubles:
                 self.note(f"worlds were simulated again on {self.stand_in.name}, in double precision")
             elif sim.solver is Solver.CG:
-                self.note(f"worlds were simulated on {self.stand_in.name}: the solver cg is its")
+                self.note(f"worlds were simulated on {self.stand_in.name}: only it has the solver cg")
             return self.stand_in
         return self.own
 

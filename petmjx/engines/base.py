@@ -54,8 +54,8 @@ class RunLock:
     def __enter__(self) -> None:
         if self._thread == threading.get_ident():
             raise RuntimeError(
-                f"engine {self._engine} is in the middle of a run of this thread: take its outcomes to the end, or "
-                "close it, or build another engine"
+                f"engine {self._engine} is busy with another run of this thread: finish or close that run, or "
+                "build another engine"
             )
         self._lock.acquire()
         self._thread = threading.get_ident()

@@ -185,7 +185,7 @@ class OpenWorlds(ABC):
         if sim.schedule is Schedule.FIXED:
             raise ValueError("worlds with the fixed schedule do not stay open")
         if not scenes:
-            raise ValueError("there must be a world at least")
+            raise ValueError("there must be at least one world")
         self._scenes = list(scenes)
         self._blank = Blank(sim)
 

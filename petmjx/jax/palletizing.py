@@ -146,7 +146,7 @@ class Palletizing:
 
         usable = [each for each in found if fits(each)]
         if not usable:
-            raise InputError("orders: of none a box fits on the empty carrier")
+            raise InputError("orders: no box of any order fits on the empty carrier")
         return usable
 
     # ------------------------------------------------------------------ what happens

@@ -101,7 +101,7 @@ def _read(source: Any, articles: Articles | None) -> list[Boxes]:
         return _of_file(path_of(source, "orders"), articles)
     found = [_of_order(order, articles) for order in list_of(source, "orders", Order, "orders")]
     if not found:
-        raise InputError("orders must hold one at least")
+        raise InputError("orders must hold at least one order")
     return found
 
 

@@ -358,7 +358,9 @@ class Pallets(Closable):
         if (dead := asked.pallet[self._dead[asked.pallet]]).size:
             raise InputError(f"pallet: {dead[0]} has fallen; reset it, or take its last box back")
         if (full := asked.pallet[self._boxes.count[asked.pallet] >= self.most_boxes]).size:
-            raise InputError(f"pallet: {full[0]} has {self.most_boxes} boxes already; give most_boxes")
+            raise InputError(
+                f"pallet: {full[0]} has {self.most_boxes} boxes already; make pallets with a larger most_boxes"
+            )
         return asked
 
     def _next(self, asked: Asked) -> NextBoxes:

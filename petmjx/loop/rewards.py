@@ -53,7 +53,7 @@ TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
     "margin": ("the pallet's margin, from -1 to 1; -1 where invalid", _margin),
     "load": ("minus the largest force on a box's top, as a share of the weight of all boxes", _load),
     "height": (
-        "minus what the pallet has grown by, as a share of the largest height",
+        "minus the increase of the pallet's height, as a share of the largest height",
         lambda p: -p.higher_mm / p.max_height_mm,
     ),
     "illegal": ("-1 for an action that the mask excludes", lambda p: np.zeros(len(p.told))),

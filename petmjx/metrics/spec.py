@@ -144,7 +144,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     WorldMetric(
         "plan_edge_m", "m",
-        "least distance of a box's load from the edge of what bears it, by the plan; < 0 beyond it; null if invalid",
+        "smallest distance of a box's load from the edge of what bears it, in the plan; < 0 beyond it; null if invalid",
         When.PLAN, compared=False,
     ),
     WorldMetric(

@@ -45,7 +45,7 @@ _TEXTS: Final = {
     "plan_id": "id of the order and of its plans",
     "verdict": "verdict of the simulation; missing: there is no plan",
     "reason": "why a plan does not stand; in decided that of the loser",
-    "digest": "of all in the plan that reaches the results",
+    "digest": "of everything in the plan that affects results",
 }
 
 DESCRIBED: Final[Described] = {

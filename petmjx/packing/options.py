@@ -25,7 +25,7 @@ def _split(values: Any) -> Any:
     try:
         return tuple(float(each) for each in values.split(","))
     except ValueError:
-        raise ValueError(f"must be numbers with commas between them, {got(values)}") from None
+        raise ValueError(f"must be numbers separated by commas, {got(values)}") from None
 
 
 def _clearances(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -46,16 +46,16 @@ class PhysicalOptions(Checked):
     """How far the packer ``physical`` searches, and which of the packings that it finds it takes."""
 
     width: Annotated[int, within(1, 256), CliFlag("--width", "N")] = Field(
-        2, description="packings from which the search goes on at each step"
+        2, description="packings that the search keeps at each step"
     )
     branch: Annotated[int, within(1, 64), CliFlag("--branch", "N")] = Field(
-        3, description="candidates that are tried with each of them"
+        3, description="candidates tried for each of them"
     )
     clearances_mm: Annotated[
         tuple[float, ...], BeforeValidator(_split), AfterValidator(_clearances), CliFlag("--clearances", "MM,…")
     ] = Field(
         (3.0, 6.0, 10.0),
-        description="free space between neighbours, mm; the search is made with each of these",
+        description="free space between neighbours, mm; one search for each of these values",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         16,

@@ -256,7 +256,7 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], del
     values = dict(zip(names, row, strict=True))
     known = [field.strip().lower() for field in names]
     if twice := next((field for field in known if known.count(field) > 1), None):
-        raise InputError(f"{name}: row 1: the column {shown(twice)} is there twice")
+        raise InputError(f"{name}: row 1: the column {shown(twice)} is repeated")
     if delimiter == ";":
         values = {
             field: value.replace(",", ".") if field.strip().lower() in _NUMBERS else value

@@ -92,7 +92,7 @@ def _with_articles(found: PlanSet, file: Path, strict: bool) -> PlanSet:
         else:
             changed += kept[-1] is not plan
     name = printable(str(file))
-    idle = [f"{name}: says nothing of how the boxes of these plans are"]
+    idle = [f"{name}: has nothing about the boxes of these plans"]
     notes = _idle_rows(articles, [*found.plans, *kept], name) if changed else idle
     return replace(found, plans=kept, skipped=skipped, notes=[*found.notes, *notes])
 

@@ -26,7 +26,7 @@ _DELIMITERS: Final = ",;\t"
 _BLOCK_BYTES: Final = 1 << 22
 """Of CSV that is parsed at a time; no row is longer."""
 _MOST_LOST: Final = 100_000
-"""Rows that are none and are listed one by one."""
+"""Most unreadable rows that are listed one by one."""
 
 
 def parse_csv(data: bytearray, cut_off: bool = False) -> Table:

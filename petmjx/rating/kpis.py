@@ -94,7 +94,7 @@ def kpis(
     flag_of(assume_stable, "assume_stable")
     orders = path_of(orders, "orders")
     if assume_stable and run:
-        raise InputError("give either runs or assume_stable (--assume-stable): a run says itself which plans stand")
+        raise InputError("give either runs or assume_stable (--assume-stable): a run already says which plans stand")
     read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
     warn(read.conventions)
     by_id = {plan.plan_id: plan for plan in read.plans}

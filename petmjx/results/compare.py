@@ -272,11 +272,11 @@ def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequ
     if both.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):
-        notes.append("the runs have different thresholds; margins are to each run's own")
+        notes.append("the runs have different thresholds; margins refer to each run's own")
     if other:
         of, verb = counted(both["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
         notes.append(
-            f"{len(other):,} of {of} {verb} not the same in b; only verdicts are compared of them "
+            f"{len(other):,} of {of} {verb} not the same in b; only their verdicts are compared "
             "(to compare packers: petmjx compare --packers)"
         )
     names = {run: {str(param.get("name")) for param in run.info.get("params", [])} for run in (run_a, run_b)}

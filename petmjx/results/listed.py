@@ -17,7 +17,8 @@ from petmjx.results.files import OF_WORLDS, digest_of, part_number
 from petmjx.results.schema import check_version, schema_version_of
 
 LISTED: Final = "parts"
-"""Entry of ``run.json``: table → file name → digest. What is not listed there is left from a kill, and not read."""
+"""Entry of ``run.json``: table → file name → digest. Files that are not listed there were left by a killed run,
+and are not read."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,7 +123,7 @@ def loads(
     of_run = _plans_of(results, plans)
     known, missing = _strengths(of_run.values(), strengths)
     if articles is None and known["strength_n"].isna().all():
-        raise InputError(f"{results.path}: plans say no strength (strength_n): give a table of articles")
+        raise InputError(f"{results.path}: the plans have no strengths (strength_n): give a table of articles")
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
     boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
     boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")

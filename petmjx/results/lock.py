@@ -15,7 +15,7 @@ from typing import Final
 from petmjx.errors import InputError
 
 LOCK_FILE: Final = ".lock"
-"""In the run's folder while a run is on. One that a killed run has left is not locked, and is taken over."""
+"""In the run's folder while a run is on. The file of a killed run is no longer locked, and is taken over."""
 
 _OURS: Final = re.compile(rb"\d*\n?")
 
@@ -99,4 +99,6 @@ def _is_in(descriptor: int, folder: Path) -> bool:
 def _in_use(descriptor: int, folder: Path) -> InputError:
     pid = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
     who = f" (process {pid})" if pid.isdigit() else ""
-    return InputError(f"{folder}: another run{who} writes there; wait for it, or name another folder with --out")
+    return InputError(
+        f"{folder}: another run{who} is writing there; wait until it ends, or name another folder with --out"
+    )

@@ -86,7 +86,7 @@ class RunFile(_Read):
     parts: dict[TableName, dict[PartName, Digest]]
     """The files that count."""
     digest: Digest | None = None
-    """Of all other entries."""
+    """All other entries."""
 
 
 _OPTIONAL: Final = ("orders", "digest")

@@ -201,7 +201,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
         ordered: of a run that was compared with orders: with ``petmjx.plans.ordered.Ordered``.
     """
     texts = _texts(
-        plan_id="id of the packing plan", digest="of all that reaches the results", source="the file it came from"
+        plan_id="id of the packing plan", digest="of everything that affects results", source="the file it came from"
     )
     return _schema("plans", [*texts, *_EXTENT_COLUMNS, *_NUMBER, *(_ORDER_COLUMNS if ordered else ())])
 

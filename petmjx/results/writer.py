@@ -131,7 +131,7 @@ class RunWriter(RunInfo):
             try:
                 self.out_dir.mkdir(parents=True, exist_ok=True)
                 if not until_exit.enter_context(locked(self.out_dir)):
-                    self.warn("the file system has no locks: another run into the same folder is not noticed")
+                    self.warn("the file system has no locks: petmjx cannot notice another run in the same folder")
                 tidy(self.out_dir)
                 if self._resume and (self.out_dir / RUN_FILE).exists():
                     self._go_on()
@@ -175,7 +175,7 @@ class RunWriter(RunInfo):
         for name, version in self.head["versions"].items():
             before = info["versions"].get(name)
             if before != version:
-                self.warn(f"resumed with {name} {version}; worlds before were simulated with {before or 'none'}")
+                self.warn(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
         parts = parts.with_worlds()
         self.recorded = Recorded(parts, [param.name for param in self.params])
         parts.check_tables(SORTED)

@@ -154,7 +154,7 @@ def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
         TableColumn("won by", "left", least=8, middle=True),
         TableColumn("reason", "left"),
         TableColumn("orders"),
-        title="orders that stand with one packer only" + (", for each two" if several else ""),
+        title="orders that stand with only one packer" + (", for each two" if several else ""),
     )
     for row in reasons.to_dict("records"):
         winner = row["a"] if row["lost_by"] == row["b"] else row["b"]

@@ -168,7 +168,7 @@ CRITERIA: Final = (
         usual=False,  # where no strength is known it accepts everything
     ),
 )
-"""In the order of tables, from what is asked of the base to what is asked of the stack."""
+"""In the order of tables: from criteria of the base to criteria of the whole stack."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
 _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)

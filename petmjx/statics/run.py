@@ -117,7 +117,7 @@ def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
     if carrier == run.carrier:
         return []
     here, there = (shown(each if isinstance(each, Carrier) else each.name) for each in (carrier, run.carrier))
-    return [f"the criteria are asked on the carrier {here}, and the run's boxes stood on {there}"]
+    return [f"the criteria are evaluated on the carrier {here}, but the run's boxes stood on {there}"]
 
 
 def _need_packers() -> None:

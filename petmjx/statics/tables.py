@@ -91,7 +91,7 @@ def described_plans(criteria: Sequence[Criterion]) -> Described:
         columns[criterion.name] = (DIMENSIONLESS, f"whether of each box {criterion.asks}")
         columns[f"{criterion.name}_first"] = (
             DIMENSIONLESS,
-            "first box of which it is not so; null where there is none",
+            "first box for which this is not true; null if there is none",
         )
         columns[f"{criterion.name}_slack"] = (criterion.unit, f"least of all boxes: {criterion.slack}")
     return columns
@@ -117,7 +117,7 @@ def described_thresholds() -> Described:
     in_row = "as in the column unit"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
-        "number": (TEXT, "of what the threshold is: the least of all boxes"),
+        "number": (TEXT, "what the threshold is about: the smallest value of all boxes"),
         "unit": (TEXT, "of the threshold"),
         "threshold": (in_row, "plans with at least this number are accepted"),
         "published": (in_row, "the criterion's own threshold"),

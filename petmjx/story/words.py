@@ -70,7 +70,7 @@ def notes_in_words(story: Story) -> list[str]:
         edge_m, where = (rest_m, "at rest") if rest_m < plan_m else (plan_m, "by the plan")
         notes.append(
             f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {where}: "
-            "a tenth of a millimetre may decide."
+            "a tenth of a millimetre may change the verdict."
         )
     if outcome.flags & Flag.TIMESTEP:
         notes.append("At half the timestep the verdict differs.")

@@ -41,7 +41,9 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
         plans = [run.held[plan_id]] if plan_id in run.held else _file(run, plan_id, known.source)
     plan = find_plan(gather_plans(plans, Simulation(), how_read(run.info)), plan_id)
     if plan_digest(plan) != known.digest:
-        raise InputError(f"{plan.source}: plan {shown(plan_id)} is not the one that {run.path} was made of: it changed")
+        raise InputError(
+            f"{plan.source}: plan {shown(plan_id)} is no longer the one that {run.path} simulated: it changed"
+        )
     return plan
 
 
@@ -97,7 +99,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
     worlds = config.get("confidence")
     sweep = confidence_sweep(worlds, found, changes) if worlds else load_sweep(found, True, changes)
     if sweep_identity(sweep) != _identity(run.info):
-        raise InputError(f"{found}: is not the sweep that {run.path} was made of: it changed")
+        raise InputError(f"{found}: is no longer the sweep of {run.path}: it changed")
     return sweep
 
 

@@ -26,7 +26,7 @@ MAX_AXIS_VALUES: Final = 100_000
 """Most values of one axis: a range with a typing error in its step must not fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
-"""Largest level (g), scale or factor. More is a slip of the pen: shocks of packed goods stay below 100 g."""
+"""Largest level (g), scale or factor. More is a typing error: shocks of packed goods stay below 100 g."""
 MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
 """Smallest factor on masses: MuJoCo refuses bodies without mass."""

@@ -75,11 +75,11 @@ def _what_is_no_error(sweep: Sweep) -> str:
         return 'mode = "sample" contradicts confidence, which draws every world from the same errors'
     for name, axis in sweep.axes.items():
         if not isinstance(axis.values[0], Distribution):
-            return f"axes.{name} contradicts confidence: it is no error, but the same in every world"
+            return f"axes.{name} contradicts confidence: it is not an error, but the same in every world"
         if len(axis.values) > 1:
             return f"axes.{name} must be one error for confidence, got {len(axis.values)}"
     if not any(axis.random for axis in sweep.axes.values()):
-        return "axes has nothing random: every world would be the same"
+        return "axes have nothing random: every world would be the same"
     return ""
 
 

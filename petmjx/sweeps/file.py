@@ -118,7 +118,7 @@ class Sweep(Checked):
     mode: Literal["grid", "sample"] = Field("grid", description="every combination, or random ones")
     sample: StrictInt | None = Field(None, ge=1, le=MAX_REPEATS, description="number of random combinations")
     seed: StrictInt = Field(
-        0, ge=0, lt=2**63, description="with plan id and replicate it determines every random number"
+        0, ge=0, lt=2**63, description="together with plan id and replicate it determines every random number"
     )
     replicates: StrictInt = Field(1, ge=1, le=MAX_REPEATS, description="repetitions of everything random")
     nominal: StrictBool = Field(
@@ -212,7 +212,7 @@ class Sweep(Checked):
         for name, profile in self.profiles.items():
             if profile.strength is Strength.ANGLE:
                 raise ValueError(
-                    f"[search] cannot be used with profile {name!r}, which itself passes through all its angles"
+                    f"[search] cannot be used with profile {name!r}, which passes through all its angles itself"
                 )
             if profile.strength is not self.strength:
                 raise ValueError("[search] needs profiles of one kind: some of these have a level in g, others a scale")

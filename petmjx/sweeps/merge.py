@@ -139,8 +139,8 @@ def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
     for run, check in zip(runs, checks, strict=True):
         if (check and check.digest) != (checks[0] and checks[0].digest):
             raise InputError(
-                f"{run.path}: compared with other orders than {runs[0].path}; go on with one of them by --resume and "
-                "the --orders of the other, which simulates nothing again"
+                f"{run.path}: compared with other orders than {runs[0].path}; use --resume on one of them with "
+                "the --orders of the other; nothing is simulated again"
             )
     known = [check for check in checks if check is not None]
     return joined(known) if known else None

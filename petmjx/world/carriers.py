@@ -171,7 +171,7 @@ def carrier_notes(sim: Simulation) -> Iterator[str]:
         yield f"{these} {verb} no effect: {name} is made of boards, which have their own height and mass"
     own = [friction for friction in found.frictions if friction is not None]
     if not physics.has_own_friction and own and min(own) < physics.box_friction[0]:
-        why = f"between two the larger counts, and boxes have {physics.box_friction[0]:g}"
+        why = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
         yield f"friction {min(own):g} of boards of {name} has no effect with pyramidal cones: {why}"
 
 

@@ -30,8 +30,8 @@ LEAST_IMPEDANCE: Final = 0.5
 """Below it friction would give way: boxes on a slope would creep by tenths of a millimetre a second."""
 
 LEAST_SHARE: Final = 0.05
-"""Of the smaller face is taken to press on the other one at least: what two boxes share by an error of their places is
-no bed."""
+"""At least this share of the smaller face presses on the other one: a sliver that two boxes share only by an error of
+their places is no bed of springs."""
 
 
 @dataclass(frozen=True)

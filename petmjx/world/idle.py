@@ -104,18 +104,18 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
         more = ", …" if count > len(named) else ""
         verb = "stands" if count == 1 else "stand"
         first = f"{', '.join(named)}{more}"
-        yield f"{counted(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap of it ({first})"
+        yield f"{counted(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap ({first})"
 
 
 def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
     """Stiffness that lets boxes sink through themselves, and soft boxes of which there are none."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
         raise InputError(
-            "soft: a hand places boxes with errors, and soft boxes appear at their places; name placing exact"
+            "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing exact"
         )
     giving = [plan for plan in plans if plan.stiffness_n_mm is not None]
     if sim.soft and (not giving or not sim.physics.has_own_friction):
-        yield "soft does not count: no box has a stiffness that counts"
+        yield "soft has no effect: no box has a stiffness that counts"
     if sim.has_soft:
         _check_soft(sim, plans if sim.attempts is Attempts.SOFT else giving)
     if not sim.physics.has_own_friction:
@@ -131,14 +131,14 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
         verb = "is" if count == 1 else "are"
         first = f"{', '.join(named)}{more}"
         yield (
-            f"{counted(count, 'box', 'boxes')} {verb} pressed by more than half of the height by the loads of the plan "
-            f"({first}): look at stiffness_n_mm"
+            f"{counted(count, 'box', 'boxes')} {verb} compressed by more than half of the height by the plan's loads "
+            f"({first}): check stiffness_n_mm"
         )
 
 
 def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
     if driven and sim.attempts is Attempts.SOFT:
-        yield "attempts soft does not count where a profile begins from a settled placement: that has rigid boxes"
+        yield "attempts soft has no effect on drives: they begin from a settled placement, which has rigid boxes"
 
 
 def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:

@@ -126,9 +126,9 @@ REFUSED = {
         "[axes]\nplacement_error_mm = [2, 3]",
         "axes.placement_error_mm must be one error for confidence, got 2",
     ),
-    "factor": (SLOPPY + "friction_factor = 0.8", "axes.friction_factor contradicts confidence: it is no error"),
-    "calm": ("[axes]\ndrop_height_mm = 5", "axes has nothing random: every world would be the same"),
-    "nothing": ("nominal = true", "axes has nothing random"),
+    "factor": (SLOPPY + "friction_factor = 0.8", "axes.friction_factor contradicts confidence: it is not an error"),
+    "calm": ("[axes]\ndrop_height_mm = 5", "axes have nothing random: every world would be the same"),
+    "nothing": ("nominal = true", "axes have nothing random"),
 }
 
 

@@ -298,7 +298,9 @@ def test_worlds_of_before_are_not_simulated_again_to_be_recorded(tmp_path: Path)
     run = recorded(tmp_path / "run", record="failed", resume=True)
     assert run.histories.empty
     (line,) = run.info["warnings"]
-    assert line == "no history of 2 worlds of before, not simulated again: name another folder to record them"
+    assert (
+        line == "2 worlds of an earlier run have no history and are not simulated again: name another folder to record"
+    )
 
 
 def test_shards_are_merged_with_their_histories(tmp_path: Path) -> None:

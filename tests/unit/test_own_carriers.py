@@ -134,7 +134,7 @@ def test_one_mass_is_shared_out_by_volume_and_a_file_has_its_name() -> None:
         ),
         (
             changed("[0, 227.5,", "[0, 100,"),
-            "boards[0] (deck left) and boards[1] (deck middle) lie in each other, by 22 mm",
+            "boards[0] (deck left) and boards[1] (deck middle) overlap by 22 mm",
         ),
         (
             changed("600, 122]", "600, 121]", 2),
@@ -208,9 +208,7 @@ def test_what_does_not_count_is_told() -> None:
         "height and mass"
     ]
     assert list(carrier_notes(Simulation(carrier=carrier))) == []
-    slippery = (
-        "friction 0.3 of boards of half pallet has no effect with pyramidal cones: between two the larger counts, "
-    )
+    slippery = "friction 0.3 of boards of half pallet has no effect with pyramidal cones: the larger of two coefficients counts, "
     options = {"engine": "mujoco", "threads": 1, "carrier": carrier, "physics": "reference"}
     assert f"{slippery}and boxes have 0.5" in petmjx.score([PLAN], **options).info["warnings"]
 

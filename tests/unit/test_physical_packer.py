@@ -274,7 +274,7 @@ def test_the_command_says_what_it_made(
         f"utilisation {packed.orders['utilisation'].mean():.3f}; 2 stand placed exactly, 100.0 % of worlds with errors",
     ]
     assert run(*how, "--clearances", "3,x") == 2
-    assert "--clearances must be numbers with commas between them, got '3,x'" in only_line(capsys.readouterr().err)
+    assert "--clearances must be numbers separated by commas, got '3,x'" in only_line(capsys.readouterr().err)
     assert run("samples", "-n", "1", "--width", "3", "-o", out, "--overwrite") == 2
     assert "--width needs the packer physical" in only_line(capsys.readouterr().err)
 

@@ -128,7 +128,7 @@ def test_what_was_noted_before_stays_noted_once(tmp_path: Path, monkeypatch: pyt
     noted = [simulate("score", tmp_path, resume=True).info["warnings"] for _ in range(2)]
     assert noted[0] == noted[1]
     assert sorted(noted[0])[:2] == [f"plan plan-0{k}: failed: MemoryError: no room" for k in (1, 5)]
-    assert "worlds before were simulated with 2.0" in sorted(noted[0])[2]
+    assert "earlier worlds were simulated with 2.0" in sorted(noted[0])[2]
     assert len(noted[0]) == 3
 
 

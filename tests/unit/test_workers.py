@@ -137,7 +137,7 @@ def test_only_the_world_that_kills_its_workers_is_invalid(pool: WorkerPool, caps
     outcomes = sorted(pool.run(jobs, SHORT, progress), key=lambda outcome: outcome.job)
     assert [outcome.job for outcome in outcomes] == list(range(12))
     assert [outcome.job for outcome in outcomes if outcome.reason is Reason.FAILED] == [5]
-    assert outcomes[5].message == "the worker that simulated it alone died, as others before"
+    assert outcomes[5].message == "the worker that simulated this world alone died, like others before"
     assert progress.worlds_done == 12
     # in its next attempt it is alone from the beginning
     began = time.monotonic()

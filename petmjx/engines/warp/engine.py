@@ -34,8 +34,8 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 SPARE_ROWS = 4
-"""Rows of a table of jobs that grow in number, as a multiple of those that there are at first; what has no row is
-simulated when the others have ended."""
+"""Rows of a table when more jobs may follow, as a multiple of the jobs at the beginning; jobs without a row run after
+the others."""
 
 MORE_AT_ONCE = 64
 """Jobs that are put into a table at the same time. XLA compiles a program for each number."""

@@ -154,7 +154,7 @@ def _check_reachable(address: str) -> None:
     except (OSError, ValueError, OverflowError) as error:
         raise InputError(f"ray: no cluster at {address} ({one_line(error)})") from error
     if answer[3:] != _HTTP2_SETTINGS[3:]:
-        raise InputError(f"ray: no cluster at {address} (what answers there is no head of a Ray cluster)")
+        raise InputError(f"ray: no cluster at {address} (it is not the head of a Ray cluster)")
 
 
 class Cluster:
@@ -196,7 +196,9 @@ class Cluster:
         """Raises PetmjxError if the Ray that this process has started is dead: nothing starts it again. The machines of
         a cluster may come back."""
         if self._used is not None and self._used.address is None and not self.nodes:
-            raise PetmjxError("Ray has died on this machine (of memory?); what is done is kept, go on with --resume")
+            raise PetmjxError(
+                "Ray died on this machine (out of memory?); finished work is kept, continue with --resume"
+            )
 
     def close(self) -> None:
         """This user needs it no more."""

@@ -220,7 +220,7 @@ class WorkerPool(Engine):
         try:
             hello: Hello = pickle.loads(self._thread.submit(self._ray.get, ref).result())
         except self._ray.exceptions.RayError as death:
-            self._start_again(hand, EngineUnavailable(f"workers die as they start: {one_line(death)}"), FALSE_STARTS)
+            self._start_again(hand, EngineUnavailable(f"workers die at their start: {one_line(death)}"), FALSE_STARTS)
             return
         if hello.error is not None:
             self._start_again(hand, hello.error, 1)
@@ -266,7 +266,9 @@ class WorkerPool(Engine):
         for index in deal.died(held):
             self._deadly[id(jobs[index].scene)] = jobs[index].scene
             progress.worlds_done += 1
-            yield failed_outcome(index, jobs[index], sim, "the worker that simulated it alone died, as others before")
+            yield failed_outcome(
+                index, jobs[index], sim, "the worker that simulated this world alone died, like others before"
+            )
 
     # Chunks.
 

@@ -28,8 +28,8 @@ MOST_ORDERS: Final = 200
 MOST_SENTENCES: Final = 15
 
 RATING: Final = (
-    "Rating: boxes on plans that stand in the simulation, as a share of all boxes ordered. A plan that falls, an order "
-    "without a plan and a plan without a valid simulation count nothing, and neither do boxes that were left out."
+    "Rating: boxes on plans that stand in the simulation, as a share of all boxes ordered. Plans that fall, orders "
+    "without a plan, plans without a valid simulation, and boxes that were left out score nothing."
 )
 
 _MEANS: Final = {

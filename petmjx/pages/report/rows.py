@@ -62,7 +62,7 @@ NUMBERS: Final = (
     Shown("height_m", "height", "height", "m", 2),
     Shown("mass_kg", "weight", "weight", "kg", 0),
 )
-"""Columns of runs; those that no row has a value of are left out."""
+"""Columns of runs; columns without any value are left out."""
 
 
 @dataclass
