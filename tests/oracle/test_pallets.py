@@ -232,7 +232,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
     assert len(pallets.try_all(**nothing)) == len(pallets.place(**nothing)) == 0  # a box for which there is no place
     for _ in range(4):
         pallets.place(**carton((0, 0, 200 * int(pallets.n_boxes[0]))), pallet=0)
-    with pytest.raises(InputError, match="pallet: 0 has 4 boxes already; give most_boxes"):
+    with pytest.raises(InputError, match="pallet: 0 has 4 boxes already; make pallets with a larger most_boxes"):
         pallets.place(**carton((0, 0, 800)), pallet=0)
 
 

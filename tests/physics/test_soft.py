@@ -225,7 +225,7 @@ def test_pallets_have_no_soft_boxes() -> None:
 
 def test_a_stiffness_that_lets_boxes_through_is_named() -> None:
     results = petmjx.score(stack((10, 0.5, 0), (10, 100, 0)), engine="mujoco")
-    assert any("1 box is pressed by more than half of the height" in each for each in results.info["warnings"])
+    assert any("1 box is compressed by more than half of the height" in each for each in results.info["warnings"])
     assert petmjx.score(stack((10, 100, 0)), engine="mujoco", soft=True).info["warnings"] == []
 
 
