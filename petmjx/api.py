@@ -1,6 +1,6 @@
 """Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both end in ``petmjx.simulate``.
 
-What only some runs need is imported where they ask for it: a plain score loads no sweeps.
+Modules that only some runs need are imported when they are needed: a plain score loads no sweeps.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
 
 
 def _watcher(given: Watcher | None) -> Watcher | None:
-    """Who follows a run: in a notebook a progress bar, unless another one is given.
+    """The watcher of a run: in a notebook a progress bar, unless another watcher is given.
 
     Raises:
         InputError: it cannot follow a run.

@@ -20,7 +20,7 @@ def path_of(value: Any, name: str) -> Path:
     """A path that names something. ``Path("")`` would be the current folder.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not.
     """
     usable = isinstance(value, Path) or (isinstance(value, str | PathLike) and bool(str(value)))
     if not usable:
@@ -32,7 +32,7 @@ def path_of(value: Any, name: str) -> Path:
 
 
 def text_of(value: Any, name: str) -> str:
-    """Text. Raises InputError: it is none."""
+    """Text. Raises InputError: it is not."""
     return instance_of(value, name, str, "text")
 
 
@@ -47,7 +47,7 @@ def whole_of(value: Any, name: str, least: int | None = None, most: int | None =
     """A whole number within limits.
 
     Raises:
-        InputError: it is none, or beyond a limit.
+        InputError: it is not, or it is beyond a limit.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise InputError(f"{name} must be a whole number, {got(value)}")
@@ -59,7 +59,7 @@ def number_of(value: Any, name: str, least: float | None = None, most: float | N
     """A finite number within limits.
 
     Raises:
-        InputError: it is none, or beyond a limit.
+        InputError: it is not, or it is beyond a limit.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(f"{name} must be a number, {got(value)}")
@@ -110,7 +110,7 @@ def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool =
         may_lack: whether NaN stands for a value that is not given.
 
     Raises:
-        InputError: it is none, or of another shape.
+        InputError: it is not, or it has another shape.
     """
     try:
         array = np.asarray(values)

@@ -99,8 +99,8 @@ class Board(Checked):
 class OwnCarrier(Checked):
     """A carrier of a user's own. Lengths are in mm, x and y from its front-left corner, z from the floor.
 
-    What could not stand, or is not as it was meant, is refused: boards in each other, apart from the others, or none on
-    the floor; a top that is not level; extents and masses that no carrier has.
+    Carriers that could not stand or look mistaken are refused: boards that overlap or are separate from the others,
+    no board on the floor, a top that is not level, extents and masses that no carrier has.
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")

@@ -280,8 +280,8 @@ class Simulation(Checked):
 
     @property
     def may_carry(self) -> bool:
-        """Whether a hand may place boxes. Where nobody has chosen one, not in physics in which boxes fall
-        into their places, nor where nobody waits for a hand."""
+        """Whether a hand may place boxes. Only if the user has not chosen a way, and not with physics in which boxes
+        fall into their places or schedules that do not wait for a hand."""
         if self.placing.name is not Way.AUTO:
             return self.placing.carries
         waits = self.check is Check.ONE_BY_ONE and self.schedule is Schedule.ADAPTIVE

@@ -1,6 +1,6 @@
 """Which worlds a run makes of its plans, and what it says of them.
 
-A score's are here: one a plan, the plan as it is. What has variants is in petmjx.sweeps, and stands on this.
+A score's are here: one a plan, the plan as it is. Studies with variants are in petmjx.sweeps, and build on this.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class Study(ABC):
         return {}
 
     def timings(self) -> Mapping[str, float]:
-        """What has taken how long, once all worlds are there."""
+        """Timings, once all worlds are done."""
         return {}
 
     def summarise(self, writer: RunWriter) -> None:

@@ -132,7 +132,7 @@ def judge(
 ) -> tuple[Verdict, Reason]:
     """The verdict of a world and its reason: the only place that decides (docs/metrics.md, section "Verdict").
 
-    An engine asks with what it has measured. Who learns more about the world asks again.
+    An engine asks with what it has measured. Callers that learn more about the world ask again.
 
     Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
     20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.

@@ -16,7 +16,8 @@ from petmjx.text import printable
 
 
 def check_free(file: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that a file that somebody names may be written. What is there and no file, such as ``/dev/stdout``, may.
+    """Check that a file that somebody names may be written. Existing paths that are not files, such as
+    ``/dev/stdout``, may be written.
 
     Args:
         overwrite: a file that is there is to be replaced.
@@ -39,7 +40,7 @@ def check_writable(file: Path) -> None:
     """Check that a file can be written, as far as can be seen before it is tried.
 
     Raises:
-        InputError: it is a folder, or its folder is none or is not writable.
+        InputError: it is a folder, or its parent is not a folder or is not writable.
     """
     folder = file.parent
     if file.is_dir():
@@ -54,7 +55,7 @@ def check_writable(file: Path) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What the system says while a file or a folder is written becomes an InputError that names it."""
+    """System errors while a file or a folder is written become an InputError that names it."""
     try:
         yield
     except OSError as error:
@@ -65,8 +66,8 @@ def writing(path: Path) -> Iterator[None]:
 def whole_file(file: Path) -> Iterator[Path]:
     """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
 
-    Of a link it is the file that it leads to. What is there and no file, such as a FIFO or ``/dev/stdout``, is written
-    to directly.
+    For a link it is the target that is replaced. Existing paths that are not files, such as a FIFO or
+    ``/dev/stdout``, are written to directly.
 
     Raises:
         InputError: it cannot be written.
@@ -90,5 +91,5 @@ def whole_file(file: Path) -> Iterator[Path]:
 
 
 def gzipped(stream: IO[bytes]) -> gzip.GzipFile:
-    """A stream that packs into another one, without a name or a time: its bytes depend on what is written alone."""
+    """A stream that compresses into another one, without a name or a time: its bytes depend only on the content."""
     return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

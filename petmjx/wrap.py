@@ -16,7 +16,7 @@ from petmjx.checked import Checked, CliFlag, within
 class Wrap(Checked):
     """Film that is wound around a pallet before it is shaken.
 
-    The force of a layer of film is that of a turn times the turns: it is linear in them (Sensors 2025, 25(22), 6883).
+    The force of a layer of film is the force of a turn times the number of turns (linear: Sensors 2025, 25(22), 6883).
     The defaults of forces and friction are assumptions; measure yours.
     """
 

@@ -10,7 +10,7 @@ from petmjx.text import shown
 
 
 def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
-    """Name → path of each text; empty if none has a name. What is there as a path is one, even with a "=" in it.
+    """Name → path of each text; empty if none has a name. An existing path is taken as a path, even with a "=" in it.
 
     Raises:
         InputError: only some have a name, or two have the same.

@@ -43,7 +43,7 @@ class Interrupted(Exception):
 
 
 class _Stopped(KeyboardInterrupt):
-    """What a signal to end raises where the run is."""
+    """Raised in the run by a signal to end."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -52,7 +52,9 @@ class _Stopped(KeyboardInterrupt):
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """SIGTERM and SIGHUP end the body as Ctrl-C does, each burst of signals once. What is ignored stays so (nohup)."""
+    """SIGTERM and SIGHUP end the body as Ctrl-C does, each burst of signals once. Ignored signals stay ignored
+    (nohup).
+    """
     last_s = -math.inf
 
     def stop(number: int, frame: FrameType | None) -> None:

@@ -72,7 +72,7 @@ def leaning_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: 
     """How far boxes lean under loads that act ``edge_m`` inside the edges of what bears them: upper estimates.
 
     Args:
-        load: (n, 4) as of ``Bearing.loads``.
+        load: (n, 4) as in ``Bearing.loads``.
     """
     boxes, width = bearing.boxes, bearing.widths_m
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -108,8 +108,8 @@ def _passed_on(bearing: Bearing, own: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def leaning(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """Of which unstable worlds soft contacts may be the reason: boxes lean too far, or a load that the plan has inside
-    the edge may have gone beyond it. There is one at least."""
+    """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
+    the plan may have moved beyond it. There is one at least."""
     placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
     bearing = together([bearing_of(scene) for scene in scenes])
     load = bearing.loads(placed)

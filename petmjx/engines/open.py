@@ -129,7 +129,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     """Whether these are worlds that there are.
 
     Raises:
-        ValueError: one is not, or is named twice where each must be another one.
+        ValueError: a world does not exist, or is named twice where each must be different.
     """
     for world in worlds:
         if not isinstance(world, int | np.integer) or not 0 <= world < count:
@@ -244,8 +244,8 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """What becomes of forks of worlds with these scenes, which may also differ in friction, and in how their new
-        boxes are placed; as of ``finish``.
+        """Fork worlds with these scenes and finish the forks as ``finish`` does; friction and the placing of new
+        boxes may differ.
 
         Raises:
             ValueError: a world has ended.
@@ -291,10 +291,10 @@ class OpenWorlds(ABC):
         return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """What becomes of worlds when nothing more is put into them, by all the rules, with or without a drive. The
+        """The outcomes of worlds without further boxes, by all the rules, with or without a drive. The
         worlds themselves stay as they are. ``Outcome.job`` counts the worlds asked for.
 
-        It is one simulation, as of ``Engine.run``: no world is simulated again with other settings, as a score does
+        It is one simulation, as in ``Engine.run``: no world is simulated again with other settings, as a score does
         (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, is waited for
         as without one, which may be some steps shorter than in a run.
 

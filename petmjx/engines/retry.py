@@ -321,7 +321,7 @@ class _Making(Generic[AnyWorld]):
     def made(
         self, came: Sequence[tuple[_Pending[AnyWorld], Outcome]], engine: str
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-        """What becomes of answers, for all of them together: one by one that took longer than a GPU's simulation."""
+        """Checks the answers of many worlds together: one by one, this took longer than the simulation on a GPU."""
         worlds = [pending[0] for pending, _ in came]
         scenes = [world.job.scene.all_soft if self.attempt.soft else world.job.scene for world in worlds]
         outcomes = note_softness([answer for _, answer in came], scenes, self.sim)

@@ -51,8 +51,9 @@ def sinking_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m:
     """(n,) how far each box's centre comes down because the contacts below it give way, m: an upper estimate.
 
     Args:
-        top_force_n: (n,) what presses on each box's top, N; 0 for boxes that were not placed. What exceeds the weight
-            of all that the plan has above a box is an impact, over before a box has sunk, and does not count.
+        top_force_n: (n,) what presses on each box's top, N; 0 for boxes that were not placed. A force beyond the
+            weight of everything above a box in the plan is an impact, which is over before the box has sunk, so it
+            does not count.
         enough_m: where no box can sink by more than this, zeros are returned and nothing is looked at closely.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass

@@ -167,7 +167,7 @@ class Episodes:
             self._loads[rows] = np.maximum(self._loads[rows], force * self._covers[number][rows])
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Work out the actions of episodes. Where there is none the boxes that may come next are left out."""
+        """Work out the actions of episodes. If there is none, the boxes that may come next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]

@@ -27,8 +27,8 @@ def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
 class PalletizingEnv(gym.Env[Observation, np.int64]):
     """Boxes come one after the other, an action puts one of them onto the pallet, and physics says what becomes of it.
 
-    An episode ends when the pallet does not stand, or when no box that is left has a legal place. Boxes for which there
-    is none are left out. More: docs/loop.md.
+    An episode ends when the pallet does not stand, or when no box that is left has a legal place. Boxes without a
+    legal place are left out. More: docs/loop.md.
 
     Args:
         render_mode: None, or "rgb_array": pictures of 480 × 480 pixels, which need EGL and the extra ``show``.

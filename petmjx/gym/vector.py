@@ -26,7 +26,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         num_envs: n.
         autoreset_mode: when an episode that has ended begins anew: in the next step, which then does nothing else, in
             the same step, with the last observation and information in ``info``, or when ``reset`` is asked for it.
-        render_mode, options: as of ``PalletizingEnv``; the engine is ``auto`` unless one is named.
+        render_mode, options: as in ``PalletizingEnv``; the engine is ``auto`` unless one is named.
 
     Raises:
         InputError: an unusable option.

@@ -5,7 +5,7 @@
     told = petmjx.jax.try_all(state, size_mm, corner_mm, mass_kg, pallet)
 
 With ``mjx-warp`` the kernel runs inside the jitted program, and states never leave the device. With ``mujoco`` C MuJoCo
-runs behind a callback. Lengths are millimetres and masses kilograms, as of ``petmjx.Pallets``. ``Palletizing`` is an
+runs behind a callback. Lengths are millimetres and masses kilograms, as in ``petmjx.Pallets``. ``Palletizing`` is an
 environment of such functions. docs/loop.md has more.
 """
 

@@ -18,7 +18,7 @@ Boxes = Float[Array, "box 3"]
 
 
 class Ways(NamedTuple):
-    """What there is to do with a box: turn after turn, and of each the cells along x, then along y.
+    """The actions for a box: for each orientation all cells, along x, then along y.
 
     Attributes:
         legal: (a,).
@@ -52,7 +52,7 @@ class Cells:
         self.count = TURNS * len(corners)
 
     def ways(self, size_mm: Float[Array, " 3"], boxes_mm: Boxes, corners_mm: Boxes, there: Bool[Array, " box"]) -> Ways:
-        """What there is to do with a box of this size; none if it is 0.
+        """The actions for a box of this size; none if the size is 0.
 
         Args:
             boxes_mm, corners_mm: of the boxes on the pallet, where they are ``there``.

@@ -85,14 +85,14 @@ class Palletizing:
     classes are named as jumanji's, which is not needed. Under ``jax.vmap`` all pallets are simulated in one call.
 
     Args:
-        orders: as of ``petmjx/Palletizing-v0``; ``endless``: 256 of the generator's.
+        orders: as in ``petmjx/Palletizing-v0``; ``endless``: 256 of the generator's.
         orders_seed: of the generator; ``look_ahead``: boxes that are seen.
         mask: ``geometry``, or ``support_50`` … ``support_100``.
         action_cell_mm, cell_mm: side of the cells of actions, and of maps.
         rewards: weights of terms.
         most_illegal: illegal actions until an episode is truncated; one changes nothing.
         most_boxes: of a pallet.
-        carrier, engine: as of ``petmjx.jax.empty``.
+        carrier, engine: as in ``petmjx.jax.empty``.
         options: fields of ``petmjx.Simulation``.
 
     Raises:
@@ -220,7 +220,7 @@ class Palletizing:
         return after, TimeStep(kind, reward, jnp.where(terminated, 0.0, 1.0), self._observed(after), extras)
 
     def _ways(self, state: State) -> Any:
-        """What there is to do with the next box."""
+        """The actions for the next box."""
         there = jnp.arange(self._most_boxes) < state.placed
         size = self._boxes[state.order, state.next, :3]
         return self._cells.ways(size, state.size_mm, state.corner_mm, there)
@@ -240,7 +240,7 @@ class Palletizing:
         return carried._replace(pallet=state.pallet)
 
     def _terms(self, before: State, after: State, told: Told, legal: jax.Array) -> dict[str, jax.Array]:
-        """Of the reward, not weighted, as of ``petmjx.loop.rewards.TERMS``."""
+        """Of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""
         stands = legal & told.stable
         tops = [(state.corner_mm + state.size_mm)[:, 2].max() for state in (before, after)]
         found = {

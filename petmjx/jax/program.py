@@ -35,7 +35,7 @@ def empty(
     """n empty pallets. Not to be called under ``jit``: it loads the engine.
 
     Args:
-        engine: ``mujoco``, ``mjx-warp``, or ``auto`` as of ``petmjx.Pallets``.
+        engine: ``mujoco``, ``mjx-warp``, ``mjx-warp-cpu``, or ``auto`` as in ``petmjx.Pallets``.
         most_boxes: of a pallet.
         options: fields of ``petmjx.Simulation``.
 
@@ -89,7 +89,7 @@ def try_all(
     mass_kg: Float[Array, " candidate"],
     pallet: Int[Array, " candidate"],
 ) -> Told:
-    """What would become of pallets with one box more each, a pallet perhaps more than once.
+    """How each candidate would turn out: one more box on a pallet. A pallet may be asked about more than once.
 
     A candidate for a pallet that has fallen, is full, or is not there does not stand, and its reason is ``ended``.
     """
@@ -139,7 +139,7 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
 
 
 def _check_numbers(boxes: tuple[jax.Array, ...], asked: jax.Array) -> None:
-    """Raises InputError if a box that is asked about has a number out of range; under ``jit`` nobody knows them."""
+    """Raises InputError if a requested box has a number out of range; under ``jit`` numbers are not known."""
     if any(isinstance(each, jax.core.Tracer) for each in (*boxes, asked)):
         return
     for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):

@@ -1,4 +1,4 @@
-"""What an environment for jitted programs answers with: classes that are named as those of dm_env and jumanji."""
+"""The answers of the environment for jitted programs: classes named as in dm_env and jumanji."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
         reward: of this step; 0 of the first one.
         discount: 0 where the episode has terminated, else 1: also where it was truncated.
         observation: what is seen.
-        extras: what is said beside, by name.
+        extras: further values by name.
     """
 
     step_type: Int[Array, ""]

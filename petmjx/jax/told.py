@@ -19,7 +19,7 @@ REASONS: Final = (*(str(reason) for reason in Reason), ENDED)
 class Told(NamedTuple):
     """m placements, on pallets of at most k boxes. Beyond a pallet's own boxes numbers are 0.
 
-    Attributes as of ``petmjx.Told``; ``reason`` is an index into ``REASONS``, ``margin`` is -1 where invalid.
+    Attributes as in ``petmjx.Told``; ``reason`` is an index into ``REASONS``, ``margin`` is -1 where invalid.
     """
 
     stable: Bool[Array, " placement"]

@@ -1,4 +1,4 @@
-"""What is asked of pallets, checked: arrays of boxes, numbers of pallets. What is wrong is one line with the name."""
+"""Requests to pallets, checked: arrays of boxes, numbers of pallets. Errors are one line with the argument's name."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from petmjx.text import printable
 from petmjx.units import FloatArray
 
 ENDLESS: Final = "endless"
-"""The value of ``orders`` for generated orders, as of ``petmjx samples``: each episode draws a new one."""
+"""The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new one."""
 
 _MOST_DRAWN: Final = 200_000
 

@@ -156,8 +156,8 @@ class Pallets(Closable):
         changes.
 
         Args:
-            errors: of each candidate also simulate so many worlds in which a robot places it inexactly; ``Told.share``
-                is the share of them that stands. The errors are those of ``petmjx score --confidence``.
+            errors: also simulate each candidate in this many worlds in which a robot places it inexactly;
+                ``Told.share`` is the share that stands. The errors are those of ``petmjx score --confidence``.
             drive: the name of a profile that shakes the pallet with the candidate on it, such as ``eumos-40509``; the
                 answers are then those after it.
             level: the profile's strength, such as 0.3 g.
@@ -185,7 +185,8 @@ class Pallets(Closable):
 
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets, which are then as they were before it came, to the last bit; None: all
-        that have boxes. Pallets that have fallen stand again. Of a box before the last one the pallet is built anew.
+        that have boxes. Pallets that have fallen stand again. To take back earlier boxes, too, the pallet is built
+        again.
 
         Raises:
             InputError: a pallet has no box.
@@ -211,7 +212,7 @@ class Pallets(Closable):
             sources: (m,) pallets, some perhaps more than once; ``into``: (m,) others.
 
         Raises:
-            InputError: no such pallet, as many sources as others are needed, or one named twice in ``into``.
+            InputError: no such pallet, ``into`` and sources differ in number, or a pallet is named twice in ``into``.
         """
         with self._using():
             these, those = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")

@@ -107,7 +107,7 @@ class Scorer(Closable):
         """What a score says of m plans, in arrays; ``Told.pallet`` counts the plans, and forces are those at rest.
 
         Args:
-            size_mm, corner_mm: (m, k, 3) as of ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans of fewer boxes than k
+            size_mm, corner_mm: (m, k, 3) as in ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans of fewer boxes than k
                 have NaN behind their own.
 
         Raises:

@@ -36,8 +36,8 @@ _NAME = "candidate"
 class Errors:
     """The errors of ``petmjx score --confidence``, for a box that is put onto a pallet that stands.
 
-    Place, turn, size and mass of the box are in error; the pallet stands as it stands. Friction is another one for the
-    whole pallet: all cartons are of one board, on a day of one humidity. The box is carried to its place by a hand
+    Place, turn, size and mass of the box are in error; the pallet stands as it stands. Friction has one error for the
+    whole pallet: all cartons are of the same board, at the same humidity. The box is carried to its place by a hand
     (docs/placing.md).
     """
 
@@ -90,7 +90,7 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
 def told_driven(
     open_worlds: OpenWorlds, pallets: NDArray[np.int64], boxes: NextBoxes, drive: Drive, thresholds: Thresholds
 ) -> Told:
-    """What becomes of (m,) pallets with a box more each that are then shaken."""
+    """The outcomes of (m,) pallets that get one more box each and are then shaken."""
     parts = []
     for rows in _chunks(len(pallets), _AT_ONCE):
         some = pallets[rows].tolist()

@@ -41,7 +41,9 @@ class Judged:
 
     @property
     def share(self) -> float:
-        """Of the worlds with errors that stands; without such worlds 1 where it stands, else 0."""
+        """Share of the worlds with errors that stands; without such worlds 1 if it stands when placed exactly,
+        else 0.
+        """
         return self.n_standing / self.n_worlds if self.n_worlds else float(self.stands)
 
     def is_good(self, options: PhysicalOptions) -> bool:

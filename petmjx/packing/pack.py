@@ -105,7 +105,7 @@ def pack(
     Nothing is drawn at random but the errors, which depend on plan ids alone: an order has one plan on an engine.
 
     Args:
-        orders: file of BED-BPP orders; None: ``n`` drawn ones, as of ``petmjx samples``.
+        orders: file of BED-BPP orders; None: ``n`` drawn ones, as in ``petmjx samples``.
         n, seed: how many drawn orders, and of which seed.
         workers: processes that search; they change no plan. Scripts that ask for more than one need
             ``if __name__ == "__main__":``.
@@ -125,7 +125,7 @@ def pack_each(orders: Iterable[tuple[str, Order]], *, workers: int = 1, **option
 
     Args:
         orders: id and order.
-        options: as of ``pack``. They are checked before the first order is taken.
+        options: as in ``pack``. They are checked before the first order is taken.
     """
     asked, how = _sorted(options)
     return pack_physical(orders, asked, how, whole_of(workers, "workers", 1, MOST_WORKERS))

@@ -69,7 +69,7 @@ class PackedOrder:
         return as_placements(self.taken.finalist.placed) if self.taken else []
 
     def row(self) -> dict[str, Any]:
-        """Column → value, as of ``Packed.orders``."""
+        """Column → value, as in ``Packed.orders``."""
         taken = self.taken
         n_worlds, n_standing = (taken.n_worlds, taken.n_standing) if taken else (0, 0)
         low, high = wilson_interval(n_standing, n_worlds)

@@ -49,7 +49,7 @@ def story_page(story: Story) -> str:
 
 
 def _notes(story: Story) -> list[str]:
-    """What readers must know beforehand, a line each."""
+    """Warnings for the reader, one line each."""
     notes = notes_in_words(story)
     if story.drive is not None and not np.any(story.history.drive):
         name = story.drive.excitation.name

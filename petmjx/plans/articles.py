@@ -3,7 +3,7 @@
 It says what boxes are made of, where their centres of mass are, how stiff they are, and what they bear. A strength is
 given in newtons, or follows from the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression
 strength formula for corrugated boxes", Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness ·
-perimeter). It is that of a new box in a press; a safety factor makes it what a box bears in use.
+perimeter). This is the strength of a new box in a press; a safety factor gives the strength in use.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Article:
         strength: what boxes bear; None: it is not said.
         material: what they are made of, for friction (petmjx.materials); None: it is not said.
         com_mm: centre of mass, seen from the box's middle along its length, width and height, mm; None: it is not said.
-        stiffness_n_mm: as of ``Plan``; None: it is not said.
+        stiffness_n_mm: as in ``Plan``; None: it is not said.
     """
 
     strength: Strength | None = None
@@ -97,15 +97,14 @@ class Article:
     stiffness_n_mm: float | None = None
 
     def filled_up(self, other: Article) -> Article:
-        """With what another one says where this one says nothing."""
+        """The same, with values of another entry where this one has none."""
         own = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
         return replace(other, **own)
 
 
 @dataclass(frozen=True)
 class Articles:
-    """What is said by article, by product group and by material; field by field the first of these counts that says
-    something."""
+    """Data by article, by product group and by material; for each field the first of these that has a value counts."""
 
     by_article: Mapping[str, Article]
     by_group: Mapping[str, Article]

@@ -76,7 +76,7 @@ _MOST_NAMED: Final = 8
 
 
 def text_fault(field: str, value: object) -> str | None:
-    """What is wrong with a name; None if nothing is."""
+    """What is wrong with a name; None if it is fine."""
     if not isinstance(value, str):
         return f"{field} must be a string, got {kind(value)}"
     if len(value) > LONGEST_NAME:
@@ -85,7 +85,7 @@ def text_fault(field: str, value: object) -> str | None:
 
 
 def plan_id_fault(value: str) -> str | None:
-    """What is wrong with a plan id; None if nothing is."""
+    """What is wrong with a plan id; None if it is fine."""
     if not value:
         return "the plan id must be text and not empty"
     if not is_text(value):
@@ -96,7 +96,7 @@ def plan_id_fault(value: str) -> str | None:
 
 
 def number_fault(field: str, value: object) -> str | None:
-    """What is wrong with a finite number; None if nothing is."""
+    """What is wrong with a finite number; None if it is fine."""
     if type(value) not in _NUMBERS:
         return f"{field} must be a number, got {kind(value)}"
     try:
@@ -107,7 +107,7 @@ def number_fault(field: str, value: object) -> str | None:
 
 
 def positive_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """What is wrong with a size or mass, of which the limits are in its unit; None if nothing is."""
+    """What is wrong with a size or mass, of which the limits are in its unit; None if it is fine."""
     fault = number_fault(field, value)
     if fault is not None:
         return fault
@@ -121,7 +121,7 @@ def positive_fault(field: str, value: Any, smallest: float, largest: float, unit
 
 
 def coordinate_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """What is wrong with a coordinate; None if nothing is."""
+    """What is wrong with a coordinate; None if it is fine."""
     fault = number_fault(field, value)
     if fault is None and not smallest <= value <= largest:
         return _out_of_range(field, value, smallest, largest, unit)
@@ -133,7 +133,7 @@ def _out_of_range(field: str, value: Any, smallest: float, largest: float, unit:
 
 
 def com_fault(field: str, value: Any, size: float) -> str | None:
-    """What is wrong with a centre of mass along a side of this length, in the same unit; None if nothing is."""
+    """What is wrong with a centre of mass along a side of this length, in the same unit; None if it is fine."""
     fault = number_fault(field, value)
     if fault is None and not 2 * abs(value) < size:
         return f"{field} must be inside the box, less than half of its {size:g} from the middle, got {kind(value)}"
@@ -150,26 +150,26 @@ def com_along_axes(item_com_mm: FloatArray, turned: NDArray[np.bool_]) -> FloatA
 
 
 def whole_fault(field: str, value: object) -> str | None:
-    """What is wrong with a running number; None if nothing is."""
+    """What is wrong with a running number; None if it is fine."""
     if type(value) is not int:
         return f"{field} must be an integer, got {kind(value)}"
     return None if _INT64.min <= value <= _INT64.max else f"{field} is too large, got {kind(value)}"
 
 
 def orientation_fault(value: object) -> str | None:
-    """What is wrong with an orientation; None if nothing is."""
+    """What is wrong with an orientation; None if it is fine."""
     known = type(value) is int and value in (0, 1)
     return None if known else f"orientation must be 0 or 1, got {kind(value)}"
 
 
 def sparse_fault(field: str, value: object) -> str | None:
-    """What is wrong with one of the numbers that may be missing; None if nothing is."""
+    """What is wrong with one of the numbers that may be missing; None if it is fine."""
     known = SPARSE[field]
     return None if value is None else coordinate_fault(field, value, known.low, known.high, known.units)
 
 
 def kind_fault(value: object) -> str | None:
-    """What is wrong with what an item is said to be; None if nothing is."""
+    """What is wrong with what an item is said to be; None if it is fine."""
     if value is None or value == "" or (isinstance(value, str) and value in KINDS):
         return None
     return f"kind must be {' or '.join(KINDS)}, got {kind(value)}"
@@ -197,7 +197,7 @@ def missing_anywhere(missing: Mapping[str, Sequence[int]], noun: str) -> str | N
 
 
 def too_many_boxes(n_boxes: int, most: int) -> str:
-    """What is said of a plan that is larger than the largest capacity."""
+    """The message about a plan that is larger than the largest capacity."""
     return f"has {n_boxes} boxes, more than the largest capacity of {most}"
 
 

@@ -155,8 +155,8 @@ def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
 def _named_apart(found: PlanSet, options: RunOptions) -> PlanSet:
     """Plans with an id each, since tables have ids as keys: of those with the same one the second is called "ID#2".
 
-    In files an id names one plan, and what repeats it is skipped (petmjx.plans.read). Who gives plans has made them,
-    and wants an answer for each.
+    In files an id names one plan, and what repeats it is skipped (petmjx.plans.read). Someone who passes plan objects
+    wants an answer for each of them.
     """
     given = found.plans[: options.limit]
     taken = {plan.plan_id for plan in given}

@@ -1,6 +1,6 @@
 """Where boxes meet: what two of them share along an axis, and whether one's top is at the other's bottom.
 
-Who looks for what lies on what adds what it means by it: the order of placement, the carrier, or a least width.
+Callers that ask what lies on what add their own conditions: the order of placement, the carrier, or a least width.
 """
 
 from __future__ import annotations

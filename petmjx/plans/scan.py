@@ -69,7 +69,7 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
         noun: what an entry is called there.
 
     Raises:
-        NotPlans: where the walk comes to something that is no JSON, after the entries before it; or the file is empty
+        NotPlans: the text is not JSON from some point on (raised after the entries before it), or the file is empty
             or holds something else. The text does not name the file.
     """
     at = _after_space(data, 0)

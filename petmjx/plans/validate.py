@@ -201,7 +201,7 @@ def _said(item: dict[str, Any], field: str, otherwise: Any) -> Any:
 
 
 def find_fault(placement: object, given: Given = USUAL) -> str | None:
-    """What is wrong with one placement, in the order of the fields; None if nothing is."""
+    """What is wrong with one placement, in the order of the fields; None if it is fine."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
     for each, of in ((placement, ""), (placement.get("item"), "item.")):

@@ -58,7 +58,7 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
     """What runs say of plans.
 
     Raises:
-        InputError: a folder has no run, a sweep, or a run in which a plan of one id is another one.
+        InputError: a folder has no run, or a sweep, or a run in which a plan with the same id differs.
     """
     if not folders:
         wanted = "petmjx score PLANS --check static --out DIR, then --run DIR"

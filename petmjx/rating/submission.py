@@ -54,7 +54,7 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
     """A submission's name from ``SURNAME_ALGORITHM_TASK``, with or without a date before and ``.json`` behind.
 
     Raises:
-        InputError: it has other parts, or a part is none.
+        InputError: it does not have these parts, or a part is not valid.
     """
     parts = text.removesuffix(".json").split("_")
     if len(parts) == 3:
@@ -99,8 +99,8 @@ def write_submission(
         The file.
 
     Raises:
-        InputError: the name is none; a plan, an order or an item is missing that must be there, or is one too many; or
-            the file cannot be written. Nothing is written then.
+        InputError: the name is not valid; a plan, an order or an item is missing or superfluous; or the file cannot
+            be written. Nothing is written then.
     """
     submission = parse_name(name)
     faults = [f"{counted(unusable, 'plan or order', 'plans or orders')} cannot be used"] if unusable else []

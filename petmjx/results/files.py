@@ -150,7 +150,9 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one. The table ``plans`` alone is none: it comes before ``run.json``."""
+    """Whether a folder has a run, or parts of one. The table ``plans`` alone does not count: it is written before
+    ``run.json``.
+    """
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in TABLES if table != "plans")
 
 

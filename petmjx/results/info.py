@@ -17,7 +17,7 @@ from petmjx.results.schema import SCHEMA_VERSION, Param
 
 
 class RunInfo:
-    """Gathers the entries of ``run.json``, but for the list of files.
+    """Gathers the entries of ``run.json``, except the list of files.
 
     Attributes:
         skipped: plans and files that are not simulated, and why.

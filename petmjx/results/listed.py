@@ -73,7 +73,9 @@ class Parts:
         return Parts(self.folder, kept, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """The files without those whose part of ``worlds`` was taken away: who does that wants these worlds again."""
+        """The files without those whose part of ``worlds`` was deleted: deleting it means that these worlds are to
+        be simulated again.
+        """
         gone = {file.name for file in self.files("worlds") if not file.exists()}
         if not gone or self.files("frames"):  # which histories these worlds have is not known
             return self
@@ -110,7 +112,7 @@ class Parts:
         self._checked.add(file)
 
     def _cure(self, file: Path) -> str:
-        """What makes a run whole again that lacks a file."""
+        """How to repair a run that lacks a file."""
         if file.parent.name == "summary":
             return "use --resume to make it again"
         if file.parent.name not in OF_WORLDS or self.files("frames"):

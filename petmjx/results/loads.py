@@ -137,7 +137,7 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     """The plans of a run by id.
 
     Raises:
-        InputError: one is not there, or is another one.
+        InputError: a plan is missing or differs.
     """
     records = Manifest.read(results.parts, results.info).plans
     if plans is None and results.held:

@@ -171,8 +171,8 @@ _NOTHING: Final = object()
 
 
 def _as_asked(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings with the names of the command: the sweep of a score is its number of worlds and its errors. What stands
-    there only if it is asked for is false otherwise."""
+    """Settings with the names of the command: the sweep of a score is its number of worlds and its errors. Entries
+    that are only written if the option is on count as false otherwise."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     sweep = settings.get("sweep")
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):

@@ -1,4 +1,4 @@
-"""The tables of a run that nobody has asked to keep: they stay in memory, if they are no more than a part."""
+"""The tables of a run without a folder: they stay in memory, if they fit into one part."""
 
 from __future__ import annotations
 

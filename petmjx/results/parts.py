@@ -23,7 +23,7 @@ _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "ver
 
 
 def _block_columns() -> list[Column]:
-    """What is kept of each box; the schema of ``boxes`` says what of it is written."""
+    """The values kept for each box; the schema of ``boxes`` says which of them are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 

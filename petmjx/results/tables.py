@@ -16,7 +16,7 @@ from petmjx.results.sorting import SORTED, Sorted
 class Tables:
     """A run's tables on disk. All methods raise ``OSError`` where a file cannot be written.
 
-    What replaces others has a number of its own, so that a kill leaves either these or those: ``run.json`` says which.
+    New files have new numbers, so that a killed run leaves either the old or the new ones: ``run.json`` says which.
 
     Attributes:
         parts: the files that count.
@@ -27,7 +27,7 @@ class Tables:
         self.parts = parts or Parts(folder, {})
 
     def write_plans(self, plans: pa.Table) -> bool:
-        """Write the table ``plans``, beside one that says something else; returns whether there was none like it."""
+        """Write the table ``plans``, beside one with other content; returns whether an equal one was missing."""
         if [plans] == self.parts.table("plans"):
             return False
         number = self.parts.next_number("plans")

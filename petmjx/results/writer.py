@@ -60,7 +60,7 @@ class RunWriter(RunInfo):
             a larger one is written to a temporary folder, which goes with :meth:`results`.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
-        dynamic, force_intervals: as of ``petmjx.results.schema.schemas``; ``boxes``: whether this table is kept.
+        dynamic, force_intervals: as in ``petmjx.results.schema.schemas``; ``boxes``: whether this table is kept.
         versions: package → version; Python's own is added. ``device``: name of that on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
         manifest: what the run is of; without one it cannot be resumed.
@@ -229,7 +229,7 @@ class RunWriter(RunInfo):
                 self._temporary.cleanup()
 
     def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
-        """What was written, after the end.
+        """The results, after the end.
 
         Args:
             held: the run's plans by id, if they are in no file.
@@ -301,7 +301,7 @@ class RunWriter(RunInfo):
                 self._write_part()
 
     def flush(self) -> None:
-        """Write what is gathered, for whoever reads the folder before the run is over.
+        """Write what has been gathered, so that others can read the folder before the run ends.
 
         Raises:
             PetmjxError: the part cannot be written.

@@ -115,7 +115,7 @@ def best_thresholds(
 
     Returns:
         A row a criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (at least), ``published`` (the criterion's
-        own), ``n_found_on`` and ``mcc_found_on``, then as of ``judge``, on the other half, with ``mcc_published``
+        own), ``n_found_on`` and ``mcc_found_on``, then as in ``judge``, on the other half, with ``mcc_published``
         there.
     """
     both = with_physics(plans, worlds)

@@ -56,7 +56,7 @@ def reason_in_words(story: Story) -> str:
 
 
 def notes_in_words(story: Story) -> list[str]:
-    """What readers must know beforehand, a line each: the story's note, and flags that make the verdict doubtful."""
+    """Warnings for the reader, one line each: the story's note, and flags that make the verdict doubtful."""
     outcome = story.outcome
     notes = [story.note] if story.note else []
     if outcome.verdict is Verdict.INVALID:

@@ -66,7 +66,7 @@ def confidence_sweep(n_worlds: int, errors: Path | None, simulation: Mapping[str
 
 
 def _what_is_no_error(sweep: Sweep) -> str:
-    """What a file of errors may not have, as a line; empty where there is nothing of it."""
+    """The line about something that a file of errors may not have; empty if there is nothing wrong."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
     if sweep.profiles:

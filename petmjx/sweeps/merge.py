@@ -160,7 +160,7 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
 
 
 def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
-    """What all shards say of the same input once, and in the order in which it comes first."""
+    """Lines that several shards have about the same input, each once, in order of first appearance."""
     entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
     skipped = (
         Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))

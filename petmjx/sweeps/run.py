@@ -368,7 +368,7 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """What a placement came to, as far as records say: one that did not stand has one world, without steps.
+        """The outcome of a placement, as far as it is recorded: one that did not stand has one world, without steps.
 
         A test that failed has no steps either, but a search that tests also has its first tests.
         """

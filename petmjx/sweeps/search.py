@@ -153,7 +153,7 @@ class Bisection:
         return [(item, found.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
-        """Record the worlds of tests: of all that were asked for of an item, and of as many items as there are.
+        """Record the worlds of tests: of all levels that were requested for an item, and for any number of items.
 
         An invalid world has not survived; its mode is the reason why it is invalid.
         """

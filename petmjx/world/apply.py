@@ -54,7 +54,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
     or sizes boxes are placed as for errors (``Placing.for_errors``).
 
     Args:
-        standing: so many first boxes stand already: they keep their sizes, places and masses.
+        standing: this many first boxes stand already and keep their sizes, places and masses.
 
     Returns:
         The same object where nothing changes.

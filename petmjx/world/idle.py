@@ -108,7 +108,7 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
-    """Stiffness that lets boxes sink through themselves, and soft boxes of which there are none."""
+    """Notes on boxes that are too soft for their loads, and on options for soft boxes where there are none."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
         raise InputError(
             "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing exact"

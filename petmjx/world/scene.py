@@ -1,7 +1,7 @@
 """One world's physical description in SI units: bodies with their shapes, and where they are placed.
 
-A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans. Nothing else counts
-shapes or bodies: who needs an index asks the scene.
+A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans. Nothing else
+counts shapes or bodies: for an index, ask the scene.
 """
 
 from __future__ import annotations

@@ -281,7 +281,7 @@ def soft_friction(scene: Scene) -> SoftFriction:
     """Friction of soft boxes by the table of their surfaces.
 
     Raises:
-        InputError: it has frictions that no larger of two coefficients is.
+        InputError: it has frictions of pairs that "the larger of both coefficients" cannot express.
     """
     own = scene.friction[:, 0].copy()
     if scene.pair_friction is None or scene.surface is None or scene.soft is None:

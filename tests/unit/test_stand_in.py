@@ -152,7 +152,7 @@ def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> 
     results, notes = scored(own, c_engine, monkeypatch, Simulation(solver=Solver.CG))
     assert own.sims == []
     assert {result.outcome.engine for result in results} == {"mujoco"}
-    assert notes == ["worlds were simulated on mujoco: the solver cg is its"]
+    assert notes == ["worlds were simulated on mujoco: only it has the solver cg"]
 
 
 def test_what_an_engine_refuses_is_the_user_s_to_change(monkeypatch: pytest.MonkeyPatch) -> None:

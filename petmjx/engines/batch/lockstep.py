@@ -118,7 +118,7 @@ class Lockstep:
         def moved(
             row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
         ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-            """What a step changed, for worlds that run and boxes in play; all else stays as it was."""
+            """The changes of a step, for running worlds and boxes in play; everything else stays as it was."""
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 

@@ -76,7 +76,7 @@ def tables(
     timetable: Timetable,
     boards: int = 1,
 ) -> tuple[Worlds, State]:
-    """Constants and first states of jobs; ``boards`` as of ``upload_worlds``."""
+    """Constants and first states of jobs; ``boards`` as in ``upload_worlds``."""
     worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards)
     static = sim.check is Check.STATIC
     ends = np.full(rows, NEVER, np.int32)

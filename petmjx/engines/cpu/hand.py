@@ -65,7 +65,7 @@ class Hand:
 
         The spring and the damper are between the box and the point that it should follow. To them comes the force that
         moves a free box along with that point to the last digit; together they are limited, and so is the moment. The
-        weight comes on top. A box that is set down has a damper alone, which may bear its weight beside.
+        weight comes on top. A box that is being set down only has a damper, which may also bear its weight.
 
         Args:
             pose: (7,) of its frame, m and quaternion.

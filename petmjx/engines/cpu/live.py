@@ -141,7 +141,7 @@ class LiveWorld:
 
     @property
     def n_free(self) -> int:
-        """Boxes that stand where they were let go: the placed ones but for one that is carried."""
+        """Boxes that were released: all placed boxes except one that is still carried."""
         return self.n_placed - (self.hand is not None)
 
     @property
@@ -262,7 +262,7 @@ class LiveWorld:
         return begin, quat
 
     def carry_on(self, slow: bool) -> bool:
-        """After a step in which a box was carried: whether it is let go now. ``slow``: as of ``Hand.has_let_go``."""
+        """After a step in which a box was carried: whether it is let go now. ``slow``: as in ``Hand.has_let_go``."""
         hand = self.hand
         if hand is None or not hand.has_let_go(self._poses[self._row[hand.box]], slow):
             self._carry()

@@ -98,7 +98,7 @@ def _widths(jobs: Sequence[Job], granule: int) -> dict[int, int]:
 
 
 def _halved(fleet: Fleet) -> Fleet:
-    """With half as many blocks, but for the fewest that are worth while."""
+    """The same with half as many blocks, but never fewer than the useful minimum."""
     return replace(fleet, blocks=min(fleet.blocks, max(fleet.blocks // 2, MIN_BLOCKS)))
 
 

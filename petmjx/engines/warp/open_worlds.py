@@ -253,7 +253,7 @@ _jitted_fork = jax.jit(fork)
 
 @jax.jit
 def _take(open_: Open, rows: Int[Array, " row"], count: Int[Array, ""]) -> Open:
-    """Forks of these worlds as worlds of their own. Of those behind the first ones none goes on."""
+    """Forks of these worlds as worlds of their own. Worlds behind the first ones do not go on."""
     state = take_rows(open_.state, rows)
     padding = jnp.arange(len(rows)) >= count
     return Open(

@@ -100,7 +100,7 @@ class Board:
 
     @property
     def command(self) -> str:
-        """What makes the board again, in its folder, to another one."""
+        """The command that, run in the board's folder, makes the board again in another folder."""
         theirs = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
         words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in theirs)]
         words += ["--orders", ORDERS] if self.orders else []

@@ -24,7 +24,7 @@ _EMPTY: Final = frozenset({"br", "col", "hr", "img", "input", "meta"})
 
 
 def escaped(text: str) -> Markup:
-    """Text as markup: without meaning for HTML, and with characters that nobody sees made visible."""
+    """Text as markup: escaped, and with invisible characters made visible."""
     return text if isinstance(text, Markup) else Markup(escaped_text(text))
 
 
@@ -65,7 +65,7 @@ def table(
     """A small table.
 
     Args:
-        texts: so many columns are text; the others are numbers, which stand to the right.
+        texts: how many of the first columns are text; the others are numbers, aligned to the right.
         caption: what the table shows; also its name for screen readers.
     """
     heads = [element("th", cell, scope="col", class_=_side(at, texts)) for at, cell in enumerate(head)]

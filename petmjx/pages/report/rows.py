@@ -32,7 +32,7 @@ class Shown:
 
     Attributes:
         column: of ``ReportRun.worlds``; ``key`` in the page and in its address.
-        label: its head; ``unit``; ``meaning`` for who points at it.
+        label: its heading; ``unit``; ``meaning``: shown when the mouse is over it.
         digits: decimals that are shown.
     """
 

@@ -188,8 +188,8 @@ def pack_orders(
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
-    Without a name the packer is ``baseline``. Without ``rules``, which are its, the strict ones are used. Boxes that
-    find no place below 2 m are left out; ``on_left_out`` is called with them just before the plan is yielded. An order
+    Without a name the packer is ``baseline``. ``rules`` are those of the packer ``baseline``; without them the
+    strict rules are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is called with them just before the plan is yielded. An order
     of which no box finds a place makes no plan. The packer sorts, so ``sequence`` is numbered anew in packing order.
 
     Raises:

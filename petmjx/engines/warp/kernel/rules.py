@@ -221,7 +221,7 @@ def after_step(
     """Everything that happens between two steps.
 
     Args:
-        nonfinite: a body has gone astray.
+        nonfinite: a body's position or velocity is not finite or out of range.
     """
     world = at.world
     step = state.step[world] + 1
