@@ -43,6 +43,9 @@ _PAGES: dict[str, notebooks.NotebookPage] = {}
 
 LINK = re.compile(r"\[([^\]]*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", flags=re.DOTALL | re.MULTILINE)
+CODE_WITH_PIPE = re.compile(r"`[^`\n]*\\\|[^`\n]*`")
+"""GitHub needs a backslash before a pipe in a table's code, and this site would show it."""
+
 SHIM = re.compile(r'<script src="https://[^"]*/iframe-worker/shim"></script>')
 """The theme's way to search pages that were opened from a folder; docs/search-offline.js does it without a server."""
 
@@ -75,7 +78,10 @@ def examples() -> dict[str, str]:
         quiet("show", "s0-000016", "--engine", "mujoco", "--no-early-stop", "--html", story)
         quiet("score", "--engine", "mujoco", "--record", "failed", "--out", run)
         quiet("report", run, "-o", report)
-        return {"collapse": Path(story).read_text(encoding="utf-8"), "report": Path(report).read_text(encoding="utf-8")}
+        made = {"collapse": story, "report": report}
+        texts = {name: Path(page).read_text(encoding="utf-8") for name, page in made.items()}
+        # where the site was built concerns nobody
+        return {name: text.replace(f"{folder}/", "").replace(f"{REPOSITORY}/", "") for name, text in texts.items()}
 
 
 def quiet(*arguments: str) -> None:
@@ -105,6 +111,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     if uri in OUTSIDE or uri == "performance.md":
         page.meta["search"] = {"boost": 0.3}  # long logs, which have every word
     address = config.extra["social"][0]["link"]
+    markdown = CODE_WITH_PIPE.sub(lambda found: found[0].replace("\\|", "|"), markdown)
     return outside_code(markdown, lambda text: LINK.sub(lambda found: relinked(found, source, uri, address), text))
 
 
