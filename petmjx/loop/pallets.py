@@ -242,16 +242,16 @@ class Pallets(Closable):
             rows = pallets_of(pallet, self.n)
             return Told.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
 
-    def plan(self, pallet: int = 0, plan_id: str | None = None) -> Plan:
-        """A pallet's boxes, as they were asked for, as a plan.
+    def plan(self, pallet: int = 0, plan_id: str | None = None, **fields: Any) -> Plan:
+        """A pallet's boxes as a plan; ``fields`` are those of ``Plan.from_boxes``, such as ``article=["tea", …]``.
 
         Raises:
-            InputError: no such pallet, or one without boxes.
+            InputError: no such pallet, one without boxes, or an unusable field.
         """
         with self._using():
             number = self._one(pallet)
             name = f"pallet-{number}" if plan_id is None else text_of(plan_id, "plan_id")
-            return self._boxes.plan(number, name)
+            return self._boxes.plan(number, name, fields)
 
     def score(self, pallet: Any = None, **options: Any) -> RunResults:
         """What ``petmjx.score`` says of the plans of pallets that have boxes, to the last bit, further attempts

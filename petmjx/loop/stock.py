@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,12 +62,13 @@ class Stock:
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
         )
 
-    def plan(self, pallet: int, plan_id: str) -> Plan:
-        """A pallet with boxes as a plan."""
+    def plan(self, pallet: int, plan_id: str, fields: Mapping[str, Any]) -> Plan:
+        """A pallet with boxes as a plan, with further fields of ``Plan.from_boxes``."""
         k = int(self.count[pallet])
         return Plan.from_boxes(
             plan_id,
             size_mm=self.size_mm[pallet, :k],
             corner_mm=self.corner_mm[pallet, :k],
             mass_kg=self.mass_kg[pallet, :k],
+            **fields,
         )
