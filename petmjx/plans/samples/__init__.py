@@ -189,8 +189,9 @@ def pack_orders(
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
     Without a name the packer is ``baseline``. ``rules`` are those of the packer ``baseline``; without them the
-    strict rules are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is called with them just before the plan is yielded. An order
-    of which no box finds a place makes no plan. The packer sorts, so ``sequence`` is numbered anew in packing order.
+    strict rules are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is called with them just
+    before the plan is yielded. An order of which no box finds a place makes no plan. The packer sorts, so
+    ``sequence`` is numbered anew in packing order.
 
     Raises:
         InputError: the file is no orders file; no such packer; or an order is bad and ``on_bad_order`` is not given
