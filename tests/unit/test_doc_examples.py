@@ -117,7 +117,7 @@ def test_examples_of_the_loop_run(tmp_path: Path) -> None:
     assert re.search(r"1\d boxes, \d left out: stable", run_in(tmp_path, "\n".join(blocks("loop.md", "python"))))
 
 
-LESSONS = ("start.md", *(f"tutorials/{name}.md" for name in ("score", "see", "sweep", "packers", "train")))
+LESSONS = ("start.md", *(f"tutorials/{name}.md" for name in ("score", "see", "sweep", "packers", "loop", "train")))
 
 
 def program_of(document: str) -> str:

@@ -97,7 +97,8 @@ def test_plans_from_boxes() -> None:
         ({"size_mm": [[]]}, "plan t: size_mm must have the shape (n, 3), got (1, 0)"),
         ({"size_mm": [["a", 1, 2]]}, 'plan t, box 0: length_mm must be a number, got "a"'),
         ({"colour": ["red"]}, "plan t: unknown field colour"),
-        ({"article": 5}, "plan t: article must be a list of values, one for each box"),
+        ({"article": 5}, "plan t: article must be a list of values, one for each box, got 5"),
+        ({"kind": "sheet"}, "plan t: kind must be a list of values, one for each box, got 'sheet'"),
         ({"size_mm": np.zeros((0, 3)), "corner_mm": np.zeros((0, 3)), "mass_kg": []}, "plan t: has no box"),
     ],
 )
