@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice
-from petmjx.engines.resolve import engine_for
+from petmjx.engines.resolve import engine_for, starting
 from petmjx.machine import package_versions
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.physics import Physics
@@ -87,7 +87,8 @@ def simulate(
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    found = usable_plans(plans, sim, options)
+    with starting(options, plans):
+        found = usable_plans(plans, sim, options)
     study = ask(found.plans, options)
     orders = None
     if options.orders is not None:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
+import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from os import PathLike
+from pathlib import Path
+from typing import Final
 
 from petmjx.checked import got
 from petmjx.config import Simulation
@@ -11,10 +16,13 @@ from petmjx.engines.base import Engine, Progress, Simulates
 from petmjx.engines.choose import Choice, choose, make_engine, options_of
 from petmjx.engines.cost import MEASURED, Costs, Work
 from petmjx.errors import InputError
-from petmjx.machine import cpu_threads, device_name
+from petmjx.machine import cpu_threads, cuda_devices, device_name
 from petmjx.run_options import AUTO, RunOptions
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
+
+WORTH_A_GPU: Final = 4 << 20
+"""Bytes of plan files for which ``auto`` will take a GPU that is there: of some 400 plans."""
 
 
 class Lent(Engine):
@@ -34,6 +42,42 @@ class Lent(Engine):
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         return self._own.run(jobs, sim, progress)
+
+
+@contextmanager
+def starting(options: RunOptions, plans: object) -> Iterator[None]:
+    """While plans are read, start JAX and Warp on the GPU, where ``mjx-warp`` will be the engine of this process: that
+    takes a second or two, in which Python mostly waits."""
+    thread = threading.Thread(target=_start_gpu, name="petmjx-start") if _will_be_gpu(options, plans) else None
+    if thread is not None:
+        thread.start()
+    yield  # what is wrong with plans is told at once: then the thread is waited for where the process ends
+    if thread is not None:
+        thread.join()
+
+
+def _will_be_gpu(options: RunOptions, plans: object) -> bool:
+    if options.asked_workers is not None or options.engine not in (AUTO, "mjx-warp") or not cuda_devices():
+        return False
+    return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
+
+
+def _bytes_of(plans: object) -> int:
+    """Size of plan files, and of what is in folders; 0 of anything else."""
+    several = plans if isinstance(plans, list | tuple) else [plans]
+    paths = [Path(each) for each in several if isinstance(each, str | PathLike)]
+    with suppress(OSError, ValueError):
+        return sum(each.stat().st_size for path in paths for each in (path.iterdir() if path.is_dir() else [path]))
+    return 0
+
+
+def _start_gpu() -> None:
+    with suppress(Exception):  # whoever needs it says what is wrong
+        setup = importlib.import_module("petmjx.engines.batch.setup")
+        setup.set_up_jax()
+        setup.set_up_warp()
+        importlib.import_module("petmjx.engines.warp.engine")
+        importlib.import_module("warp").init()
 
 
 @contextmanager

@@ -17,7 +17,6 @@ from petmjx.units import FloatArray
 from petmjx.world.bearing import bearing_of
 from petmjx.world.carriers import carrier_notes, pallet
 from petmjx.world.scene import build_scene
-from petmjx.world.soft import check_soft
 from petmjx.world.surfaces import check_surfaces
 from petmjx.wrap import Wrap
 
@@ -142,6 +141,8 @@ def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
 
 
 def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:
+    from petmjx.world.soft import check_soft  # loads MuJoCo
+
     for plan in plans:
         scene = build_scene(plan, sim)
         try:
