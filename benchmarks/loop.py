@@ -164,9 +164,8 @@ def placed(loop: Loop) -> Result:
 
 
 def memory(loop: Loop) -> Result:
-    """Placements, forks and resets of a few pallets: does memory grow?"""
-    n = min(loop.pallets, 64)
-    plans = loop.usual(n, 8)
+    """Placements and resets of pallets, the more the more placements: does memory grow, is anything compiled?"""
+    plans = loop.usual(min(loop.pallets, max(loop.count // 1000, 64)), 8)
     pallets = petmjx.Pallets(len(plans), engine=loop.engine)
     done, marks, compiled = 0, [], []
     with timed() as clock:
