@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.config import Schedule, Simulation
 from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome
+from petmjx.world.growing import GrowingScenes
 from petmjx.world.job import Drive
 from petmjx.world.next_boxes import Blank, NextBoxes
 from petmjx.world.pairs import filled_up
@@ -186,8 +187,8 @@ class OpenWorlds(ABC):
             raise ValueError("worlds with the fixed schedule do not stay open")
         if not scenes:
             raise ValueError("there must be at least one world")
-        self._scenes = list(scenes)
         self._blank = Blank(sim)
+        self._scenes = GrowingScenes(scenes, self._blank)
 
     def __len__(self) -> int:
         return len(self._scenes)
@@ -198,7 +199,7 @@ class OpenWorlds(ABC):
         _check_as_many(worlds, scenes, "scenes")
         if len(worlds):
             self._reset(worlds, scenes)
-            self._keep(worlds, scenes)
+            self._scenes.set(worlds, scenes)
 
     def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         """Put boxes into worlds: their scenes, with more boxes behind those that they had.
@@ -213,7 +214,7 @@ class OpenWorlds(ABC):
             _check_grown(self._scenes[world], scene)
         if len(worlds):
             self._put(worlds, scenes)
-            self._keep(worlds, scenes)
+            self._scenes.set(worlds, scenes)
 
     def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
         """Put one box into each of these worlds, of which only extents, place and mass are known.
@@ -225,9 +226,8 @@ class OpenWorlds(ABC):
         _check_as_many(worlds, boxes, "boxes")
         self._check_open(worlds)
         if len(worlds):
-            scenes = self.with_next(worlds, boxes)
-            self._put_next(worlds, boxes, scenes)
-            self._keep(worlds, scenes)
+            self._put_next(worlds, boxes)
+            self._scenes.add(worlds, boxes)
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
         """The state of worlds if one box were put into each and rested. This is tried on forks, which are discarded. A
@@ -278,7 +278,7 @@ class OpenWorlds(ABC):
         _check_as_many(sources, into, "worlds to fork into")
         if len(sources):
             self._fork(sources, into)
-            self._keep(into, [self._scenes[world] for world in sources])
+            self._scenes.copy(sources, into)
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
         """How worlds are now."""
@@ -308,10 +308,6 @@ class OpenWorlds(ABC):
             raise ValueError("a world without boxes has no verdict")
         return self._finish(worlds, drives or [None] * len(worlds)) if len(worlds) else []
 
-    def _keep(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        for world, scene in zip(worlds, scenes, strict=True):
-            self._scenes[world] = scene
-
     @abstractmethod
     def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...
 
@@ -322,9 +318,8 @@ class OpenWorlds(ABC):
     @abstractmethod
     def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...
 
-    def _put_next(self, worlds: Sequence[int], boxes: NextBoxes, scenes: Sequence[Scene]) -> None:
-        """As ``_put``; ``scenes`` have the boxes."""
-        self._put(worlds, scenes)
+    def _put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
+        self._put(worlds, self.with_next(worlds, boxes))
 
     def _readings(self, worlds: Sequence[int]) -> Readings:
         return Readings.of(self._read(worlds), [self._scenes[world] for world in worlds])

@@ -161,10 +161,10 @@ class Episodes:
 
     def _spread_loads(self, rows: NDArray[np.int64], told: Told) -> None:
         """Over each cell the largest force on a box's top, N."""
-        self._loads[rows] = 0.0
-        for number in range(told.top_force_n.shape[1]):
-            force = np.nan_to_num(told.top_force_n[:, number])[:, None, None]
-            self._loads[rows] = np.maximum(self._loads[rows], force * self._covers[number][rows])
+        loads = np.zeros((len(rows), *self.cells))
+        for covered, force in zip(self._covers, np.nan_to_num(told.top_force_n).T, strict=False):
+            np.maximum(loads, force[:, None, None], out=loads, where=covered[rows])
+        self._loads[rows] = loads
 
     def _look(self, rows: NDArray[np.int64]) -> None:
         """Work out the actions of episodes. If there is none, the boxes that may come next are left out."""

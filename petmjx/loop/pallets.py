@@ -90,9 +90,9 @@ class Pallets(Closable):
         self._boxes = Stock(self.n)
         self._before: NDArray[np.int64] = np.full(self.n, -1, np.int64)
         self._dead: NDArray[np.bool_] = np.zeros(self.n, bool)
-        self._empty = Blank(self.simulation).scene
-        # pallet i is world i; world n + i is pallet i before its last box came
-        self._worlds = self._engine.open([self._empty] * (2 * self.n), self.simulation, self.most_boxes)
+        empty = Blank(self.simulation).scene
+        # pallet i is world i; world n + i is pallet i before its last box came; the last one stays empty
+        self._worlds = self._engine.open([empty] * (2 * self.n + 1), self.simulation, self.most_boxes)
         self._worlds.go_on()
 
     def __len__(self) -> int:
@@ -380,8 +380,7 @@ class Pallets(Closable):
         return told
 
     def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
-        self._worlds.reset(rows.tolist(), [self._empty] * len(rows))
-        self._worlds.go_on()
+        self._worlds.fork([2 * self.n] * len(rows), rows.tolist())
         self._dead[rows], self._before[rows] = False, -1
 
     def _build(self, rows: NDArray[np.int64]) -> None:

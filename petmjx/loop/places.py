@@ -23,6 +23,11 @@ TOUCH_MM: Final = 1e-6
 _AT_ONCE: Final = 100_000
 """Pairs of a point and a box that are compared at a time: their tables stay in a core's cache."""
 
+_POINTS_PER_BOX: Final = 7
+
+_COLUMNS: Final = 8
+"""Tables of boxes have a multiple of so many columns: NumPy's sums then do not depend on how many there are."""
+
 _FEW_CHUNKS: Final = 4
 """Fewer are not worth threads."""
 
@@ -62,29 +67,31 @@ def free_places(
         grid: (p, 2) points, mm, instead of the extreme ones.
         hulls: whether ``centred`` is asked for.
     """
-    pallets, which = np.unique(asked.pallet, return_inverse=True)
-    k = int(stock.count[pallets].max(initial=0))
-    low = stock.corner_mm[pallets, :k]
-    high = low + stock.size_mm[pallets, :k]
-    points = _points(low, high) if grid is None else np.broadcast_to(grid, (len(pallets), *grid.shape))
-    many = max(_AT_ONCE // max(points.shape[1] * max(k, 1), 1), 1)
-    chunks = [np.arange(first, min(first + many, len(asked))) for first in range(0, len(asked), many)]
+    count = stock.count[asked.pallet]
+    order = np.argsort(count, kind="stable")  # pallets with few boxes cost little, if they are together
+    done = np.cumsum(_POINTS_PER_BOX * count[order] ** 2 + 1)
+    chunks = np.split(order, np.flatnonzero(np.diff(done // _AT_ONCE)) + 1) if len(order) else []
 
     def lowered(rows: NDArray[np.intp]) -> _Lowered:
-        at = which[rows]
-        size = asked.size_mm[rows]
-        return _lowered(rows, points[at], low[at], high[at], size, extent_mm, max_height_mm, hulls)
+        pallets, at = np.unique(asked.pallet[rows], return_inverse=True)
+        k = -(-int(stock.count[pallets].max()) // _COLUMNS) * _COLUMNS
+        low = stock.corner_mm[pallets, :k]
+        high = low + stock.size_mm[pallets, :k]
+        points = _points(low, high) if grid is None else np.broadcast_to(grid, (len(pallets), *grid.shape))
+        return _lowered(rows, points[at], low[at], high[at], asked.size_mm[rows], extent_mm, max_height_mm, hulls)
 
     if len(chunks) < _FEW_CHUNKS:
         parts = [lowered(rows) for rows in chunks]
     else:  # NumPy works on arrays without the GIL
         with ThreadPoolExecutor(cpu_threads()) as pool:
-            parts = list(pool.map(lowered, chunks))
+            parts = list(pool.map(lowered, chunks[::-1]))  # the longest first
     if not parts:
         nothing = np.zeros(0, np.intp)
         return Places(nothing, asked.pallet, np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool) if hulls else None)
     row, corner, support, centred = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return Places(row, asked.pallet[row], corner, support, centred if hulls else None)
+    given = np.argsort(row, kind="stable")
+    row, corner, support = row[given], corner[given], support[given]
+    return Places(row, asked.pallet[row], corner, support, centred[given] if hulls else None)
 
 
 def _points(low: FloatArray, high: FloatArray) -> FloatArray:
@@ -120,8 +127,8 @@ def _points(low: FloatArray, high: FloatArray) -> FloatArray:
         (slid(0, x, y, top), y),
         (x, slid(1, y, x, top)),
     ]
-    found = np.stack([np.stack(point, axis=-1) for point in each], axis=2).reshape(w, 7 * k, 2)
-    found[np.isnan(np.repeat(x, 7, axis=1).reshape(w, 7 * k))] = np.nan
+    found = np.stack([np.stack(point, axis=-1) for point in each], axis=2).reshape(w, _POINTS_PER_BOX * k, 2)
+    found[np.isnan(np.repeat(x, _POINTS_PER_BOX, axis=1).reshape(w, _POINTS_PER_BOX * k))] = np.nan
     return _distinct(np.concatenate([np.zeros((w, 1, 2)), found], axis=1))
 
 

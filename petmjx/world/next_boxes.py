@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -63,21 +62,6 @@ class Stacks:
     carrier_mass: float
     carrier_friction: float
     box_friction: float
-
-    @classmethod
-    def of(cls, scenes: Sequence[Scene], box_friction: float) -> Stacks:
-        """Of worlds with these scenes, of which there is one at least."""
-        width, carrier = max(scene.n_boxes for scene in scenes), scenes[0].carrier
-        half_size, target = (np.full((len(scenes), width, 3), np.nan) for _ in range(2))
-        mass = np.full((len(scenes), width), np.nan)
-        for row, scene in enumerate(scenes):
-            k = scene.n_boxes
-            half_size[row, :k], target[row, :k], mass[row, :k] = scene.half_size, scene.target, scene.mass
-        return cls(half_size, target, mass, carrier.mass, float(carrier.friction[:, 0].max()), box_friction)
-
-    def take(self, rows: NDArray[np.intp]) -> Stacks:
-        """Some of them."""
-        return replace(self, half_size=self.half_size[rows], target=self.target[rows], mass=self.mass[rows])
 
     def with_next(self, boxes: NextBoxes) -> tuple[FloatArray, FloatArray]:
         """(m, k + 1, 3) half extents and planned middles with one box more each, m."""

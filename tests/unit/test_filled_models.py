@@ -13,8 +13,9 @@ from petmjx.config import Simulation, Thresholds
 from petmjx.engines.cpu.models import MOST_SPARE, Templates, set_options
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.verdict import Flag, judge, judge_all
+from petmjx.world.growing import GrowingScenes
 from petmjx.world.model import add_boxes, build_spec
-from petmjx.world.next_boxes import Blank, NextBoxes, Stacks
+from petmjx.world.next_boxes import Blank, NextBoxes
 from petmjx.world.release import release_of, release_of_next
 from petmjx.world.scene import OF_BOXES, Scene, build_scene
 
@@ -75,8 +76,14 @@ def test_one_box_more_in_arrays_is_the_last_of_a_scene(physics: str) -> None:
     for name in OF_BOXES:
         if getattr(whole, name) is not None:
             np.testing.assert_array_equal(getattr(scene, name), getattr(whole, name))
-    before = [blank.scene, *grown[:-1]]
-    stacks = Stacks.of(before, float(blank.friction[0]))
+    growing = GrowingScenes([blank.scene, *grown[:-1]], blank)
+    stacks = growing.stacks(range(30))
+    growing.add(range(30), boxes)
+    growing.copy([29, 3], [0, 1])
+    assert [growing[world].n_boxes for world in (0, 1, 2, 29)] == [30, 4, 3, 30]
+    for name in OF_BOXES:
+        if getattr(whole, name) is not None:
+            np.testing.assert_array_equal(getattr(growing[0], name), getattr(whole, name))
     release = release_of_next(stacks, boxes, sim)
     expected = release_of(whole, sim)
     np.testing.assert_array_equal(release.support, expected.support)

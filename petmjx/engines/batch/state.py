@@ -99,7 +99,7 @@ class State(NamedTuple):
         return self.status == Status.RUNNING
 
 
-Record = TypeVar("Record", Worlds, Metrics, State)
+Record = TypeVar("Record", bound=tuple[Any, ...])
 
 
 def per_box(record: type[Any]) -> tuple[str, ...]:

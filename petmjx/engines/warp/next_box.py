@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.config import Simulation
-from petmjx.engines.batch.state import State, Status
+from petmjx.engines.batch.state import State, Status, take_rows
 from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import Readings
@@ -80,12 +81,35 @@ def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
     )
 
 
-def readings_of(state: State, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
-    """Of worlds whose states are on the host, one a row.
+class Told(NamedTuple):
+    """What ``Readings`` want to know of the state of worlds, as in ``State`` and ``Metrics``."""
+
+    placed: Int[Array, " world"]
+    step: Int[Array, " world"]
+    status: Int[Array, " world"]
+    flags: Int[Array, " world"]
+    culprit: Int[Array, " world"]
+    qpos: Float[Array, "world box 7"]
+    top_force: Float[Array, "world box"]
+    max_tilt: Float[Array, "world box"]
+    max_top_force: Float[Array, "world box"]
+    drop_step: Int[Array, "world box"]
+
+
+@jax.jit
+def told_of(state: State, rows: Int[Array, " row"]) -> Told:
+    """Of some worlds. Rows that there are not give those of any world."""
+    own = {name: getattr(state if name in State._fields else state.metrics, name) for name in Told._fields}
+    return take_rows(Told(**own), rows)
+
+
+def readings_of(told: Told, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
+    """Of the first worlds of what is told.
 
     Args:
         half_size, target: (m, k, 3) of their boxes, m.
     """
+    state = Told(*(np.asarray(values)[: len(half_size)] for values in told))
     width = half_size.shape[1]
     placed = np.asarray(state.placed, np.int64)
     beyond = np.arange(width) >= placed[:, None]
@@ -102,13 +126,13 @@ def readings_of(state: State, half_size: FloatArray, target: FloatArray, sim: Si
         time_s=np.array([clock.time_s(int(step)) for step in steps])[which],
         ended=np.asarray(state.status) == Status.FINISHED,
         flags=np.asarray(state.flags, np.int64),
-        culprit=np.asarray(state.metrics.culprit, np.int64),
+        culprit=np.asarray(state.culprit, np.int64),
         pos=pose[:, :, :3],
         quat=pose[:, :, 3:],
         target=target,
         half_size=half_size,
         top_force_n=doubles(np.asarray(state.top_force)),
-        max_tilt_deg=doubles(np.asarray(state.metrics.max_tilt)),
-        max_top_force_n=doubles(np.asarray(state.metrics.max_top_force)),
-        dropped=(np.asarray(state.metrics.drop_step)[:, :width] >= 0) & ~beyond,
+        max_tilt_deg=doubles(np.asarray(state.max_tilt)),
+        max_top_force_n=doubles(np.asarray(state.max_top_force)),
+        dropped=(np.asarray(state.drop_step)[:, :width] >= 0) & ~beyond,
     )

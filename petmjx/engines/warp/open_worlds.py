@@ -23,8 +23,8 @@ from petmjx.engines.clock import Clock
 from petmjx.engines.open import OpenWorlds, Reading, Readings
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
-from petmjx.engines.warp.next_box import NewBox, new_box, readings_of
-from petmjx.engines.warp.simulator import Open, Simulator
+from petmjx.engines.warp.next_box import NewBox, new_box, readings_of, told_of
+from petmjx.engines.warp.simulator import Open, Simulator, Traits
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.next_boxes import NextBoxes, Stacks
@@ -65,7 +65,7 @@ class WarpWorlds(OpenWorlds):
         self.width = round_up(most_boxes)
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)
         self._timetable = build_timetable(sim, self.width)
-        self._room = 1
+        self._room, self._traits = 1, Traits.of(self._blank.scene)
         self._make_simulator()
         worlds = self._constants(scenes)
         self.open = Open(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
@@ -77,9 +77,7 @@ class WarpWorlds(OpenWorlds):
     def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         fresh = self._constants(scenes)
         rows = self._rows(worlds, len(fresh.n_boxes))
-        self.open = Open(
-            put_rows(self.open.worlds, rows, fresh), put_rows(self.open.state, rows, self.simulator.begin(fresh))
-        )
+        self.open = self._jitted_reset(self.open, rows, fresh)
 
     def _ended(self, worlds: Sequence[int]) -> list[bool]:
         ended = np.asarray(self.open.state.status) == Status.FINISHED
@@ -89,12 +87,12 @@ class WarpWorlds(OpenWorlds):
         more = self._constants(scenes)
         self.open = self._jitted_put(self.open, self._rows(worlds, len(more.n_boxes)), more)
 
-    def _put_next(self, worlds: Sequence[int], boxes: NextBoxes, scenes: Sequence[Scene]) -> None:
+    def _put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
         if not self._appears:
-            self._put(worlds, scenes)
+            super()._put_next(worlds, boxes)
             return
         rows = self._rows(worlds, _padded(len(worlds)))
-        box = self._new_box(worlds, boxes, len(rows))
+        box = self._new_box(self._scenes.stacks(worlds), boxes, len(rows))
         self.open = self._jitted_put_next(self.open, rows, box)
 
     def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
@@ -107,24 +105,20 @@ class WarpWorlds(OpenWorlds):
         return Readings.joined(parts)
 
     def _tried(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
-        count, distinct = len(worlds), sorted(set(worlds))
-        stacks = Stacks.of([self._scenes[world] for world in distinct], float(self._blank.friction[0]))
-        before = stacks.take(np.searchsorted(distinct, worlds))
+        count, before = len(worlds), self._scenes.stacks(worlds)
         padded = _coarsely_padded(count)
         forks = _take(self.open, self._rows(worlds, padded), count)
         if self._appears:
-            begun = self._jitted_put_next(forks, jnp.arange(padded), self._new_box(worlds, boxes, padded, before))
+            begun = self._jitted_put_next(forks, jnp.arange(padded), self._new_box(before, boxes, padded))
         else:
             more = self._constants([self._blank.with_box(self._scenes[w], boxes, row) for row, w in enumerate(worlds)])
             rows = jnp.where(jnp.arange(len(more.n_boxes)) < count, jnp.arange(len(more.n_boxes)), padded)
             begun = self._jitted_put(forks, rows, more)
         state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
-        host = jax.tree.map(lambda values: np.asarray(values)[:count], state)
-        return readings_of(host, *before.with_next(boxes), self._sim)
+        told = told_of(state, uploaded(np.arange(padded, dtype=np.int32)))
+        return readings_of(told, *before.with_next(boxes), self._sim)
 
-    def _new_box(self, worlds: Sequence[int], boxes: NextBoxes, rows: int, before: Stacks | None = None) -> NewBox:
-        friction = float(self._blank.friction[0])
-        before = before or Stacks.of([self._scenes[world] for world in worlds], friction)
+    def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
         if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
             raise ValueError(f"there is room for {self.width} boxes in a world, and one is full")
         return new_box(before, boxes, self._blank, self._sim, rows)
@@ -142,10 +136,9 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(settled.state, jobs, batch)
 
     def _readings(self, worlds: Sequence[int]) -> Readings:
-        rows = np.asarray(worlds)
-        host = jax.tree.map(lambda values: np.asarray(values)[rows], self.open.state)
-        stacks = Stacks.of([self._scenes[world] for world in worlds], 0.0)
-        return readings_of(host, stacks.half_size, stacks.target, self._sim)
+        told = told_of(self.open.state, self._rows(worlds, _padded(len(worlds))))
+        stacks = self._scenes.stacks(worlds)
+        return readings_of(told, stacks.half_size, stacks.target, self._sim)
 
     @property
     def _appears(self) -> bool:
@@ -214,22 +207,33 @@ class WarpWorlds(OpenWorlds):
     def _make_simulator(self) -> None:
         self.simulator = self.roomier(self._room)
         self.simulator.load()
-        self._jitted_slice, self._jitted_put, self._jitted_finish, self._jitted_put_next = (
+        self._jitted_slice, self._jitted_put, self._jitted_finish, self._jitted_put_next, self._jitted_reset = (
             jax.jit(function)
             for function in (
                 self.simulator.time_slice,
                 self.simulator.put,
                 self.simulator.finish,
                 self.simulator.put_next,
+                self.simulator.reset,
             )
         )
 
     def roomier(self, times: int) -> Simulator:
         """The pure functions with buffers that are so many times as large: programs of others cannot enlarge them."""
-        return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads)
+        return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
+
+    def _know(self, scenes: Sequence[Scene]) -> None:
+        """Take kernels that know all that these scenes have."""
+        found = self._traits
+        for scene in scenes:
+            found |= Traits.of(scene)
+        if found != self._traits:
+            self._traits = found
+            self._make_simulator()
 
     def _constants(self, scenes: Sequence[Scene]) -> Worlds:
         """Constants of open worlds."""
+        self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
             raise ValueError(f"there is room for {self.width} boxes in a world, and one has {most}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,27 @@ from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BO
 from petmjx.engines.warp.next_box import NewBox, with_new_box
 from petmjx.engines.warp.programs import constants
 from petmjx.verdict import Flag
+from petmjx.world.scene import Scene
+
+
+class Traits(NamedTuple):
+    """What worlds have that only some kernels know, as of ``Launch``."""
+
+    hands: bool
+    gives: bool
+    wraps: bool
+
+    @classmethod
+    def of(cls, scene: Scene) -> Traits:
+        """Of a world with this scene, perhaps shaken."""
+        return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
+
+    def __or__(self, other: tuple[object, ...]) -> Traits:
+        """What either has."""
+        return Traits(*(bool(mine or its) for mine, its in zip(self, other, strict=True)))
+
+
+ALL_TRAITS: Final = Traits(True, True, True)
 
 
 class Open(NamedTuple):
@@ -38,6 +59,7 @@ class Simulator:
         boards: most shapes of a carrier.
         room: how much larger than usual buffers are.
         threads: of a CPU; None: one.
+        traits: which code the kernel has; without the others it spills fewer registers.
     """
 
     def __init__(
@@ -48,8 +70,9 @@ class Simulator:
         boards: int,
         room: int = 1,
         threads: int | None = None,
+        traits: Traits = ALL_TRAITS,
     ) -> None:
-        launch = Launch.here(most_boxes, hands=True, gives=True, wraps=True)
+        launch = Launch.here(most_boxes, *traits)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
         fleet = Fleet(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
@@ -68,6 +91,11 @@ class Simulator:
         ends = jnp.full(len(worlds.n_boxes), NEVER, jnp.int32)
         fresh: State = fresh_state(worlds, all_placed=static, ends=ends, rest_steps=self._timetable.rest_steps)
         return fresh
+
+    def reset(self, open_: Open, rows: Int[Array, " row"], worlds: Worlds) -> Open:
+        """Begin worlds anew, with these constants; rows beyond the last world are left out."""
+        fresh = self.begin(worlds)
+        return Open(put_rows(open_.worlds, rows, worlds), put_rows(open_.state, rows, fresh))
 
     def put(self, open_: Open, rows: Int[Array, " row"], worlds: Worlds) -> Open:
         """Give worlds more boxes. In those that are paused the first of them is placed.
