@@ -48,7 +48,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.group import Group
 from petmjx.engines.warp.launch import SIZES, Launch
 from petmjx.engines.warp.march import March
-from petmjx.engines.warp.records import MAX_BOXES, block_bytes
+from petmjx.engines.warp.records import BUFFER_WORDS, MAX_BOXES, axes, buffer_rows
 from petmjx.engines.warp.rollout import Rollout
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
@@ -337,7 +337,8 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
     gc.collect()  # that engine's memory, which would else become free in the middle of the next run
     crowded = MjxWarpEngine()
     blocks, room = Launch.here(120).blocks, 120 + mjx_warp.MORE_BOXES
-    whole = blocks * block_bytes(120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
+    sizes = axes(blocks, 120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
+    whole = 4 * BUFFER_WORDS * buffer_rows(sizes)
     # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
     # a piece that is up to 128 MB larger.
     left = TABLES_BYTES + whole // 2

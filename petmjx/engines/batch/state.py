@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple, TypeVar, get_type_hints
 
@@ -97,6 +98,18 @@ class State(NamedTuple):
     @property
     def running(self) -> Bool[Array, " world"]:
         return self.status == Status.RUNNING
+
+    def flat(self) -> dict[str, Array]:
+        """All arrays by name, those of the metrics among them: what mjx-warp's kernels take."""
+        arrays: dict[str, Array] = self._asdict() | self.metrics._asdict()
+        del arrays["metrics"]
+        return arrays
+
+
+def of_flat(arrays: Mapping[str, Array]) -> State:
+    """States whose arrays ``State.flat`` has given."""
+    metrics = Metrics(**{name: arrays[name] for name in Metrics._fields})
+    return State(**{name: arrays[name] for name in State._fields if name != "metrics"}, metrics=metrics)
 
 
 Record = TypeVar("Record", bound=tuple[Any, ...])

@@ -14,8 +14,7 @@ from jaxtyping import Array, Int
 from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.running import Metrics
-from petmjx.engines.batch.state import NEVER, State
+from petmjx.engines.batch.state import NEVER, State, of_flat
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
@@ -137,12 +136,9 @@ class Programs:
     ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
         """A time slice. Returns states, workspace, a copy of the statuses, frames, and counts."""
         table = self._rules.begin_drives(table, worlds)
-        flat = table._asdict()
-        flat |= flat.pop("metrics")._asdict()
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
-        after, workspace, frames, counts = self.march(flat_worlds, flat, workspace, frames)
-        metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
-        table = State(**after, metrics=metrics)
+        after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
+        table = of_flat(after)
         return table, workspace, table.status + 0, frames, counts
 
 

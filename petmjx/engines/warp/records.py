@@ -313,8 +313,3 @@ def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict
         views[name] = wp.array(ptr=pointer, dtype=dtype, shape=shape, device=buffer.device)
         pointer += 4 * words
     return views
-
-
-def block_bytes(n_boxes: int, boards: int, npairmax: int, nconmax: int) -> int:
-    """Device memory of a block, bytes."""
-    return 4 * sum(words for *_, words in _parts(axes(1, n_boxes, boards, npairmax, nconmax)))

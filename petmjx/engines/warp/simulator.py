@@ -11,8 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.config import Check, Simulation
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.running import Metrics
-from petmjx.engines.batch.state import NEVER, State, Status, fresh_state, put_rows, take_rows
+from petmjx.engines.batch.state import NEVER, State, Status, fresh_state, of_flat, put_rows, take_rows
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp import records
@@ -152,8 +151,7 @@ class Simulator:
         flat = self._driving.begin_drives(open_.state, worlds)._asdict()
         flat |= flat.pop("metrics")._asdict()
         after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
-        metrics = Metrics(**{name: after.pop(name) for name in Metrics._fields})
-        return Open(worlds, State(**after, metrics=metrics))
+        return Open(worlds, of_flat(after))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
         """The flag of worlds that go on although they are not at rest."""
