@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,11 +114,15 @@ INVALID_FLAGS: Final = (
 """Flags that make a world invalid, with their reasons. The first one that is set decides."""
 
 
-def failures(boxes: BoxMetrics, thresholds: Thresholds) -> Iterator[tuple[Reason, NDArray[np.bool_]]]:
-    """What makes boxes fail, in the order in which it is looked for, and the boxes that fail by it: (…, n)."""
+def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
+    """What makes boxes fail, in the order in which it is looked for, and the (…, n) boxes that fail by it.
+
+    Args:
+        boxes: fields of ``BoxMetrics`` for (…, n) boxes, as arrays of NumPy or JAX.
+    """
     yield Reason.DROP, boxes.dropped
     yield Reason.TILT, boxes.max_tilt_deg > thresholds.tilt_deg
-    yield Reason.SHIFT, np.any(np.abs(boxes.shift_m) > thresholds.shift_m, axis=-1)
+    yield Reason.SHIFT, (abs(boxes.shift_m) > thresholds.shift_m).any(axis=-1)
 
 
 def judge(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any, Final
 
 import jax
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petmjx.config import Simulation, Thresholds
+from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.state import Status, take_rows
 from petmjx.engines.warp.next_box import NewBox
@@ -21,7 +22,7 @@ from petmjx.history import CARRIER
 from petmjx.jax.told import ENDED, REASONS, Told
 from petmjx.metrics import motion_jax as motion
 from petmjx.units import MICROMETRES_PER_M, MM_PER_M
-from petmjx.verdict import DROPPED_EXCESS, INVALID_FLAGS, Reason
+from petmjx.verdict import DROPPED_EXCESS, INVALID_FLAGS, Reason, failures
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE, DEPTHS_M, cone_factor, pulls_m_s2
 from petmjx.world.next_boxes import Blank
@@ -119,13 +120,14 @@ class Device:
         shift = jnp.where(here[..., None], motion.shift(middle, worlds.target, limits.shift_floor_m), 0.0)
         tilt = jnp.where(here, jnp.fmax(state.metrics.max_tilt, motion.tilt_deg(quat)), 0.0)
         dropped = here & ((state.metrics.drop_step >= 0) | motion.has_dropped(middle, quat, worlds.half, limits))
-        over = jnp.maximum(_excess(shift, tilt, limits), DROPPED_EXCESS * dropped)
+        over = jnp.maximum(motion.excess(shift, tilt, dropped, limits), DROPPED_EXCESS * dropped)
         full = state.status == Status.OVERFLOWED
         reason = jnp.zeros(len(full), jnp.int32)
+        boxes = SimpleNamespace(
+            shift_m=shift, max_tilt_deg=tilt, dropped=dropped, max_top_force_n=state.metrics.max_top_force
+        )
         failed = (
-            (Reason.SHIFT, (jnp.abs(shift) > limits.shift_m).any(axis=(1, 2))),
-            (Reason.TILT, (tilt > limits.tilt_deg).any(axis=1)),
-            (Reason.DROP, dropped.any(axis=1)),
+            *((why, (here & those).any(axis=1)) for why, those in reversed(list(failures(boxes, limits)))),
             *((why, (state.flags & int(bits)) != 0) for bits, why in reversed(INVALID_FLAGS)),
             (Reason.OVERFLOW, full),
         )
@@ -209,7 +211,3 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
 def _rounded(metres: jax.Array) -> jax.Array:
     """As ``petmjx.units.round_to_micrometre``."""
     return jnp.floor(jnp.round(metres * MICROMETRES_PER_M, 2) + 0.5) / MICROMETRES_PER_M
-
-
-def _excess(shift: jax.Array, tilt: jax.Array, limits: Thresholds) -> jax.Array:
-    return jnp.maximum(jnp.abs(shift).max(axis=2) / limits.shift_m, tilt / limits.tilt_deg)
