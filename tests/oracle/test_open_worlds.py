@@ -140,7 +140,7 @@ def test_what_cannot_be_is_refused(engine: MujocoEngine | MjxWarpEngine) -> None
             worlds.put([0], [other.first(2)])
     worlds.go_on()
     assert len(worlds.read([0])[0].pos) == 1, "what was refused changed nothing"
-    with pytest.raises(ValueError, match="a world at least"):
+    with pytest.raises(ValueError, match="at least one world"):
         engine.open([], SIM)
     with pytest.raises(ValueError, match="fixed schedule"):
         engine.open([scene], Simulation(schedule=Schedule.FIXED))
