@@ -26,7 +26,7 @@ from petmjx.history import CARRIER
 from petmjx.physics import Physics
 from petmjx.units import FloatArray
 from petmjx.verdict import Outcome
-from petmjx.world.bearing import Bearing, bearing_of, together
+from petmjx.world.bearing import Bearing, bearings_of, together
 from petmjx.world.contact import MOST_IMPEDANCE, depth_m
 from petmjx.world.scene import Scene
 
@@ -111,7 +111,7 @@ def leaning(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulatio
     """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
     the plan may have moved beyond it. There is one at least."""
     placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
-    bearing = together([bearing_of(scene) for scene in scenes])
+    bearing = together(bearings_of(scenes))
     load = bearing.loads(placed)
     edge = bearing.edges_m(load)
     found, under = leaning_of(bearing, load, edge, sim.physics), _supports(bearing)

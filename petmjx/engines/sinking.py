@@ -7,7 +7,7 @@ box which gave way may have fallen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import compress, pairwise
@@ -151,6 +151,9 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
     return total
 
 
+_SUM_ERROR = 1e-9
+"""By which two sums of the same numbers may differ, as a share: their order does."""
+
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
@@ -163,10 +166,11 @@ def note_softness(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Sim
     """
     found, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     may_lean: list[int] = []
+    did_not = surely_did_not_sink(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
         if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
             continue
-        if sank(outcome, scene, sim):
+        if not did_not[k] and sank(outcome, scene, sim):
             found[k] = _softened(outcome, sim, sank=elliptic)
         elif elliptic and outcome.verdict is Verdict.UNSTABLE:
             may_lean.append(k)
@@ -181,6 +185,41 @@ def _softened(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outcome:
     flags = outcome.flags | Flag.SINKING
     verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sank)
     return replace(outcome, flags=flags, verdict=verdict, reason=reason)
+
+
+def surely_did_not_sink(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
+    """Of which worlds ``sank`` would say no at its first look, for all together: whose boxes cannot have come down by
+    more than counts, even if all contacts of a world added up, and which did not fail by sinking alone."""
+    counts = [scene.n_boxes for scene in scenes]
+    first = np.cumsum([0, *counts])
+
+    def joined(values: Iterable[FloatArray]) -> FloatArray:
+        return np.concatenate([*values])
+
+    def each(values: Iterable[float]) -> FloatArray:
+        return np.repeat([*values], counts)
+
+    if not first[-1] or 0 in counts:
+        return [False] * len(outcomes)
+    placed = np.arange(first[-1]) - each(first[:-1]) < each(outcome.n_placed for outcome in outcomes)
+    shift = joined(outcome.boxes.shift_m for outcome in outcomes)
+    with np.errstate(invalid="ignore"):
+        over = (np.abs(shift) > sim.thresholds.shift_m) & (shift > [-np.inf, -np.inf, 0.0])
+    except_down = np.logical_or.reduceat(over.any(axis=1) & placed, first[:-1])
+    of_shift = np.array([outcome.reason is Reason.SHIFT for outcome in outcomes])
+    mass, gravity = joined(scene.mass for scene in scenes), sim.physics.gravity_m_s2
+    carrier = np.array([scene.carrier.mass for scene in scenes])
+    total = np.add.reduceat(mass, first[:-1]) + carrier
+    low_z = joined((scene.target - scene.half_size)[:, 2] for scene in scenes)
+    top_n = np.where(placed, joined(outcome.boxes.max_top_force_n for outcome in outcomes), 0.0)
+    inverse = 1 / mass + np.where(low_z < ON_CARRIER_M, 1 / each(carrier), 0.0)
+    depths = depth_m(sim.physics, top_n / mass / CONTACTS_PER_FACE)
+    depths = depths + depth_m(sim.physics, inverse * (top_n + mass * gravity) / CONTACTS_PER_FACE)
+    base = depth_m(sim.physics, total * gravity / carrier / CONTACTS_PER_FACE)
+    bound = base + np.add.reduceat(depths, first[:-1])
+    enough = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
+    found: list[bool] = ((bound <= enough) & (except_down | ~of_shift)).tolist()
+    return found
 
 
 def sank(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:

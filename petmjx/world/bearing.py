@@ -8,7 +8,7 @@ der Elasticität und Festigkeit"): the pressure is a plane over all areas that t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Final
@@ -20,6 +20,7 @@ from petmjx.history import CARRIER
 from petmjx.plans.overlap import meets
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.units import MM_PER_M, FloatArray
+from petmjx.world.alike import groups, stacked
 from petmjx.world.body import Body
 from petmjx.world.hull import Edge, hull_edges
 from petmjx.world.scene import Scene
@@ -30,6 +31,9 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Faces that are no further apart touch, as in the warnings about a plan."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
+
+_SLACK_M: Final = 1e-6
+"""Of bounds, for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,28 +123,71 @@ class Bearing:
         own: FloatArray = boxes.mass[:, None] * np.c_[np.ones(len(boxes.mass)), boxes.target + boxes.mass_center]
         return own
 
-    def edges_m(self, load: FloatArray) -> FloatArray:
+    def edges_m(self, load: FloatArray, among: NDArray[np.bool_] | None = None) -> FloatArray:
         """(n,) how far inside the nearest edge of what bears it each box's load acts, m: negative beyond it, NaN where
-        nothing bears the box, or there is no load."""
+        nothing bears the box, or there is no load.
+
+        Args:
+            among: (n,) of which boxes with several supports it is asked; the others of these have NaN.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
         found = np.full(len(load), np.nan)
         single = np.flatnonzero(self._n_supports[self.upper] == 1)
         alone = self.upper[single]
         found[alone] = np.minimum(point[alone] - self.low[single], self.high[single] - point[alone]).min(axis=1)
-        points = point.tolist()
-        for box, edges in self._hulls.items():
-            x, y = points[box]
+        several = np.flatnonzero(self._n_supports > 1 if among is None else among & (self._n_supports > 1)).tolist()
+        for box, (x, y) in zip(several, point[several].tolist(), strict=True):
+            edges = self._hull(box)
             found[box] = min(normal_x * x + normal_y * y - offset for normal_x, normal_y, offset in edges)
         return found
 
+    def _hull(self, box: int) -> list[Edge]:
+        """The hull of a box's supports."""
+        if box not in self._hulls:
+            begin, end = self._ends[box : box + 2].tolist()
+            self._hulls[box] = hull_edges(self.low[begin:end].tolist(), self.high[begin:end].tolist())
+        return self._hulls[box]
+
     @cached_property
     def _hulls(self) -> dict[int, list[Edge]]:
-        """The hulls of the supports of boxes that have several."""
-        low, high, end = self.low.tolist(), self.high.tolist(), np.cumsum(self._n_supports)
-        several = np.flatnonzero(self._n_supports > 1)
-        spans = zip(several.tolist(), (end - self._n_supports)[several].tolist(), end[several].tolist(), strict=True)
-        return {box: hull_edges(low[begin:end], high[begin:end]) for box, begin, end in spans}
+        """Those that were asked for."""
+        return {}
+
+    @cached_property
+    def _ends(self) -> IntArray:
+        """(n + 1,) where each box's contacts begin."""
+        return np.concatenate([[0], np.cumsum(self._n_supports)])
+
+    def may_be_least(self, loads: Sequence[FloatArray], among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n,) boxes of which a load may be the nearest to an edge in their scene, ``among`` these.
+
+        The hull of a box's supports lies within the rectangle around them. And it holds each of them, and, where all of
+        them share a strip along x or y, what is between their outer ends along that strip: so far inside as a load is
+        there, it is at least.
+        """
+        begins = np.flatnonzero(np.diff(self.upper, prepend=-1))
+        box = self.upper[begins]
+        least = np.full(len(among), np.nan)
+        most = np.full(len(among), np.nan)
+        if len(box):
+            low, high = np.minimum.reduceat(self.low, begins), np.maximum.reduceat(self.high, begins)
+            strip_low, strip_high = np.maximum.reduceat(self.low, begins), np.minimum.reduceat(self.high, begins)
+            for load in loads:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    point = load[:, 1:3] / load[:, :1]
+                own, each = point[box], point[self.upper]
+                around = np.minimum(own - low, high - own)
+                strip = np.minimum(own - strip_low, strip_high - own)
+                one = np.maximum.reduceat(np.minimum(each - self.low, self.high - each).min(axis=1), begins)
+                inside = np.maximum(one, np.minimum(around[:, 0], strip[:, 1]))
+                inside = np.maximum(inside, np.minimum(around[:, 1], strip[:, 0]))
+                inside = np.where(inside > 0, inside, -np.inf)
+                least[box], most[box] = np.fmin(least[box], inside), np.fmin(most[box], around.min(axis=1))
+        scene = np.repeat(np.arange(len(self.boxes.first) - 1), np.diff(self.boxes.first))
+        bound = np.full(len(self.boxes.first) - 1, np.inf)
+        np.fmin.at(bound, scene[among], most[among])
+        return among & (least <= bound[scene] + _SLACK_M)
 
     @cached_property
     def widths_m(self) -> FloatArray:
@@ -197,6 +244,61 @@ class Bearing:
 def bearing_of(scene: Scene) -> Bearing:
     """``find_bearing``, kept, since in a sweep many worlds have the same scene."""
     return find_bearing(scene)
+
+
+def bearings_of(scenes: Sequence[Scene]) -> list[Bearing]:
+    """``bearing_of`` of each scene."""
+    different = list({id(scene): scene for scene in scenes}.values())
+    if len(different) == 1:
+        return [bearing_of(different[0])] * len(scenes)
+    found = find_bearings(different, [scene.target for scene in different])
+    of_scene = dict(zip(map(id, different), found, strict=True))
+    return [of_scene[id(scene)] for scene in scenes]
+
+
+def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray]) -> list[Bearing]:
+    """``find_bearing`` of each scene with its boxes at (n, 3) places, m: of those that are alike at once."""
+    if len(scenes) < 2:
+        return [find_bearing(replace(scene, target=target)) for scene, target in zip(scenes, targets, strict=True)]
+    found: dict[int, Bearing] = {}
+    for numbers, plain in groups(scenes):
+        some = [scenes[k] for k in numbers]
+        if plain and some[0].n_boxes:
+            found.update(zip(numbers, _found_alike(some, np.array([targets[k] for k in numbers])), strict=True))
+        else:
+            found.update((k, find_bearing(replace(scenes[k], target=targets[k]))) for k in numbers)
+    return [found[k] for k in range(len(scenes))]
+
+
+def _found_alike(scenes: Sequence[Scene], target: FloatArray) -> Iterator[Bearing]:
+    """The bearings of plain scenes that are alike, with their boxes at (m, n, 3) places, m."""
+    half_size = stacked(scenes, "half_size")
+    (m, n), low, high = target.shape[:2], target - half_size, target + half_size
+    decks = [_deck(scene.carrier) for scene in scenes]
+    boards = np.array([len(deck_low) for deck_low, _ in decks])
+    first_board = np.cumsum(boards) - boards
+    deck_low, deck_high = (np.concatenate(corners) for corners in zip(*decks, strict=True))
+    touching = meets(low[..., 2], high[..., 2], TOUCH_M) & (low[..., :, None, 2] < low[..., None, :, 2])
+    of_below, below, above = np.nonzero(touching)
+    lies_in, lying = np.nonzero(low[..., 2] <= TOUCH_M)
+    times = boards[lies_in]
+    board = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times - first_board[lies_in], times)
+    world = np.concatenate([np.repeat(lies_in, times), of_below])
+    upper = np.concatenate([np.repeat(lying, times), above])
+    lower = np.concatenate([np.full(len(board), CARRIER), below])
+    under_low = np.concatenate([deck_low[board], low[of_below, below, :2]])
+    under_high = np.concatenate([deck_high[board], high[of_below, below, :2]])
+    area_low = np.maximum(low[world, upper, :2], under_low)
+    area_high = np.minimum(high[world, upper, :2], under_high)
+    wide = np.flatnonzero((area_high - area_low > _LEAST_OVERLAP_M).all(axis=1))
+    order = wide[np.lexsort((lower[wide], upper[wide], world[wide]))]
+    ends = np.searchsorted(world[order], np.arange(m + 1)).tolist()
+    every = upper[order], lower[order], area_low[order], area_high[order]
+    for k, scene in enumerate(scenes):
+        own = Boxes(
+            np.array([0, n]), target[k], half_size[k], scene.mass, np.zeros((n, 3)), np.full(n, scene.carrier.mass)
+        )
+        yield Bearing(own, *(values[ends[k] : ends[k + 1]] for values in every))
 
 
 def find_bearing(scene: Scene) -> Bearing:
@@ -270,20 +372,21 @@ def plan_edges_m(scenes: Sequence[Scene], placed: Sequence[int]) -> list[float]:
     Looked at are each box's own weight, which is all when it is placed, and its load once so many are ``placed``.
     Negative: beyond the edge, so that the box falls. NaN: no box lies on anything.
     """
-    return _least_m([bearing_of(scene) for scene in scenes], placed)
+    return _least_m(bearings_of(scenes), placed)
 
 
 def rest_edges_m(scenes: Sequence[Scene], pos: Sequence[FloatArray]) -> list[float]:
     """The same where the boxes of pallets that stand have come to rest: (n, 3) centres of each scene, m."""
-    at_rest = [find_bearing(replace(scene, target=target)) for scene, target in zip(scenes, pos, strict=True)]
-    return _least_m(at_rest, [scene.n_boxes for scene in scenes])
+    return _least_m(find_bearings(scenes, pos), [scene.n_boxes for scene in scenes])
 
 
 def _least_m(bearings: Sequence[Bearing], placed: Sequence[int]) -> list[float]:
     if not bearings:
         return []
     bearing = together(bearings)
-    edges = np.fmin(bearing.edges_m(bearing.weights), bearing.edges_m(bearing.loads(placed)))
-    edges[~bearing.boxes.among(placed)] = np.nan
+    among, loads = bearing.boxes.among(placed), (bearing.weights, bearing.loads(placed))
+    nearest = bearing.may_be_least(loads, among)
+    edges = np.fmin(*(bearing.edges_m(load, nearest) for load in loads))
+    edges[~among] = np.nan
     least: list[float] = np.fmin.reduceat(edges, bearing.boxes.first[:-1]).tolist()
     return least

@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, make_world, stack
 
 from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import WorldResult, score_worlds
-from petmjx.engines.sinking import note_softness, sinking_m, stiffened
+from petmjx.engines.sinking import note_softness, sank, sinking_m, stiffened, surely_did_not_sink
 from petmjx.physics import PHYSICS
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
@@ -155,6 +156,28 @@ def test_an_impact_is_no_sinking() -> None:
     np.testing.assert_allclose(
         sinking_m(scene, PHYSICS["pallet"], 100 * force), sinking_m(scene, PHYSICS["pallet"], force), rtol=0.1
     )
+
+
+def test_the_look_at_many_worlds_together_misses_none() -> None:
+    """Piles with random loads, some not placed to the end, of which some sink and some slid: where it says no, the
+    look at each says no; and it says so of many."""
+    rng = np.random.default_rng(2)
+    sim, outcomes, scenes = Simulation(), [], []
+    for _ in range(300):
+        n = int(rng.integers(1, 12))
+        scene = make_scene(stack(n, kg=(10 ** rng.uniform(-2.5, 2.5, n)).tolist()), sim)
+        top_n = rng.uniform(0, 10 ** rng.uniform(1, 4), n)
+        shift = rng.uniform(-0.03, 0.03, (n, 3))
+        reason = Reason.SHIFT if rng.random() < 0.5 else Reason.NONE
+        placed = int(rng.integers(1, n + 1))
+        told = {"max_top_force_n": top_n, "shift_m": shift, "n_placed": placed}
+        outcomes.append(make_outcome(n, Verdict.UNSTABLE if reason else Verdict.STABLE, reason, **told))
+        scenes.append(scene)
+    did_not = surely_did_not_sink(outcomes, scenes, sim)
+    sinks = [sank(outcome, scene, sim) for outcome, scene in zip(outcomes, scenes, strict=True)]
+    assert not any(no and yes for no, yes in zip(did_not, sinks, strict=True))
+    assert sum(did_not) > 50
+    assert sum(sinks) > 50
 
 
 def test_looking_for_it_costs_next_to_nothing() -> None:
