@@ -1,0 +1,66 @@
+"""Where the time of a run on a GPU goes: slice by slice, how many worlds still run, and whether the device waited.
+
+``python -m benchmarks.slices plans.json --limit 10003``. A slice for which the host does not wait had ended before the
+host looked: then the device may have had nothing to do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Progress
+from petmjx.engines.batch.state import Status
+from petmjx.engines.choose import make_engine
+from petmjx.engines.retry import World, score_worlds
+from petmjx.engines.warp.rollout import Rollout
+from petmjx.plans.gather import usable_plans
+from petmjx.run_options import RunOptions
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+
+
+def main() -> None:
+    """Score plans without writing anything; a line a slice."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("plans")
+    parser.add_argument("--limit", type=int)
+    parser.add_argument("--engine", default="mjx-warp")
+    asked = parser.parse_args()
+    sim, begin = Simulation(), time.perf_counter()
+
+    def said(what: str) -> None:
+        print(f"{time.perf_counter() - begin:7.2f} s  {what}", flush=True)
+
+    plans = usable_plans(asked.plans, sim, RunOptions(limit=asked.limit)).plans
+    said(f"{len(plans)} plans are read")
+    engine = make_engine(asked.engine)
+    said("the engine is there")
+    wait, looked = Rollout.wait, [0.0]
+
+    def timed(self: Rollout, group: Any) -> Any:
+        came = time.perf_counter()
+        status, ended = wait(self, group)
+        waited = time.perf_counter() - came
+        running, host = int((np.asarray(status) == Status.RUNNING).sum()), came - looked[0]
+        said(f"{running:6} run; the host worked for {host:.3f} s, then waited for {waited:.3f} s")
+        looked[0] = time.perf_counter()
+        return status, ended
+
+    Rollout.wait = timed  # type: ignore[method-assign]
+    progress, looked[0] = Progress(), time.perf_counter()
+    worlds = (World(plan, 0, Job(build_scene(plan, sim))) for plan in plans)
+    again = 0
+    for result in score_worlds(worlds, sim, engine, progress=progress):
+        if len(result.attempts) > 1:
+            again += 1
+            said(f"{result.world.plan.plan_id}: {[(each.attempt, each.engine) for each in result.attempts]}")
+    said(f"all have ended, {again} were simulated again; {progress.world_steps} steps, {progress.extra}")
+
+
+if __name__ == "__main__":
+    main()
