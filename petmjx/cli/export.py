@@ -59,11 +59,11 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
         from petmjx.sweeps.again import worlds_of_run
 
         if options:
-            raise InputError(f"{next(iter(options))}: the options of a run's world are those of the run")
+            raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this one")
         worlds, index = worlds_of_run(load_run(source[0]), plan_id, source[1:] or None, variant)
         return worlds.scene(worlds.find(plan_id, index)[0]), worlds.sweep.simulation.physics
     if variant is not None:
-        raise InputError("variant belongs to the world of a run: name its folder")
+        raise InputError("variant selects a world of a run: name the run's folder")
     read = RunOptions(**{name: options.pop(name) for name in ("units", "anchor", "articles") if name in options})
     sim = Simulation(**options)
     return build_scene(find_plan(usable_plans(source or None, sim, read), plan_id), sim), sim.physics

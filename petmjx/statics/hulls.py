@@ -59,7 +59,7 @@ class Hulls:
 
 
 def contact_hulls(contacts: PlanContacts) -> Hulls:
-    """The hulls of the areas on which each box lies. Boxes on one rectangle alone have that one."""
+    """The hulls of the areas on which each box lies. The hull of a single rectangle is that rectangle."""
     single = contacts.n_supports == 1
     several = np.flatnonzero(contacts.n_supports > 1)
     hulls: list[FloatArray] = []

@@ -122,11 +122,11 @@ def tell(
     run = _run_in(source)
     if run is None:
         if variant is not None or plans is not None:
-            raise InputError("variant and plans belong to the story of a run: name its folder")
+            raise InputError("variant and plans select a world of a run: name the run's folder")
         assert not isinstance(source, RunResults)
         return _of_plans(plan_id, source, record, options)
     if options:
-        raise InputError(f"{next(iter(options))}: the options of a run's story are those of the run")
+        raise InputError(f"{next(iter(options))}: a story of a run uses the run's options; drop this one")
     worlds, index = worlds_of_run(run, plan_id, plans, variant)
     if interval_s is None and details is None and (story := _recorded(run, worlds, index)) is not None:
         return story

@@ -49,7 +49,7 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
 
 
 def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | float) -> FloatArray:
-    """How much softer contacts of these sliding frictions are for their cones.
+    """The factor by which pyramidal cones make contacts with these sliding frictions softer.
 
     A pyramid's four edges have the regularisation 2μ²(1 + μ²) of the elliptic cone's normal each, and act together.
     """

@@ -41,7 +41,7 @@ LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 for many."""
 
 _HIGHEST = (" lanes", " contacts")
-"""Ends of the names in ``Progress.extra`` whose values are not sums."""
+"""Suffixes of the names in ``Progress.extra`` whose values are not sums."""
 
 
 @dataclass(eq=False)

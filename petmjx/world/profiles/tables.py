@@ -91,7 +91,7 @@ class ChainTable(_Table):
     of: Annotated[tuple[Link, ...], Field(min_length=1, max_length=MAX_WINDOWS)] = Field(
         description="a list of {profile, offset_s, scale}"
     )
-    overlap: Literal["add", "replace"] = Field("add", description="what pushes do that act at the same time")
+    overlap: Literal["add", "replace"] = Field("add", description="how pushes at the same time combine")
 
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> WindowProfile:
         links: list[tuple[WindowProfile, float, float]] = []
