@@ -99,7 +99,7 @@ def _play(engine: Engine, settings: dict[str, Any], mode: str, count: int, seed:
         grown = last["placed"] - np.where(began, 0, before)
         seen.fault("a step placed another number of boxes than one", grown != (allowed & ~began))
         fell = last["verdict"] != "stable"
-        seen.fault("an episode that fell goes on, or one ended that had not", fell & ~terminated)
+        seen.fault("an episode goes on after a fall, or ended too early", fell & ~terminated)
         seen.fault("an episode ended twice", terminated & truncated)
         seen.placements += int(grown.sum())
         seen.ended += int(over.sum())

@@ -1,4 +1,4 @@
-"""A Dask actor that holds a warm engine, and scores plans for whoever asks: needs ``dask`` and ``distributed``.
+"""A Dask actor that holds a warm engine and scores plans on request: needs ``dask`` and ``distributed``.
 
 python examples/dask_scorer.py plans.json --workers 2
 """

@@ -1,4 +1,4 @@
-"""Ray actors that hold a warm engine each, and score plans for whoever asks: needs the extra ``ray``.
+"""Ray actors that each hold a warm engine and score plans on request: needs the extra ``ray``.
 
     python examples/ray_scorer.py plans.json --actors 2
 

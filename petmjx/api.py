@@ -86,7 +86,7 @@ def score(
     Args:
         plans: a file, a folder, several of them, a data frame with a row a box, a plan, a list of plans or a
             ``PlanSet``; None: the bundled samples.
-        watcher: follows the run. In a notebook, without one, a progress bar does.
+        watcher: follows the run. Without one, notebooks show a progress bar.
         options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
 
     Returns:
@@ -125,7 +125,7 @@ def sweep(
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
         plans: as for :func:`score`; they replace those that the file names. None: the file's.
-        watcher: follows the run. In a notebook, without one, a progress bar does.
+        watcher: follows the run. Without one, notebooks show a progress bar.
         batching: how many states and worlds are held in memory; changes no result.
         options: fields of ``petmjx.Simulation``, which replace those of the file, and of ``petmjx.RunOptions``.
 

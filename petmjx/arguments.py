@@ -85,14 +85,14 @@ def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
 
 
 def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
-    """A list of objects of one class, from anything that can be gone through.
+    """A list of objects of one class, from any iterable.
 
     Raises:
         InputError: it cannot, is text, or something in it is another object.
     """
     try:
         found = None if isinstance(values, str | bytes) else list(values)
-    except Exception:  # whatever an object says when it is gone through
+    except Exception:  # whatever an object raises when it is iterated
         found = None
     if found is None:
         raise InputError(f"{name} must be a list of {words}, {got(values)}")

@@ -147,8 +147,8 @@ class Simulation(Checked):
     friction_pairs: tuple[FrictionPair, ...] = Field(
         (),
         max_length=100,
-        description="friction between materials of boxes and boards, beside the table that petmjx has: tables with "
-        "between, a list of two materials, and friction",
+        description="friction between materials of boxes and boards, in addition to petmjx's own table: tables with "
+        "between (a list of two materials) and friction",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="boxes are made smaller by this along x and y, so that neighbours start apart, mm"

@@ -58,7 +58,7 @@ class _Option:
     """A field as an option.
 
     Attributes:
-        path: the names of fields that lead to it: mostly one, but for instance ``("thresholds", "shift_m")``.
+        path: the names of fields that lead to it: usually one name, but for instance ``("thresholds", "shift_m")``.
         section: its heading in the help.
     """
 

@@ -54,7 +54,7 @@ def show(
     """Show what happens to one plan: in words, as a page, in pictures, as a film.
 
     The world is simulated as the run in DIR did, to the last bit, or with the options given here. Without an option of
-    what is drawn, its story is told in the terminal.
+    what is drawn, its story is printed in the terminal.
     """
     from petmjx.pictures.save import check_drawing
 

@@ -36,8 +36,9 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 """Shares r for which e(r) is worked out."""
 
 SAFETY: Final = 10.0
-"""A load that acts within this times the loss may tip over: boxes rock when the next one is let down on them. Of stacks
-of boxes that statics lets stand and soft contacts let fall the farthest was at 8 times it."""
+"""A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next
+one is placed on them. Among stacks that stand by statics and fall because of soft contacts, the farthest was at 8 times
+the loss."""
 
 STIFF_SAFETY: Final = 40.0
 """The same in stiffer contacts, in which the loss is a fortieth: the farthest was at 28 times it."""

@@ -18,7 +18,7 @@ PANEL_IN: Final = (3.1, 2.4)
 """Width and height of a panel, inches."""
 
 MOST_LINES: Final = 12
-"""Directions that can be told apart in one panel."""
+"""Most directions that a reader can distinguish in one panel."""
 
 MOST_PANELS: Final = 8
 

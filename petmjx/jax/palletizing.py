@@ -96,7 +96,7 @@ class Palletizing:
         options: fields of ``petmjx.Simulation``.
 
     Raises:
-        InputError: an unusable option, or orders of which no box fits on the carrier.
+        InputError: an unusable option, or no box of any order fits on the carrier.
     """
 
     def __init__(

@@ -29,8 +29,8 @@ MEASURES: Final[Mapping[str, str]] = {
     "height_m": "height, m",
     "kpi_2": "kpi_2, volume over area × height",
 }
-"""Column of a plan → what people read. Their means stand beside the shares. One more column is one more line here, and
-a column of :func:`plans_of`."""
+"""Column of a plan → what people read. Their means are shown next to the shares. One more column is one more line
+here, and a column of :func:`plans_of`."""
 
 Run = RunResults | str | Path
 

@@ -76,7 +76,7 @@ def placed_s(history: History) -> FloatArray:
 
 
 def _drive(story: Story) -> dict[str, Any] | None:
-    """What shakes the world: "force" or "acceleration" and what of it is 1 g; None where nothing does."""
+    """What shakes the world: "force" or "acceleration", and which value of it is 1 g; None if nothing does."""
     if story.drive is None or not np.any(story.history.drive):
         return None
     kind = story.drive.excitation.kind

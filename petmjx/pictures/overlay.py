@@ -81,7 +81,7 @@ class Overlay:
         pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
-        """The first box to fail, also where others hide it. Drawn larger, then reduced: Pillow's lines have stairs."""
+        """The first box to fail, even if others hide it. Drawn larger, then reduced: Pillow's lines have stairs."""
         from PIL import Image, ImageDraw
 
         outline = first_outline(self.story, poses, camera)

@@ -85,10 +85,10 @@ class Article:
     """What is said of an article, a product group or a material.
 
     Attributes:
-        strength: what boxes bear; None: it is not said.
-        material: what they are made of, for friction (petmjx.materials); None: it is not said.
-        com_mm: centre of mass, seen from the box's middle along its length, width and height, mm; None: it is not said.
-        stiffness_n_mm: as in ``Plan``; None: it is not said.
+        strength: what boxes bear; None: not given.
+        material: what they are made of, for friction (petmjx.materials); None: not given.
+        com_mm: centre of mass, seen from the box's middle along its length, width and height, mm; None: not given.
+        stiffness_n_mm: as in ``Plan``; None: not given.
     """
 
     strength: Strength | None = None

@@ -2,7 +2,7 @@
 
 A plan that is odd as it is given (boxes float or overlap) is read in other ways, and a way in which nothing is odd any
 more is what it looks like. Real plans with odd boxes stay odd in every other way. Units that leave everything in its
-place are told by the density of what is packed.
+place are recognised by the density of the boxes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The forms in which plans come, and how they are told apart. Nothing here loads Arrow."""
+"""The forms in which plans come, and how they are recognised. Nothing here loads Arrow."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Plans compared with the orders that they were packed from: what was left out, and what nobody ordered.
 
-Boxes are told apart by ``id`` and ``article`` together (by ``article`` alone in plans that have no ids), and counted.
-``sequence`` tells nothing: packers number anew.
+Boxes are distinguished by ``id`` and ``article`` together (by ``article`` alone in plans without ids), and counted.
+``sequence`` says nothing, since packers renumber boxes.
 """
 
 from __future__ import annotations

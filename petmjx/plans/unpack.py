@@ -25,7 +25,7 @@ _UTF8_MARK: Final = b"\xef\xbb\xbf"
 def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
     """A file's text as bytes, and what is wrong with the file as a whole (None: nothing).
 
-    Gzip is told by content, not by name. Memory: the packed and the plain bytes, once each.
+    Gzip is recognised by content, not by name. Memory: the packed and the plain bytes, once each.
 
     Raises:
         OSError: it cannot be read, is no regular file, or is too large.

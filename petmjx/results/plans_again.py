@@ -22,7 +22,7 @@ class PlansAgain:
     Attributes:
         plans: those that are what the run simulated, by id.
         missing: ids of those that were not read, sorted.
-        changed: ids of those that were read and are others now, sorted.
+        changed: ids of plans that were read but have changed since, sorted.
         gone: files that the run names and that are not there.
     """
 

@@ -325,7 +325,7 @@ class RunWriter(RunInfo):
             self._write_info()
 
     def put_in_order(self) -> None:
-        """Put all rows into the order in which plans were given, for runs of which no world is missing.
+        """Put all rows into the order in which plans were given, for runs without missing worlds.
 
         Until then parts are written as worlds finish. Where there is no room for the tables twice they stay so, and a
         warning says it.

@@ -36,7 +36,7 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
     Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
     of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from where
     they had settled; the load's height counts from the carrier's top, z = 0. What stays is included in the elastic
-    deformation, as on film the two cannot be told apart until the end. A world in which a box fell never passes,
+    deformation, as on film the two cannot be distinguished before the end. A world in which a box fell never passes,
     however small the shares, nor does one with a NaN, because the profile never ran to its end. Source: EUMOS
     40509:2020, criteria as published by ESTL, the laboratory behind the standard.
 

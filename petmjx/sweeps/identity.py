@@ -10,11 +10,11 @@ from petmjx.sweeps.file import Sweep
 from petmjx.world.random import WorldKey
 
 _BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
-"""Fields of a sweep file that change no world, or are told apart from the rest."""
+"""Fields of a sweep file that change no world, or are compared separately."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
-    """The settings of a sweep as plain JSON values, but for its simulation; profiles by a digest of their samples."""
+    """The settings of a sweep as plain JSON values, without its simulation; profiles by a digest of their samples."""
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)

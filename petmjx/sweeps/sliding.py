@@ -31,7 +31,7 @@ def slide_m(
 
     Coulomb's friction: the block stays while the carrier's horizontal acceleration is at most friction × (gravity +
     vertical acceleration); beyond that friction has just this value, against the sliding. Exact for an acceleration
-    along one line that is constant within each step, but for the step in which the block stops.
+    along one line that is constant within each step, except for the step in which the block stops.
 
     A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
     horizontal force is at most friction × the vertical one, as on the block. So its centre of mass, and with it at

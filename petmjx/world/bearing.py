@@ -217,7 +217,7 @@ class Bearing:
 
     @cached_property
     def _shares(self) -> FloatArray:
-        """(c, 3, 3): load of the upper box (mass and moments) → what of it reaches the lower one at this contact."""
+        """(c, 3, 3): load of the upper box (mass and moments) → the part that reaches the lower one at this contact."""
         share = np.tile(np.eye(3), (len(self.upper), 1, 1))
         several = self._n_supports[self.upper] > 1
         if not several.any():

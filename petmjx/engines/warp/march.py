@@ -80,7 +80,7 @@ class March:
     """Launches kernels with the constants of a run.
 
     Args:
-        constants: fields of ``records.Model`` but for those of a fleet.
+        constants: fields of ``records.Model`` except those of a fleet.
         fleets: by number of the queue from which they take worlds; those for the largest worlds first.
         slice_ns: time of a call, ns; with 0 each block takes one step.
     """

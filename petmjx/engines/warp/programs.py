@@ -44,7 +44,7 @@ def friction_damping(physics: Physics) -> float:
 
 
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
-    """What the kernels need to know of a run: the fields of ``records.Model`` but for those of a fleet."""
+    """What the kernels need to know about a run: the fields of ``records.Model`` except those of a fleet."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
     return {
         "timestep": physics.timestep_s,
@@ -151,5 +151,5 @@ MOST_KEPT = 16
 
 @functools.lru_cache(MOST_KEPT)
 def programs(sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> Programs:
-    """The programs of a run. A timetable is told apart by its identity, and kept as long."""
+    """The programs of a run. Timetables are distinguished by identity, and kept as long."""
     return Programs(sim, timetable, fleets, slice_ns)

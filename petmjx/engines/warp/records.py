@@ -45,7 +45,7 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
     """A Warp struct whose arrays name their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
 
     Args:
-        tables: records of JAX arrays, whose fields it has, too, but for those in ``without``.
+        tables: records of JAX arrays, whose fields it also has, except those in ``without``.
     """
     annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
     for name, kind in annotations.items():

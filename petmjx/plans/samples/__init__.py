@@ -190,7 +190,7 @@ def pack_orders(
 
     Without a name the packer is ``baseline``. ``rules`` are those of the packer ``baseline``; without them the
     strict rules are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is called with them just
-    before the plan is yielded. An order of which no box finds a place makes no plan. The packer sorts, so
+    before the plan is yielded. If no box of an order finds a place, there is no plan for it. The packer sorts, so
     ``sequence`` is numbered anew in packing order.
 
     Raises:

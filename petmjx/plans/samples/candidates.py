@@ -56,7 +56,7 @@ class Candidates:
         return twin
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Forget the shapes of which no box is left."""
+        """Forget shapes without remaining boxes."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
         self.z, self.carried = self.z[:, kept], self.carried[:, kept]
         self.open, self._inside = self.open[:, kept], self._inside[:, kept]
