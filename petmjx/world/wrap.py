@@ -3,8 +3,8 @@
 A model with three numbers, for a pallet that is wrapped to its carrier:
 
 - **Tension.** A layer of film pulls across its width with the force of a turn × the number of turns. So a strip of
-  the height h has the tension T = force · turns · h / width. Round a corner it pulls along both sides; each side of the load is
-  pressed inwards by T at either end, 2·T in all, which is spread over the outer faces of that side.
+  the height h has the tension T = force · turns · h / width. Round a corner it pulls along both sides; each side of
+  the load is pressed inwards by T at either end, 2·T in all, which is spread over the outer faces of that side.
   A box that is drawn in, since nothing stands behind it, slackens its film: after ``SLACK_M`` nothing presses on it.
 - **Hold.** Film sticks to an outer face by friction × that pressure. A box that moves against the carrier is held by a
   spring, as film is one, and by no more than that: then the film slips.
