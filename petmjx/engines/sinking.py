@@ -140,19 +140,27 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
         over: (n, n) whether two boxes overlap seen from above, in the order of ``order``.
         order: (n,) the boxes from the lowest to the highest.
     """
+    total = np.empty(len(mass))
+    total[order] = _closed(over).astype(float) @ mass[order]
+    return total
+
+
+def _closed(over: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(…, n, n) 1 where the column's box is above the row's, directly or over others; rows from the lowest to the
+    highest."""
     above = np.triu(over, 1).astype(np.float32)
     while True:  # matrices of ones and zeros: each product doubles the number of boxes in between
         further = np.minimum(above + above @ above, 1.0)
         if np.array_equal(further, above):
-            break
+            return above
         above = further
-    total = np.empty(len(mass))
-    total[order] = above.astype(float) @ mass[order]
-    return total
 
 
 _SUM_ERROR = 1e-9
 """By which two sums of the same numbers may differ, as a share: their order does."""
+
+_MOST_PAIRS = 1 << 20
+"""Pairs of boxes that are looked at together: arrays of 8 MB."""
 
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
@@ -188,38 +196,66 @@ def _softened(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outcome:
 
 
 def surely_did_not_sink(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """Of which worlds ``sank`` would say no at its first look, for all together: whose boxes cannot have come down by
-    more than counts, even if all contacts of a world added up, and which did not fail by sinking alone."""
-    counts = [scene.n_boxes for scene in scenes]
-    first = np.cumsum([0, *counts])
-
-    def joined(values: Iterable[FloatArray]) -> FloatArray:
-        return np.concatenate([*values])
-
-    def each(values: Iterable[float]) -> FloatArray:
-        return np.repeat([*values], counts)
-
-    if not first[-1] or 0 in counts:
-        return [False] * len(outcomes)
-    placed = np.arange(first[-1]) - each(first[:-1]) < each(outcome.n_placed for outcome in outcomes)
-    shift = joined(outcome.boxes.shift_m for outcome in outcomes)
-    with np.errstate(invalid="ignore"):
-        over = (np.abs(shift) > sim.thresholds.shift_m) & (shift > [-np.inf, -np.inf, 0.0])
-    except_down = np.logical_or.reduceat(over.any(axis=1) & placed, first[:-1])
-    of_shift = np.array([outcome.reason is Reason.SHIFT for outcome in outcomes])
-    mass, gravity = joined(scene.mass for scene in scenes), sim.physics.gravity_m_s2
-    carrier = np.array([scene.carrier.mass for scene in scenes])
-    total = np.add.reduceat(mass, first[:-1]) + carrier
-    low_z = joined((scene.target - scene.half_size)[:, 2] for scene in scenes)
-    top_n = np.where(placed, joined(outcome.boxes.max_top_force_n for outcome in outcomes), 0.0)
-    inverse = 1 / mass + np.where(low_z < ON_CARRIER_M, 1 / each(carrier), 0.0)
-    depths = depth_m(sim.physics, top_n / mass / CONTACTS_PER_FACE)
-    depths = depths + depth_m(sim.physics, inverse * (top_n + mass * gravity) / CONTACTS_PER_FACE)
-    base = depth_m(sim.physics, total * gravity / carrier / CONTACTS_PER_FACE)
-    bound = base + np.add.reduceat(depths, first[:-1])
-    enough = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
-    found: list[bool] = ((bound <= enough) & (except_down | ~of_shift)).tolist()
+    """Of which worlds ``sank`` says no, for all together: whose boxes did not come down by more than counts, and which
+    did not fail by sinking alone. It is asked about the others, each alone. For elliptic cones."""
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    if not len(counts):
+        return []
+    enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
+    at_a_time = max(_MOST_PAIRS // max(int(counts.max()), 1) ** 2, 1)
+    found: list[bool] = []
+    for first in range(0, len(counts), at_a_time):
+        some = slice(first, first + at_a_time)
+        sinking_m = _deepest_m(outcomes[some], scenes[some], sim.physics)
+        of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes[some]]
+        found += ((sinking_m <= enough_m) & of_other_reason).tolist()
     return found
+
+
+def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
+    """Whether a world did not fail by a shift, or by one that is not straight down alone."""
+    if outcome.reason is not Reason.SHIFT:
+        return True
+    shift = outcome.boxes.shift_m[: outcome.n_placed]
+    return bool(((np.abs(shift) > limit_m) & (shift > [-np.inf, -np.inf, 0.0])).any())
+
+
+def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
+    """(m,) how far the centre of the box that comes down most does so in each world, m, as ``sinking_m`` has it but for
+    rounding. Worlds have as many columns as the largest of them."""
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    there = np.arange(counts.max()) < counts[:, None]
+
+    def filled(values: Iterable[FloatArray], otherwise: float) -> FloatArray:
+        joined = np.concatenate([*values])
+        table = np.full((*there.shape, *joined.shape[1:]), otherwise)
+        table[there] = joined
+        return table
+
+    place, half = (filled((getattr(scene, name) for scene in scenes), 0.0) for name in ("target", "half_size"))
+    order = np.argsort(np.where(there, place[..., 2], np.inf), axis=1, kind="stable")
+    place, half = (np.take_along_axis(values, order[..., None], axis=1) for values in (place, half))
+    placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
+    top_n = np.where(placed, filled((outcome.boxes.max_top_force_n for outcome in outcomes), 0.0), 0.0)
+    mass = filled((scene.mass for scene in scenes), 1.0)
+    top_n, mass = (np.take_along_axis(values, order, axis=1) for values in (top_n, mass))
+    carrier = np.array([scene.carrier.mass for scene in scenes])
+    total, gravity = np.array([scene.total_mass for scene in scenes]), physics.gravity_m_s2
+    low, high = place - half, place + half
+    over = (shared(low[..., 0], high[..., 0]) > 0) & (shared(low[..., 1], high[..., 1]) > 0)
+    at_rest_n = np.minimum(top_n, gravity * (_closed(over).astype(float) @ mass[..., None])[..., 0])
+    inverse = 1 / mass + np.where(low[..., 2] < ON_CARRIER_M, 1 / carrier[:, None], 0.0)
+    above = at_rest_n / mass / CONTACTS_PER_FACE
+    below = inverse * (at_rest_n + mass * gravity) / CONTACTS_PER_FACE
+    world, upper, lower = np.nonzero(np.tril(over, -1))
+    through = np.full(over.shape, -np.inf)
+    through[world, upper, lower] = depth_m(physics, below[world, upper] + above[world, lower])
+    sinking = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)[:, None] + depth_m(physics, below)
+    for number in range(1, sinking.shape[1]):
+        deeper = (sinking[:, :number] + through[:, number, :number]).max(axis=1)
+        np.maximum(sinking[:, number], deeper, out=sinking[:, number])
+    deepest: FloatArray = np.where(np.take_along_axis(there, order, axis=1), sinking, 0.0).max(axis=1)
+    return deepest
 
 
 def sank(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
