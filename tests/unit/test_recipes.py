@@ -79,6 +79,21 @@ def copy(tmp_path: Path, repository: Path) -> Copy:
     return Copy(tmp_path, (repository / "docs" / "extending.md").read_text(encoding="utf-8"))
 
 
+@pytest.mark.parametrize(
+    ("section", "most"),
+    [
+        ("A column of your own", 4),
+        ("A property of boxes of your own", 3),
+        ("A criterion of your own", 1),
+        ("A reason of your own", 3),
+    ],
+)
+def test_recipes_touch_few_files(section: str, most: int, repository: Path) -> None:
+    followed = Copy(repository, (repository / "docs" / "extending.md").read_text(encoding="utf-8"))
+    files = re.findall(r"^--- (petmjx/\S+)$", "".join(followed.blocks(section, "diff")), flags=re.MULTILINE)
+    assert 0 < len(set(files)) <= most, files
+
+
 STACK = """
 import numpy as np
 import petmjx
