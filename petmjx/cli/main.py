@@ -143,6 +143,8 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
             raise InputError(f"argument {given.index('-') + 1} is -: name a file; /dev/stdout is standard output")
         with as_notes():
             result = application(args=given or ["--help"], standalone_mode=False)
+        if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
+            return _report("interrupted", ExitCode.INTERRUPTED)
         sys.stdout.flush()  # an error shows here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:

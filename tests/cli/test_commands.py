@@ -138,3 +138,14 @@ def test_help_loads_no_simulator() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_every_command_says_that_it_was_interrupted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("petmjx.engines.doctor.examine", interrupted)
+    assert run("doctor") == 130
+    assert only_line(capsys.readouterr().err) == "petmjx: interrupted"

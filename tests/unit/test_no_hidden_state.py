@@ -147,7 +147,7 @@ def test_a_batched_engine_in_the_middle_of_a_run_says_so() -> None:
     with jax.numpy_rank_promotion("allow"):
         begun = engine.run(jobs, SHORT)
         next(begun)
-        with pytest.raises(RuntimeError, match="engine fake is in the middle of a run of this thread"):
+        with pytest.raises(RuntimeError, match="engine fake is busy with another run of this thread"):
             next(engine.run(jobs, SHORT))
         begun.close()
         assert len(run_all(engine, jobs, SHORT)) == 2

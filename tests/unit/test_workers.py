@@ -151,7 +151,7 @@ def test_a_run_that_is_left_in_the_middle_leaves_the_pool_usable(pool: WorkerPoo
     jobs = [Job(fake_scene(1.0, 10.0 + k)) for k in range(6)]
     begun = pool.run(jobs, SHORT)
     next(begun)
-    with pytest.raises(RuntimeError, match="engine mujoco is in the middle of a run"):
+    with pytest.raises(RuntimeError, match="engine mujoco is busy with another run"):
         next(pool.run(jobs, SHORT))
     begun.close()
     assert len(list(pool.run(jobs, SHORT))) == 6
@@ -187,7 +187,7 @@ def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
     monkeypatch.setattr(pool_module, "START_S", 0.0)
     monkeypatch.setattr(Cluster, "nodes", [])
     os.kill(pool.pids[0], signal.SIGKILL)
-    with pytest.raises(PetmjxError, match="Ray has died on this machine"):
+    with pytest.raises(PetmjxError, match="Ray died on this machine"):
         list(outcomes)
 
 
@@ -275,7 +275,7 @@ def test_what_cannot_be_is_refused_before_a_folder_is_touched(
 
 @pytest.mark.parametrize(
     ("says", "line"),
-    [(None, "no answer within 0.2 s"), (b"HTTP/1.1 400 Bad", "no head of a Ray cluster"), (b"", "no head")],
+    [(None, "no answer within 0.2 s"), (b"HTTP/1.1 400 Bad", "not the head of a Ray cluster"), (b"", "not the head")],
 )
 def test_what_listens_but_is_no_head_is_refused(says: bytes | None, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "REACH_S", 0.2)
