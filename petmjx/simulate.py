@@ -21,6 +21,7 @@ from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
+from petmjx.results.by_place import LARGE, Places
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults
 from petmjx.results.recording import Recording, recording_of
@@ -148,6 +149,14 @@ class _Run:
             "engine_reason": self.choice.reason,
         }
 
+    def _places(self) -> Places | None:
+        """Of worlds of a large run. Histories stay where they are, so that runs with some are not among these."""
+        study = self.study
+        if study.total is None or study.total <= LARGE or self.recording.record is not None:
+            return None
+        plan_ids = [plan.plan_id for plan in study.plans]
+        return Places(plan_ids, study.total // len(plan_ids), study.first_variant)
+
     def results(self, watcher: Watcher | None, held: Mapping[str, Plan]) -> RunResults:
         """Simulate what is missing, and write everything where the options say.
 
@@ -167,6 +176,7 @@ class _Run:
             versions=package_versions(),
             device=self.engine.device,
             expected_worlds=study.total,
+            places=self._places(),
             overwrite=options.overwrite,
             resume=options.resume,
         ) as writer:

@@ -65,6 +65,7 @@ class Study(ABC):
         work: what all worlds cost, for estimates of time.
         n_worlds: number of worlds, at most.
         known: whether that is their number, whatever comes of them: not in a search.
+        first_variant: number of each plan's first world; the others follow without a gap, if their number is known.
         amount: what is simulated, in words.
         command: "score" or "sweep", as the results name it.
         what: the user's word for a world.
@@ -84,6 +85,7 @@ class Study(ABC):
     work: Work
     n_worlds: int
     known: bool = True
+    first_variant: int = 0
     amount: str
     command: str = "score"
     what: str = "plan"

@@ -112,3 +112,52 @@ def loop(
     for line in measured(case, chosen):
         append_line(out, {**line, **environment()})
         print(line, flush=True)
+
+
+@app.command()
+@opt.takes("limit")
+def estimates(
+    plans: Annotated[
+        list[Path] | None, typer.Argument(metavar="PLANS...", help="Plan files scored beside generated plans.")
+    ] = None,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mjx-warp-cpu",
+    threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """What petmjx estimates for runs of many kinds and sizes, and what they take."""
+    from benchmarks.estimates import compared
+    from benchmarks.record import append_line
+    from petmjx.run_options import RunOptions
+
+    given = usable(plans, RunOptions(**options)) if plans else ()
+    for line in compared(engine, threads, given):
+        append_line(out, line)
+        ratio = line["estimate_s"] / line["cpu_s"]
+        print(
+            f"{line['what']:<16}{line['plans']:<8}{line['cpu_s']:>8.1f} s, estimated {line['estimate_s']:>8.1f} s "
+            f"({ratio:.2f}); steps {line['steps_estimate'] / line['steps']:.2f}",
+            flush=True,
+        )
+
+
+@app.command()
+def million(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where the run and its report are written.")],
+    plans: Annotated[int, typer.Option(metavar="N", min=1, help="Plans of 10 to 14 boxes.")] = 1000,
+    variants: Annotated[int, typer.Option(metavar="N", min=2, help="Worlds of each.")] = 1000,
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine; instant: answers at once.")] = "instant",
+    kill_at: Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99, help="Worlds before the kill.")] = 0.5,
+    keep: Annotated[str, typer.Option(metavar="all|worlds", help="Tables that are kept.")] = "worlds",
+    threads: Annotated[int | None, typer.Option(metavar="N", help="CPU threads of the engine.")] = None,
+    out: Out = DEFAULT_OUT,
+) -> None:
+    """A sweep of a million small worlds, killed and resumed: time for each, memory, tables, report."""
+    from benchmarks.million import Million, measured
+    from benchmarks.record import append_line, environment
+
+    options = {"keep": keep, **({} if threads is None else {"threads": threads})}
+    case = Million(folder, plans, variants, engine, kill_at, tuple(options.items()))
+    for line in measured(case):
+        append_line(out, {**line, **environment()})
+        print(line, flush=True)

@@ -40,6 +40,9 @@ OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans")
 
+ROWS_PER_GROUP: Final = 131_072
+"""Of ``boxes`` some megabytes, which a reader can take one after the other, and of ``worlds`` a part."""
+
 DIGEST_BYTES: Final = 16
 _BLOCK: Final = 1 << 20
 
@@ -68,7 +71,9 @@ Write = Callable[[BinaryIO], object]
 
 def parquet(table: pa.Table) -> Write:
     """A table as Parquet."""
-    return lambda file: pq.write_table(table, file, compression="zstd", compression_level=1)
+    return lambda file: pq.write_table(
+        table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP
+    )
 
 
 def csv(table: pa.Table) -> Write:

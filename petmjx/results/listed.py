@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from petmjx.bounded import open_regular
 from petmjx.errors import InputError
-from petmjx.results.files import OF_WORLDS, digest_of, part_number
+from petmjx.results.files import OF_WORLDS, digest_of, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
 
 LISTED: Final = "parts"
@@ -71,6 +71,19 @@ class Parts:
         """The files of all other tables."""
         kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
         return Parts(self.folder, kept, set(self._checked))
+
+    def without_numbers(self, numbers: Collection[int]) -> Parts:
+        """The files without parts of worlds of these numbers."""
+        gone = {part_name(number) for number in numbers}
+        kept = {
+            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+            for table, files in self.digests.items()
+        }
+        return Parts(self.folder, kept, set(self._checked))
+
+    def numbered(self, table: str, numbers: Collection[int]) -> list[Path]:
+        """The files of a table's parts of these numbers, where there are such."""
+        return [file for file in self.files(table) if part_number(file) in numbers]
 
     def with_worlds(self) -> Parts:
         """The files without those whose part of ``worlds`` was deleted: deleting it means that these worlds are to

@@ -106,6 +106,13 @@ class Part:
             yield "attempts", attempts
         yield "worlds", self.worlds(schemas["worlds"])
 
+    def counted(self, before: WorldCounts) -> WorldCounts:
+        """The counts before, and those of its rows."""
+        counts = replace(before, verdicts=Counter(before.verdicts))
+        cells = [row.cells for row in self.rows]
+        counts.add(*([cell[name] for cell in cells] for name in COUNTED))
+        return counts
+
     def worlds(self, schema: pa.Schema) -> pa.Table:
         """The ``worlds`` table, with reductions over boxes, for the whole part at once."""
         blocks, counts = self._blocks()
@@ -159,10 +166,7 @@ class Pending:
 
     def following(self) -> Pending:
         """The next part, once this one is written."""
-        counts = replace(self.counts, verdicts=Counter(self.counts.verdicts))
-        cells = [row.cells for row in self.part.rows]
-        counts.add(*([cell[name] for cell in cells] for name in COUNTED))
-        return Pending(Part(self.part.number + 1), counts)
+        return Pending(Part(self.part.number + 1), self.part.counted(self.counts))
 
 
 def _filled(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:

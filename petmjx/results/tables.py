@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import pyarrow as pa
@@ -42,6 +42,10 @@ class Tables:
             place = self._folder / table / part_name(number)
             digests[place] = write_table(content, place)
         self.parts.add(digests)
+
+    def forget(self, numbers: Collection[int]) -> None:
+        """Parts of worlds that others have taken the place of: they go with :meth:`drop_others`."""
+        self.parts = self.parts.without_numbers(numbers)
 
     def write_first(self, table: str, content: pa.Table) -> None:
         """Write the only part of a table; one that is there is replaced."""

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from petmjx.metrics.spec import BoxMetrics, box_metrics, world_metrics
 from petmjx.results.reader import RunResults
+from petmjx.results.schema import schemas
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
@@ -65,6 +69,34 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
             rows = None if there is None else _only(run.parts.read(there), plan_id, variant)
             return rows if rows is not None and len(rows) else None
     return None
+
+
+def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """The rows of some worlds in a table of a run, part by part: the rest is never in memory.
+
+    Args:
+        worlds: ``plan_id`` and ``variant`` of each.
+        columns: of the table.
+
+    Raises:
+        InputError: a damaged or missing part.
+    """
+    plan_ids = pa.array(worlds["plan_id"].unique(), pa.string())
+
+    def keys(plan_id: pa.Array, variant: pa.Array) -> NDArray[np.int64]:
+        place = np.asarray(pc.fill_null(pc.index_in(plan_id, value_set=plan_ids), -1), dtype=np.int64)
+        return np.where(place < 0, -1, (place << 32) + np.asarray(variant, dtype=np.int64))
+
+    wanted = keys(pa.array(worlds["plan_id"], pa.string()), pa.array(worlds["variant"], pa.int32()))
+    found = []
+    for file in run.parts.files(table):
+        part = run.parts.read(file, ("plan_id", "variant"))
+        rows = np.flatnonzero(np.isin(keys(part["plan_id"], part["variant"]), wanted))
+        if len(rows):
+            found.append(run.parts.read(file, columns).take(rows))
+    none = schemas()[table].empty_table().select([name for name in columns if name in schemas()[table].names])
+    frame: pd.DataFrame = pa.concat_tables(found or [none], promote_options="default").to_pandas()
+    return frame
 
 
 def _only(part: pa.Table, plan_id: str, variant: int) -> pa.Table:

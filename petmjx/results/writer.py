@@ -6,30 +6,28 @@ import contextlib
 import tempfile
 import threading
 import time
-import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-import pyarrow as pa
-
 from petmjx.errors import InputError, PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan
-from petmjx.results.counts import COUNTED
+from petmjx.results.by_place import ByPlace, Places
+from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
+from petmjx.results.folder import RunFolder
 from petmjx.results.given import Given
-from petmjx.results.info import RunInfo, now
-from petmjx.results.listed import LISTED, Parts
+from petmjx.results.going_on import run_there
+from petmjx.results.info import now
+from petmjx.results.listed import Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
-from petmjx.results.memory import MemoryParts, MemoryTables
+from petmjx.results.memory import MemoryParts
 from petmjx.results.parts import Part, Pending, Row
-from petmjx.results.plain import plain
-from petmjx.results.reader import FINISHED, RunResults, load_run, read_info, told_apart
+from petmjx.results.reader import FINISHED
 from petmjx.results.recorded import Recorded
-from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
@@ -48,7 +46,7 @@ SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this time, even if worlds finish slowly."""
 
 
-class RunWriter(RunInfo):
+class RunWriter(RunFolder):
     """Writes one run's results as its worlds finish. A context manager.
 
     At the end of the body, also after Ctrl-C or an error, the collected worlds are written as a last part, and
@@ -63,6 +61,7 @@ class RunWriter(RunInfo):
         dynamic, force_intervals: as in ``petmjx.results.schema.schemas``; ``boxes``: whether this table is kept.
         versions: package → version; Python's own is added. ``device``: name of that on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
+        places: of its worlds, in a run so large that no part shall be written twice.
         manifest: what the run is of; without one it cannot be resumed.
         orders: how its plans compare with their orders. A run that is resumed has those of this time: the table
             ``plans`` is written anew, since no world depends on them.
@@ -91,6 +90,7 @@ class RunWriter(RunInfo):
         versions: Mapping[str, str] | None = None,
         device: str = "",
         expected_worlds: int | None = None,
+        places: Places | None = None,
         overwrite: bool = False,
         resume: bool = False,
         worlds_per_part: int = WORLDS_PER_PART,
@@ -98,28 +98,32 @@ class RunWriter(RunInfo):
     ) -> None:
         identity = manifest.identity if manifest else None
         super().__init__(config, identity, orders, params, versions or {}, device, expected_worlds)
-        self._in_memory = out_dir is None
-        self._temporary: tempfile.TemporaryDirectory[str] | None = None
-        self.out_dir = Path(out_dir or "")
+        self._hold(out_dir, manifest)
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
         if not boxes:
             del self.schemas["boxes"]
-        self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
         self.recorded = Recorded()
-        self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
+        self._overwrite, self._resume = overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
         self._pending = Pending(Part(0))
+        self._by_place = None if places is None else ByPlace(places)
         self._until_exit = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
-        if self._in_memory:
-            self._write_plans()
-        else:
+        if not self._in_memory:
             self._open()
+        elif self._by_place is not None:
+            self._leave_memory()
+        else:
+            self._write_plans()
         return self
+
+    @property
+    def counts(self) -> WorldCounts:
+        return (self._by_place or self._pending).counts
 
     def _open(self) -> None:
         """Take the folder, and write what is known before the first world.
@@ -164,23 +168,14 @@ class RunWriter(RunInfo):
         Raises:
             InputError: it is another run, or damaged.
         """
-        info = read_info(self.out_dir)
-        if self._manifest is None:
-            raise ValueError("a run without a manifest cannot be resumed")
-        parts = Parts.of(self.out_dir, info)
-        differs = self._manifest.difference_from(Manifest.read(parts, info))
-        if differs:
-            raise InputError(f"{self.out_dir}: cannot be resumed, it is another run ({differs})")
-        self.warnings |= dict.fromkeys(told_apart(info)[0])  # of worlds that are not simulated again
-        for name, version in self.head["versions"].items():
-            before = info["versions"].get(name)
-            if before != version:
-                self.warn(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
-        parts = parts.with_worlds()
+        info, parts, warnings = run_there(self.out_dir, self._manifest, self.head["versions"])
+        self.warnings |= dict.fromkeys(warnings)
         self.recorded = Recorded(parts, [param.name for param in self.params])
         parts.check_tables(SORTED)
         self._tables = Tables(self.out_dir, parts.without("summary"))
         self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self.recorded.counts())
+        if self._by_place is not None and not self._by_place.goes_on(parts, self._pending.counts):
+            self._by_place = None  # they are in another order, or of other sizes
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._write_info()  # before files go that it listed, and after a kill the run must not look finished
@@ -219,44 +214,6 @@ class RunWriter(RunInfo):
                 if error is None:
                     raise
 
-    @contextlib.contextmanager
-    def _unless_temporary(self) -> Iterator[None]:
-        """Take away a temporary folder if the run has not come to its end."""
-        try:
-            yield
-        finally:
-            if self._temporary is not None and self.status != FINISHED:
-                self._temporary.cleanup()
-
-    def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
-        """The results, after the end.
-
-        Args:
-            held: the run's plans by id, if they are in no file.
-        """
-        if self._in_memory:
-            return RunResults(self.parts, plain(self.info), held or {})
-        results = load_run(self.out_dir, held)
-        if self._temporary is not None:
-            weakref.finalize(results, self._temporary.cleanup)
-        return results
-
-    @property
-    def parts(self) -> Parts:
-        """The files of the tables, as they are now."""
-        return self._tables.parts
-
-    def _write_plans(self) -> bool:
-        """Write the table ``plans`` if there is none that says the same; returns whether it did."""
-        if self._manifest is None:
-            return False
-        return self._tables.write_plans(self._manifest.table(self.orders.of_plan if self.orders else None))
-
-    @property
-    def info(self) -> dict[str, Any]:
-        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
-        return {**self.entries(self._pending.counts), LISTED: self.parts.digests}
-
     def add(
         self,
         plan: Plan,
@@ -287,18 +244,26 @@ class RunWriter(RunInfo):
             raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
         row = Row.of(plan, variant, str(schedule), outcome, attempts, values, interval_n)
         with self._lock:
+            if self._by_place is not None:
+                if not self._timer.is_alive():
+                    self._start_timer()
+                self._write_by_place(self._by_place.add(row))
+                return
             pending, rows = self._pending, self._pending.part.rows
             if not rows:
                 pending.since_s = time.monotonic()
                 if not self._in_memory:
-                    self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
-                    self._timer.daemon = True
-                    self._timer.start()
+                    self._start_timer()
             pending.part.add(row)
             enough = len(rows) >= self._worlds_per_part or pending.part.history_bytes >= HISTORY_BYTES_PER_PART
             late = time.monotonic() - pending.since_s >= self._seconds_per_part and not self._in_memory
             if enough or late:
                 self._write_part()
+
+    def _start_timer(self) -> None:
+        self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
+        self._timer.daemon = True
+        self._timer.start()
 
     def flush(self) -> None:
         """Write what has been gathered, so that others can read the folder before the run ends.
@@ -335,6 +300,10 @@ class RunWriter(RunInfo):
         """
         if self._manifest is None:
             return
+        if self._by_place is not None:
+            with self._lock:
+                self._write_by_place(self._by_place.left(early=True))
+            return
         plans = self._manifest.plans
         given = Given(list(plans), [plan.number or 0 for plan in plans.values()])
         with self._lock:
@@ -355,25 +324,24 @@ class RunWriter(RunInfo):
                     self._write_info()
                     self._tables.drop_others()
 
-    def write_summary(self, answers: pa.Table) -> None:
-        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An old one is replaced.
-
-        Raises:
-            PetmjxError: the file cannot be written.
-        """
-        with self._writing():
-            self._tables.write_first("summary", answers)
-
     def _time_is_up(self) -> None:
         """In the timer's thread: write the part though it is not full, since no world may finish for long."""
         # a failure is met again, and told, with the next world or in the end
         with self._lock, contextlib.suppress(PetmjxError):
+            if self.status == "running" and self._by_place is not None:
+                self._write_by_place(self._by_place.late(self._seconds_per_part))
+                if self._by_place.left():
+                    self._start_timer()
+                return
             old = time.monotonic() - self._pending.since_s >= self._seconds_per_part
             if self.status == "running" and self._pending.part.rows and old:
                 self._write_part()
 
     def _write_part(self, last: bool = False) -> None:
         """Write the pending part and begin the next one, with the lock held."""
+        if self._by_place is not None:
+            self._write_by_place(self._by_place.left())
+            return
         part = self._pending.part
         # a run without worlds still gets one empty part, so that readers find the columns
         if not part.rows and not (last and not self.parts.files("worlds")):
@@ -387,14 +355,12 @@ class RunWriter(RunInfo):
         self._pending = self._pending.following()
         self._write_info()
 
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
-
-    def _write_info(self) -> None:
-        if not self._in_memory:
-            with self._writing():
-                write_run_file(self.info, self.out_dir)
+    def _write_by_place(self, numbers: Sequence[int]) -> None:
+        """Write what there is of some parts of a large run, with the lock held."""
+        for number in numbers:
+            assert self._by_place is not None
+            with shielded(afterwards=True), self._writing():
+                put_together = self._by_place.write(number, self._tables, self.schemas)
+                self._write_info()
+                if put_together:
+                    self._tables.drop_others()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -106,9 +106,9 @@ class SweepPlan(Design):
         """Worlds of all plans; at most, in a search."""
         return len(self.plans) * self.n_variants
 
-    def groups(self) -> Iterator[PlacementGroup]:
-        """Every placement of every plan with its worlds, plan by plan."""
-        for plan in self.plans:
+    def groups(self, without: Callable[[Plan], bool] = lambda plan: False) -> Iterator[PlacementGroup]:
+        """Every placement of every plan with its worlds, plan by plan; ``without``: plans that are left out."""
+        for plan in (plan for plan in self.plans if not without(plan)):
             for number, (placement, variants) in enumerate(self.placements()):
                 yield PlacementGroup(plan, number, placement, variants)
 

@@ -16,6 +16,7 @@ from petmjx.config import Simulation
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
+from petmjx.plans.plan import Plan
 from petmjx.results.recorded import Recorded
 from petmjx.results.recording import NO_RECORDING, Recording
 from petmjx.study import FinishedWorld
@@ -145,7 +146,12 @@ class SweepRun:
 
     def _groups(self) -> Iterator[PlacementGroup]:
         """Placements with worlds that are missing; of a search every one, since its worlds follow from each other."""
-        return (group for group in self.plan.groups() if not group.variants or self._missing(group))
+        return (group for group in self.plan.groups(self._whole) if not group.variants or self._missing(group))
+
+    def _whole(self, plan: Plan) -> bool:
+        """Whether no world of a plan is missing: then it is not looked at world by world."""
+        known = self.plan.sweep.search is None
+        return known and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
 
     def _missing(self, group: PlacementGroup) -> list[Variant]:
         """Those of a placement's worlds that are not recorded."""

@@ -65,6 +65,7 @@ class SweepStudy(Study):
             work=plan.work(),
             n_worlds=plan.n_worlds,
             known=asked.search is None,
+            first_variant=int(not asked.nominal),
             amount=plan.amount,
             command="sweep" if confidence is None else "score",
             what="world",

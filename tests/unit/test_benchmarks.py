@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import petmjx
-from benchmarks import table
+from benchmarks import million, table
 from benchmarks.__main__ import main
 from benchmarks.agreement import agreement
 from benchmarks.cases import CASES, GROUPS, STACK_PLAN, chosen_cases, oracle_case
@@ -358,3 +358,15 @@ def test_drift_that_is_refused(options: list[str], words: str, plans: Path, caps
 def test_numbers_are_cut_to_six_digits(tmp_path: Path) -> None:
     append_line(tmp_path / "out.jsonl", {"a": [1 / 3, 2], "b": 1234567.8})
     assert read_lines([tmp_path / "out.jsonl"]) == [{"a": [0.333333, 2], "b": 1234570.0}]
+
+
+def test_a_million_worlds_in_small(tmp_path: Path) -> None:
+    case = million.Million(tmp_path, plans=2, variants=6, options=(("keep", "worlds"),))
+    first, again = million.run(case), million.run(case)
+    assert (first["recorded"], first["worlds"], again["recorded"], again["worlds"]) == (0, 12, 12, 0)
+    assert million.written(case.out) == million.load(case)["rows"] == 12
+    assert million.report_of(case)["bytes"] == (tmp_path / "report.html").stat().st_size
+    assert "boxes" not in million.tables(case.out)
+    boxes = [plan.n_boxes for plan in million.made(5)]
+    assert boxes == sorted(boxes)
+    assert (min(boxes), max(boxes)) == (million.FEWEST, million.MOST)

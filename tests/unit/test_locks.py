@@ -31,7 +31,7 @@ def write_run(folder: Path, *ids: str, **options: Any) -> None:
 def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}) as run:
         run.add(make_plan("a"), 0, "fixed", make_outcome())
-        with pytest.raises(InputError, match=rf"{tmp_path}: another run \(process {os.getpid()}\) writes there"):
+        with pytest.raises(InputError, match=rf"{tmp_path}: another run \(process {os.getpid()}\) is writing there"):
             write_run(tmp_path, overwrite=True)
     assert load_run(tmp_path).worlds.plan_id.tolist() == ["a"]
     assert not (tmp_path / LOCK_FILE).exists()
@@ -218,7 +218,7 @@ def test_a_part_is_written_after_a_while_though_no_world_finishes(tmp_path: Path
     with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
         run.add(make_plan("a"), 0, "fixed", make_outcome())
         deadline = time.monotonic() + 20
-        while not (tmp_path / "worlds/part-00000.parquet").exists() and time.monotonic() < deadline:
+        while load_run(tmp_path).info["counts"]["worlds"] == 0 and time.monotonic() < deadline:
             time.sleep(0.05)
         assert load_run(tmp_path).info["counts"]["worlds"] == 1
         run.add(make_plan("b"), 0, "fixed", make_outcome())

@@ -21,6 +21,7 @@ from petmjx.config import Simulation
 from petmjx.errors import InputError
 from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.columns import block
+from petmjx.pages.report import rows
 from petmjx.pages.report.about import _options, differing
 from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks
 from petmjx.pages.report.compared import common_verdicts, compared
@@ -165,8 +166,8 @@ def restored_column(column: dict[str, Any]) -> Any:
 
 def test_of_too_many_worlds_those_that_fall_are_kept(run: Path) -> None:
     runs = open_runs([run])
-    rows, table = table_rows(runs, most=10)
-    assert (len(table), rows.left_out) == (10, 20)
+    found, table = table_rows(runs, most=10)
+    assert (len(table), found.left_out) == (10, 20)
     assert (table["verdict"] != "stable").sum() == 9
     assert table["plan_id"].is_monotonic_increasing
     packed = box_blocks(runs, table, most=40)
@@ -176,9 +177,9 @@ def test_of_too_many_worlds_those_that_fall_are_kept(run: Path) -> None:
 
 def test_ten_thousand_plans_fit_into_a_mail(tmp_path: Path) -> None:
     runs = open_runs([scored(tmp_path, 100, n_boxes=44)])
-    rows, table = table_rows(runs)
+    found, table = table_rows(runs)
     bytes_a_box = sum(map(len, box_blocks(runs, table).blocks.values())) / table["n_boxes"].sum()
-    bytes_a_row = len(block(rows.arrays)) / len(table)
+    bytes_a_row = len(block(found.arrays)) / len(table)
     assert 10_003 * (43 * bytes_a_box + bytes_a_row) < 18e6, "of 20 MB"
 
 
@@ -312,7 +313,7 @@ def swept(folder: Path, rest: str) -> tuple[pd.DataFrame, Path]:
     return petmjx.sweep(file, engine="mujoco", out=folder / "swept").worlds, folder / "swept"
 
 
-def test_grids_have_their_answers(tmp_path: Path) -> None:
+def test_grids_have_their_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     axes = '[axes]\nprofile = "eumos-40509"\nlevel = [0.2, 1.5]\ndirection = [0, 90, 180]\n'
     worlds, folder = swept(tmp_path, axes)
     (opened,) = open_runs([folder])
@@ -326,6 +327,16 @@ def test_grids_have_their_answers(tmp_path: Path) -> None:
     assert keys.index("x-level_g") < keys.index("verdict") < keys.index("x-mode")
     shares = worlds.assign(stands=worlds["verdict"] == "stable").groupby("level_g")["stands"].mean()
     assert f"<title>0.2: {100 * shares[0.2]:.1f} %, 95 %:" in body
+    monkeypatch.setattr(rows, "MOST_OF_SWEEP", 11)
+    html = page_of(folder)
+    assert "has 12 worlds, too many for a table. It has one row a plan" in checked(html)
+    found, table = table_rows([opened])
+    assert found.summed_up == [opened]
+    assert info_of(html)["n"] == len(table) == worlds["plan_id"].nunique() == 2
+    of_plan = worlds.groupby("plan_id")
+    assert table.set_index("plan_id")["margin"].to_dict() == of_plan["margin"].min().to_dict()
+    stand = of_plan["verdict"].agg(lambda verdicts: (verdicts == "stable").mean())
+    assert table.set_index("plan_id")["share"].to_dict() == stand.to_dict()
 
 
 def test_searches_have_their_answers(tmp_path: Path) -> None:

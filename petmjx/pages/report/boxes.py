@@ -17,6 +17,7 @@ from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.report.runs import ReportRun
 from petmjx.plans.plan import Plan
 from petmjx.results.compare import KEY
+from petmjx.results.worlds import rows_of_worlds
 from petmjx.text import printable
 from petmjx.units import FloatArray
 from petmjx.verdict import Verdict
@@ -106,7 +107,8 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
     for at, part in table.groupby("run", sort=True):
         run = runs[int(at)]
         sim = simulation_of(run.info)
-        boxes = run.results.boxes.merge(part[KEY], on=KEY).sort_values([*KEY, "box"], kind="stable")
+        wanted = (*KEY, "box", "item_id", "article", *_NUMBERS)
+        boxes = rows_of_worlds(run.results, "boxes", part[KEY], wanted).sort_values([*KEY, "box"], kind="stable")
         places = boxes.reset_index().groupby(KEY, sort=False).indices
         numbers = boxes[[*_NUMBERS]].to_numpy(np.float64)
         names = list(zip(boxes["item_id"], boxes["article"], strict=True))

@@ -38,7 +38,7 @@ def find_plans_again(run: RunResults, given: Sequence[Path] = ()) -> FoundPlans:
         records = Manifest.read(run.parts, run.info).plans
     except InputError as error:
         return FoundPlans({}, str(error))
-    wanted = set(run.worlds["plan_id"])
+    wanted = set(run.worlds["plan_id"].unique())
     found = find_plans(run.info, records, wanted, list(given) or list(run.held.values()) or None)
     return FoundPlans(found.plans, _note(found, len(wanted)))
 

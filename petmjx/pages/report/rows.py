@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.pages.columns import Packed, whole
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.results.compare import KEY
+from petmjx.results.shares import ONE_PLAN
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.text import printable
 from petmjx.units import MM_PER_M
@@ -20,6 +21,9 @@ from petmjx.verdict import Verdict
 
 MOST_ROWS: Final = 200_000
 """Worlds of the table, over all runs. Of more, those that stand are left out first: a row takes about 40 bytes."""
+
+MOST_OF_SWEEP: Final = 100_000
+"""Worlds of a sweep that are rows of their own. Of more, each plan has one."""
 
 PLAN: Final = "plan"
 OTHER: Final = "other"
@@ -74,20 +78,23 @@ class Rows:
         texts: key → the texts of a column of kind ``text`` or ``choice``; its array has places in them, −1 for none.
         arrays: key → one value a row.
         left_out: worlds that are not in the table.
+        summed_up: runs of which the table has a row a plan.
     """
 
     columns: list[dict[str, Any]] = field(default_factory=list)
     texts: dict[str, list[str]] = field(default_factory=dict)
     arrays: dict[str, NDArray[Any] | Packed] = field(default_factory=dict)
     left_out: int = 0
+    summed_up: list[ReportRun] = field(default_factory=list)
 
 
 def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, pd.DataFrame]:
     """The table, and the frame that it was made of: worlds of all runs in its order, with ``run`` as number."""
-    frames = [_of_run(at, run) for at, run in enumerate(runs)]
-    frames = _with_other_verdicts(frames) if len(frames) == 2 else frames
+    summed_up = [run for run in runs if run.kind is Kind.GRID and len(run.worlds) > MOST_OF_SWEEP]
+    frames = [_of_run(at, run, run in summed_up) for at, run in enumerate(runs)]
+    frames = _with_other_verdicts(frames, runs) if len(frames) == 2 else frames
     frame = pd.concat(frames, ignore_index=True)
-    rows = Rows(left_out=max(0, len(frame) - most))
+    rows = Rows(left_out=max(0, len(frame) - most), summed_up=summed_up)
     if rows.left_out:
         falls_first = (frame["verdict"] == Verdict.STABLE.value).sort_values(kind="stable").index[:most]
         frame = frame.loc[np.sort(falls_first)].reset_index(drop=True)
@@ -110,19 +117,30 @@ def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, 
     return rows, frame
 
 
-def _of_run(at: int, run: ReportRun) -> pd.DataFrame:
+def _of_run(at: int, run: ReportRun, summed_up: bool) -> pd.DataFrame:
     worlds = run.worlds.assign(run=at)
     summary = run.results.summary
+    if summed_up:
+        worlds = _worst(worlds)
+        if run.shares is not None:
+            of_plans = run.shares[(run.shares["scope"] == ONE_PLAN) & (run.shares["axis"] == "")]
+            worlds = worlds.merge(of_plans[["plan_id", "share", "low", "high"]], on="plan_id", how="left")
     if run.kind is Kind.CONFIDENCE and summary is not None:
         worlds = worlds.merge(summary[["plan_id", "share", "low", "high"]], on="plan_id", how="left")
     return worlds
 
 
-def _with_other_verdicts(frames: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
+def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
+    """Of each plan the world with the least margin."""
+    margin = worlds["margin"].fillna(np.inf)
+    return worlds.loc[margin.groupby(worlds["plan_id"], sort=False).idxmin()].reset_index(drop=True)
+
+
+def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
     """Two runs' worlds with the column ``OTHER``: the same world's verdict in the other run, "" where it has none."""
     found = []
-    for one, two in (frames, frames[::-1]):
-        other = one[KEY].merge(two[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
+    for one, two in zip(frames, runs[::-1], strict=True):
+        other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
         found.append(one.assign(**{OTHER: other.to_numpy()}))
     return found
 

@@ -9,13 +9,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from petmjx.errors import InputError
 from petmjx.pages.report.plans_again import FoundPlans, find_plans_again
+from petmjx.plans.plan import Plan
 from petmjx.results.compare import KEY
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.shares import ALL_PLANS, share_standing
+from petmjx.results.worlds import rows_of_worlds
 from petmjx.text import printable
 from petmjx.units import MM_PER_M
 
@@ -72,20 +76,26 @@ class ReportRun:
         if self.kind is Kind.CONFIDENCE:
             worlds = worlds[worlds["variant"] == 0]
         worlds = worlds.sort_values(KEY, kind="stable", ignore_index=True)
-        plans = self.found.plans.values()
-        height = {plan.plan_id: float((plan.corner_mm + plan.size_mm)[:, 2].max()) / MM_PER_M for plan in plans}
-        mass = {plan.plan_id: float(plan.mass_kg.sum()) for plan in plans}
-        return worlds.assign(
-            height_m=worlds["plan_id"].map(height).astype("float64"),
-            mass_kg=worlds["plan_id"].map(mass).astype("float64"),
-            first_article=self._first_articles(worlds),
-        )
+        plans = self.found.plans
+        codes, plan_ids = pd.factorize(worlds["plan_id"])
+        nothing = float("nan"), float("nan")
+        sizes = [_height_and_mass(plans[each]) if each in plans else nothing for each in plan_ids.tolist()]
+        height_m, mass_kg = np.array(sizes).reshape(-1, 2)[codes].T
+        first = self._first_articles(worlds["culprit"], codes, plan_ids.tolist())
+        return worlds.assign(height_m=height_m, mass_kg=mass_kg, first_article=first)
 
-    def _first_articles(self, worlds: pd.DataFrame) -> list[str]:
-        falls = worlds[worlds["culprit"].notna()]
-        of_plan = self.articles(set(falls["plan_id"]))
-        rows = zip(worlds["plan_id"], worlds["culprit"], strict=True)
-        return ["" if pd.isna(box) or plan not in of_plan else of_plan[plan][box] for plan, box in rows]
+    def _first_articles(self, culprit: pd.Series, codes: NDArray[np.int64], plan_ids: list[str]) -> NDArray[np.object_]:
+        """(worlds,) what the first box is of; ``codes``: places of their plans in ``plan_ids``."""
+        found = np.full(len(codes), "", dtype=object)
+        falls = np.flatnonzero(culprit.notna().to_numpy())
+        of_plan = self.articles({plan_ids[code] for code in np.unique(codes[falls]).tolist()})
+        lists = [of_plan.get(plan_id, ()) for plan_id in plan_ids]
+        counts = np.array([len(each) for each in lists], dtype=np.int64)
+        flat = np.array([article for each in lists for article in each], dtype=object)
+        falls = falls[counts[codes[falls]] > 0]
+        starts = np.cumsum(counts) - counts
+        found[falls] = flat[starts[codes[falls]] + culprit.iloc[falls].to_numpy(np.int64)]
+        return found
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
         """The articles of plans' boxes in packing order; where neither plans nor boxes are there, a plan has none."""
@@ -94,10 +104,10 @@ class ReportRun:
         }
         missing = {*plan_ids} - {*found}
         if missing and self.results.keeps_boxes:
-            boxes = self.results.boxes
-            first = boxes.loc[boxes["plan_id"].isin(missing), [*KEY, "article"]]
-            first = first[first["variant"] == first.groupby("plan_id")["variant"].transform("min")]
-            found |= {str(plan_id): rows.tolist() for plan_id, rows in first.groupby("plan_id")["article"]}
+            worlds = self.results.worlds[KEY]
+            first = worlds[worlds["plan_id"].isin(missing)].drop_duplicates("plan_id")
+            boxes = rows_of_worlds(self.results, "boxes", first, ("plan_id", "article"))
+            found |= {str(plan_id): rows.tolist() for plan_id, rows in boxes.groupby("plan_id")["article"]}
         return found
 
     @cached_property
@@ -122,6 +132,11 @@ class ReportRun:
     def parameters(self) -> list[str]:
         """Columns of ``worlds`` that this run's variants add."""
         return [str(param["name"]) for param in self.info.get("params", [])]
+
+
+def _height_and_mass(plan: Plan) -> tuple[float, float]:
+    """m, kg."""
+    return float((plan.corner_mm + plan.size_mm)[:, 2].max()) / MM_PER_M, float(plan.mass_kg.sum())
 
 
 def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] = ()) -> list[ReportRun]:

@@ -1,0 +1,72 @@
+"""An engine that answers at once, for measuring what the host does with worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from petmjx.config import Simulation
+from petmjx.engines.base import Progress
+from petmjx.metrics.spec import BoxMetrics
+from petmjx.units import FloatArray
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.world.job import Job
+
+FALL_EVERY = 10
+INVALID_EVERY = 500
+"""Worlds of which one falls, and of which one is invalid at the first attempt and stands at the second."""
+
+
+class Instant:
+    """Simulates nothing: most worlds stand where they were placed. As engines do, it begins with the largest."""
+
+    name = "instant"
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        again, rng = sim.solver_tolerance is not None, np.random.default_rng(len(jobs))
+        sizes = np.array([job.scene.n_boxes for job in jobs])
+        for k in np.argsort(-sizes, kind="stable").tolist():
+            pos = jobs[k].scene.target
+            moved = 1e-4 * rng.standard_normal(pos.shape)
+            if k % INVALID_EVERY == 1 and not again:
+                yield _outcome(k, pos, moved, Verdict.INVALID, Reason.EXPLOSION, Flag.EXPLOSION)
+            elif k % FALL_EVERY == 3:
+                moved[-1, 0] = 0.05
+                yield _outcome(k, pos, moved, Verdict.UNSTABLE, Reason.SHIFT, Flag.EARLY_STOP)
+            else:
+                yield _outcome(k, pos, moved, Verdict.STABLE, Reason.NONE, Flag.NONE)
+
+
+def _outcome(job: int, pos: FloatArray, moved: FloatArray, verdict: Verdict, reason: Reason, flags: Flag) -> Outcome:
+    n, falls = len(pos), verdict is Verdict.UNSTABLE
+    return Outcome(
+        job=job,
+        verdict=verdict,
+        reason=reason,
+        culprit=n - 1 if falls else -1,
+        first_sign_s=1.0 + abs(moved[0, 0]) if falls else float("nan"),
+        n_boxes=n,
+        n_placed=n,
+        sim_time_s=2.0,
+        n_steps=1000 + int(1e6 * abs(moved[0, 1])),
+        flags=flags,
+        boxes=BoxMetrics(
+            pos=pos,
+            shift_m=moved,
+            max_tilt_deg=1e3 * np.abs(moved[:, 0]),
+            max_top_force_n=1e5 * abs(moved[:, 1]),
+            **_still(n),
+        ),
+        n_at_sign=n if falls else 0,
+    )
+
+
+@cache
+def _still(n: int) -> dict[str, Any]:
+    """The other metrics of n boxes. Nobody writes into them."""
+    zero, none = np.zeros(n), np.full(n, np.nan)
+    rest = {"rest_top_force_n": zero, "dropped": np.zeros(n, bool), "drop_s": none, "max_sway_m": none}
+    return {"max_lin_acc": zero, "max_ang_acc": zero, **rest, "quat": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))}

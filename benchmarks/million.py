@@ -1,0 +1,193 @@
+"""Sweeps of a million small worlds: what the host takes for each of them, its memory, and what becomes of the tables.
+
+A run in a process of its own is killed on its way and gone on with in another one. Others read what it has written.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.instant import Instant
+from benchmarks.record import Result, timed
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import generate_one
+from petmjx.plans.validate import parse_plan
+from petmjx.run_options import RunOptions
+from petmjx.simulate import RunStart, simulate
+from petmjx.study import FinishedWorld
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.study import SweepStudy
+
+SWEEP: Final = Path(__file__).parent / "sweeps" / "placement-seeds.toml"
+FEWEST, MOST = 10, 14
+"""Boxes of a plan."""
+
+SEED: Final = 5
+POLL_S: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Million:
+    """What is run.
+
+    Attributes:
+        variants: worlds of each plan.
+        engine: by name; ``instant`` answers at once.
+        kill_at: share of worlds after which the run is killed; 0: it is not.
+        options: further options of the run.
+    """
+
+    folder: Path
+    plans: int = 1000
+    variants: int = 1000
+    engine: str = "instant"
+    kill_at: float = 0.5
+    options: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def out(self) -> Path:
+        return self.folder / "run"
+
+
+def measured(case: Million) -> Iterator[Result]:
+    """Run it, kill it, go on with it, and read it: a line of results for each step, as soon as it is there."""
+    about = {"engine": case.engine, "plans": case.plans, "variants": case.variants, "boxes": [FEWEST, MOST]}
+    about |= {"options": dict(case.options)}
+    if case.kill_at:
+        yield {"case": "million", "step": "killed", **about, **_killed(case)}
+    for step, name in ((run, "run"), (run, "nothing missing"), (load, "load"), (report_of, "report")):
+        yield {"case": "million", "step": name, **about, **_in_process(step, case)}
+    yield {"case": "million", "step": "tables", **about, "tables": tables(case.out)}
+
+
+def _in_process(step: Callable[[Million], Result], case: Million) -> Result:
+    """What a step returns, in a process of its own, with its largest memory."""
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1) as pool:
+        return pool.apply(_measured_step, (step, case))
+
+
+def _measured_step(step: Callable[[Million], Result], case: Million) -> Result:
+    with timed() as clock:
+        found = step(case)
+    return {**found, "wall_s": clock.wall_s, "cpu_s": clock.cpu_s, "peak_rss_bytes": clock.peak_rss_bytes}
+
+
+def _killed(case: Million) -> Result:
+    """Run until a share of the worlds is on disk, and then no further."""
+    process = multiprocessing.get_context("spawn").Process(target=run, args=(case,))
+    begin = time.perf_counter()
+    process.start()
+    assert process.pid is not None
+    most = case.kill_at * case.plans * case.variants
+    while process.is_alive() and written(case.out) < most:
+        time.sleep(POLL_S)
+    seconds = time.perf_counter() - begin
+    if process.is_alive():
+        os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    return {"worlds": written(case.out), "wall_s": seconds}
+
+
+def written(folder: Path) -> int:
+    """Worlds that a run has on disk, as it says."""
+    try:
+        return int(json.loads((folder / "run.json").read_text())["counts"]["worlds"])
+    except (OSError, ValueError, KeyError):
+        return 0
+
+
+class Watch:
+    """Notes when a run knew what is missing, and when its first world came."""
+
+    def __init__(self) -> None:
+        self._begin = time.perf_counter()
+        self.known_s = self.first_s = self.last_s = 0.0
+        self.recorded = self.new = 0
+
+    def begin(self, start: RunStart) -> None:
+        self.known_s, self.recorded = time.perf_counter() - self._begin, start.recorded
+
+    def world_done(self, world: FinishedWorld) -> None:
+        self.last_s = time.perf_counter() - self._begin
+        self.first_s = self.first_s or self.last_s
+        self.new += 1
+
+
+def run(case: Million) -> Result:
+    """Simulate what is missing."""
+    plans = made(case.plans)
+    sweep = load_sweep(SWEEP, plans_given=True).model_copy(update={"replicates": case.variants})
+    engine: Any = Instant() if case.engine == "instant" else case.engine
+    options = RunOptions(engine=engine, out=case.out, resume=True, **dict(case.options))
+
+    def ask(some: Any, options: RunOptions) -> SweepStudy:
+        return SweepStudy(sweep, some, options)
+
+    watch = Watch()
+    begin = time.perf_counter()
+    results = simulate(ask, sweep.simulation, plans, options, watch)
+    seconds = time.perf_counter() - begin
+    worlds = max(watch.last_s - watch.known_s, 1e-9)
+    return {
+        "recorded": watch.recorded,
+        "worlds": watch.new,
+        "begins_s": watch.known_s,
+        "first_world_s": watch.first_s,
+        "worlds_per_s": watch.new / worlds,
+        "ms_per_world": 1e3 * worlds / max(watch.new, 1),
+        "ends_s": seconds - max(watch.last_s, watch.known_s),
+        "compile_s": float(results.info["timings"].get("compile_s", 0.0)),
+    }
+
+
+def load(case: Million) -> Result:
+    """Open the run and read its worlds and summary, as a notebook does."""
+    import petmjx
+
+    begin = time.perf_counter()
+    results = petmjx.load_run(case.out)
+    opened = time.perf_counter() - begin
+    rows = len(results.worlds)
+    read = time.perf_counter() - begin
+    summary = results.summary
+    return {"open_s": opened, "worlds_s": read, "rows": rows, "summary_rows": 0 if summary is None else len(summary)}
+
+
+def report_of(case: Million) -> Result:
+    """Write the report."""
+    import petmjx
+
+    page = petmjx.report(case.out, case.folder / "report.html", overwrite=True)
+    return {"bytes": page.stat().st_size}
+
+
+def made(n: int) -> list[Plan]:
+    """So many generated plans, cut to 10 to 14 boxes."""
+    found: list[Plan] = []
+    index = 0
+    while len(found) < n:
+        plan_id, placements = generate_one(index, SEED)
+        most = FEWEST + index % (MOST - FEWEST + 1)
+        index += 1
+        if len(placements) >= most:
+            found.append(parse_plan(plan_id, "million", placements[:most], most, {}))
+    return found
+
+
+def tables(folder: Path) -> dict[str, dict[str, int]]:
+    """Table → its parts and bytes."""
+    found = {}
+    for table in sorted(path for path in folder.iterdir() if path.is_dir()):
+        sizes = [file.stat().st_size for file in table.glob("*.parquet")]
+        found[table.name] = {"parts": len(sizes), "bytes": sum(sizes)}
+    found["run.json"] = {"parts": 1, "bytes": (folder / "run.json").stat().st_size}
+    return found

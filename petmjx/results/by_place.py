@@ -1,0 +1,196 @@
+"""Worlds of a large run by the part that they come to in the end, so that no part is written twice.
+
+Smaller runs write parts as worlds finish, and sort them in the end (petmjx.results.sorting). Of a million worlds that
+would be to write the run again. Engines get worlds in the order given, some ten thousand at a time, so that all worlds
+of a part finish within a short time of each other: they wait for each other in memory. Where that takes too long, what
+is there of a part is written early, and once more with the rest of it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from petmjx.results.counts import WorldCounts
+from petmjx.results.files import part_number
+from petmjx.results.listed import Parts
+from petmjx.results.parts import Part, Row
+from petmjx.results.tables import Tables
+
+LARGE: Final = 50_000
+"""Runs of more worlds have their parts in order from the beginning."""
+
+LARGE_PART: Final = 10_000
+"""Worlds of such a part: of ``worlds`` a megabyte, of ``boxes`` with 43 a world 30. A million worlds are 100 parts."""
+
+MOST_WAITING_BYTES: Final = 512 << 20
+"""Of metrics of boxes that wait in memory: 65,000 worlds of 43 boxes."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """The place of each world in a run whose plans all have the same variants.
+
+    Attributes:
+        plan_ids: of the run's own plans, in the order given.
+        n_variants: of each plan; they are numbered without a gap.
+        first: the number of the first one.
+        per_part: worlds of a part.
+    """
+
+    plan_ids: Sequence[str]
+    n_variants: int
+    first: int
+    per_part: int = LARGE_PART
+    _place: dict[str, int] = field(init=False, default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        self._place.update({plan_id: at for at, plan_id in enumerate(self.plan_ids)})
+
+    @property
+    def n_worlds(self) -> int:
+        return len(self.plan_ids) * self.n_variants
+
+    @property
+    def n_parts(self) -> int:
+        return -(-self.n_worlds // self.per_part)
+
+    def rank(self, plan_id: str, variant: int) -> int:
+        """Which of all worlds it is, from 0."""
+        return self._place[plan_id] * self.n_variants + variant - self.first
+
+    def size(self, number: int) -> int:
+        """Worlds of a part."""
+        return min(self.per_part, self.n_worlds - number * self.per_part)
+
+    def ranks(self, table: pa.Table) -> NDArray[np.int64] | None:
+        """(n,) of each row's world; None where a row is of a world that the run does not have."""
+        plans = table["plan_id"].combine_chunks().dictionary_encode()
+        place = np.array([self._place.get(plan_id, -1) for plan_id in plans.dictionary.to_pylist()], dtype=np.int64)
+        of_plan = place[np.asarray(plans.indices)]
+        variant = np.asarray(table["variant"], dtype=np.int64) - self.first
+        if (of_plan < 0).any() or (variant < 0).any() or (variant >= self.n_variants).any():
+            return None
+        ranks: NDArray[np.int64] = of_plan * self.n_variants + variant
+        return ranks
+
+
+@dataclass
+class _Waiting:
+    """The worlds of a part that are in memory, and where the others are.
+
+    Attributes:
+        since_s: when the first of them came (monotonic clock).
+        early: numbers of parts that were written too early.
+        n_early: their worlds.
+    """
+
+    rows: list[Row] = field(default_factory=list)
+    since_s: float = 0.0
+    early: list[int] = field(default_factory=list)
+    n_early: int = 0
+
+
+class ByPlace:
+    """Gathers worlds by part, and writes them.
+
+    Attributes:
+        counts: of worlds that are written.
+    """
+
+    def __init__(self, places: Places) -> None:
+        self._places = places
+        self._waiting: dict[int, _Waiting] = {}
+        self._next_early = places.n_parts
+        self._bytes = 0
+        self.counts = WorldCounts()
+
+    def goes_on(self, parts: Parts, counts: WorldCounts) -> bool:
+        """Take up parts that are there; False where they are in another order, or of other sizes."""
+        self.counts = counts
+        for file in parts.files("worlds"):
+            number, ranks = part_number(file), self._places.ranks(parts.read(file, ("plan_id", "variant")))
+            if ranks is None or not len(ranks):
+                return False
+            home = int(ranks[0]) // self._places.per_part
+            if (ranks // self._places.per_part != home).any():
+                return False
+            if number < self._places.n_parts:
+                if number != home or len(ranks) < self._places.size(home) or (np.diff(ranks) <= 0).any():
+                    return False
+                continue
+            waiting = self._waiting.setdefault(home, _Waiting())
+            waiting.early.append(number)
+            waiting.n_early += len(ranks)
+            self._next_early = max(self._next_early, number + 1)
+        return True
+
+    def add(self, row: Row) -> list[int]:
+        """Keep one more world; returns the parts to write now: its own if that is whole, all if they take too much
+        memory."""
+        number = self._places.rank(row.plan.plan_id, row.cells["variant"]) // self._places.per_part
+        waiting = self._waiting.setdefault(number, _Waiting())
+        if not waiting.rows:
+            waiting.since_s = time.monotonic()
+        waiting.rows.append(row)
+        self._bytes += row.block.nbytes
+        if self._bytes > MOST_WAITING_BYTES:
+            return self.left()
+        return [number] if self._whole(number) else []
+
+    def late(self, seconds: float) -> list[int]:
+        """Parts of which a world waits for longer than this."""
+        now = time.monotonic()
+        return [n for n, waiting in self._waiting.items() if waiting.rows and now - waiting.since_s >= seconds]
+
+    def left(self, early: bool = False) -> list[int]:
+        """Parts of which worlds wait; ``early``: also those that were written in pieces and are whole."""
+        return [n for n, waiting in self._waiting.items() if waiting.rows or (early and self._whole(n))]
+
+    def write(self, number: int, tables: Tables, schemas: Mapping[str, pa.Schema]) -> bool:
+        """Write what there is of a part; returns whether parts that were written early are of no more use. Raises
+        OSError."""
+        waiting, whole = self._waiting[number], self._whole(number)
+        part = Part(number if whole else self._next_early, sorted(waiting.rows, key=self._rank))
+        made = part.tables(schemas) if part.rows or not whole else iter(())
+        if whole and waiting.early:
+            tables.write_part(number, self._joined(tables.parts, waiting.early, made))
+            tables.forget(waiting.early)
+        else:
+            tables.write_part(part.number, made)
+        self.counts = part.counted(self.counts)
+        self._bytes -= sum(row.block.nbytes for row in waiting.rows)
+        if whole:
+            del self._waiting[number]
+        else:
+            waiting.early.append(part.number)
+            waiting.n_early += len(part.rows)
+            waiting.rows = []
+            self._next_early += 1
+        return whole and bool(waiting.early)
+
+    def _whole(self, number: int) -> bool:
+        waiting = self._waiting[number]
+        return waiting.n_early + len(waiting.rows) == self._places.size(number)
+
+    def _rank(self, row: Row) -> int:
+        return self._places.rank(row.plan.plan_id, row.cells["variant"])
+
+    def _joined(
+        self, parts: Parts, early: Sequence[int], made: Iterator[tuple[str, pa.Table]]
+    ) -> Iterator[tuple[str, pa.Table]]:
+        """The tables of a part that was written in pieces, in order; ``worlds`` comes last."""
+        new = dict(made)
+        names = [name for name in ("boxes", "attempts", "worlds") if name in new or parts.numbered(name, early)]
+        for name in names:
+            pieces = [parts.read(file) for file in parts.numbered(name, early)]
+            table = pa.concat_tables([*pieces, *([new[name]] if name in new else [])])
+            ranks = self._places.ranks(table)
+            assert ranks is not None
+            yield name, table.take(np.argsort(ranks, kind="stable"))

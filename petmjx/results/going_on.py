@@ -1,0 +1,38 @@
+"""The run that is in a folder, for one that goes on with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from petmjx.errors import InputError
+from petmjx.results.listed import Parts
+from petmjx.results.manifest import Manifest
+from petmjx.results.reader import read_info, told_apart
+
+
+def run_there(
+    folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
+) -> tuple[dict[str, Any], Parts, list[str]]:
+    """Its ``run.json``, its files, and warnings: those about worlds that are not simulated again.
+
+    Args:
+        versions: package → version of the run that goes on.
+
+    Raises:
+        InputError: it is another run, or damaged.
+    """
+    info = read_info(folder)
+    if manifest is None:
+        raise ValueError("a run without a manifest cannot be resumed")
+    parts = Parts.of(folder, info)
+    differs = manifest.difference_from(Manifest.read(parts, info))
+    if differs:
+        raise InputError(f"{folder}: cannot be resumed, it is another run ({differs})")
+    warnings = list(told_apart(info)[0])
+    for name, version in versions.items():
+        before = info["versions"].get(name)
+        if before != version:
+            warnings.append(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
+    return info, parts.with_worlds(), warnings
