@@ -62,10 +62,10 @@ def measured(case: Million) -> Iterator[Result]:
     about = {"engine": case.engine, "plans": case.plans, "variants": case.variants, "boxes": [FEWEST, MOST]}
     about |= {"options": dict(case.options)}
     if case.kill_at:
-        yield {"case": "million", "step": "killed", **about, **_killed(case)}
+        yield {"case": "million", "group": "million", "step": "killed", **about, **_killed(case)}
     for step, name in ((run, "run"), (run, "nothing missing"), (load, "load"), (report_of, "report")):
-        yield {"case": "million", "step": name, **about, **_in_process(step, case)}
-    yield {"case": "million", "step": "tables", **about, "tables": tables(case.out)}
+        yield {"case": "million", "group": "million", "step": name, **about, **_in_process(step, case)}
+    yield {"case": "million", "group": "million", "step": "tables", **about, "tables": tables(case.out)}
 
 
 def _in_process(step: Callable[[Million], Result], case: Million) -> Result:

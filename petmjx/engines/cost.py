@@ -17,38 +17,37 @@ from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.world.job import Job
 
-STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.21}
-"""Steps of a schedule as a share of the fixed schedule's. Measured on 2,000 generated plans, physics ``pallet``
-(benchmarks/README.md); physics ``reference`` takes twice as many."""
+STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.16}
+"""Steps of a schedule as a share of the fixed schedule's, physics ``pallet``: 0.15 to 0.17 of generated plans of 8 to
+80 boxes and third-party ones of 98 to 204; physics ``reference`` takes twice as many."""
 
 STATIC_STEPS = 220
 """Steps of a static check with the schedule adaptive: the mean of 12 generated and 9 third-party plans (150 to 700)."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4}
-"""The cost of a schedule on a device as a share of the fixed schedule's, fitted together with ``MEASURED``. The
-remaining steps are the expensive ones, in which boxes move and pallets collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's. The remaining steps are the expensive ones, in
+which boxes move and pallets collapse."""
 
-JAX_POWER, WARP_POWER = 2.0, 1.6
-"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes. While they come one by one, on
-``mjx-warp`` it is the mean of k to this power over k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in
-the model from the beginning."""
+JAX_POWER, WARP_POWER = 2.0, 1.0
+"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes, over whole runs: of plans with
+more boxes more steps are at rest. While boxes come one by one, on ``mjx-warp`` it is the mean of k to this power over
+k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in the model from the beginning."""
 
-SHAKEN_FACTOR = 2.0
+SHAKEN_FACTOR = 1.3
 """Cost of a step of a drive on a device, relative to a step of the same pallet at rest."""
 
-CARRIED_STEPS = 2.2
-"""Steps of a placement by hand, relative to one in which boxes appear: 221 and 100 steps a box in 1,000 generated plans
-(docs/placing.md), 193 and 85 in six."""
+CARRIED_STEPS = 3.0
+"""Steps of a placement by hand, relative to one in which boxes appear: 2.4 to 4.5 with 5 to 98 boxes."""
 
-CARRIED_COST = 4.0
-"""Its cost, relative to one in which boxes appear, ..."""
+CARRIED_ON_DEVICE = 3.8
+"""Its cost on a device, relative to one in which boxes appear."""
 
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the standing boxes."""
 
-STATIC_LANDINGS = 9
+STATIC_LANDINGS = 22
 """What it costs beyond rest that all boxes of a static check land at once, in landings of one box on the full pallet:
-5 to 11 with 43 to 241 boxes."""
+12 to 24 with 38 to 241 boxes."""
 
 SHAKEN_STEPS = 700
 """Steps of a drive in which boxes slide or fall, at most: all of EUMOS's profile. Of the 10,715 steps of the pushes of
@@ -91,10 +90,13 @@ class Work:
         placements = self.placements + (CARRIED_STEPS - 1) * self.carried
         return placements * self._placing_steps + self.drives * self.drive_steps
 
-    @property
-    def _appearing(self) -> float:
-        """As many placements in which boxes appear as cost as much."""
-        return self.placements + (CARRIED_COST - 1) * self.carried
+    def appearing(self, carried_cost: float) -> float:
+        """As many placements of each plan in which boxes appear as cost as much as all of them.
+
+        Args:
+            carried_cost: of a placement by hand, relative to one in which boxes appear.
+        """
+        return self.placements + (carried_cost - 1) * self.carried
 
     @property
     def _placing_steps(self) -> FloatArray:
@@ -115,35 +117,70 @@ class Work:
 
 
 @dataclass(frozen=True)
+class ThreadCosts:
+    """Measured costs of an engine on one CPU thread.
+
+    Attributes:
+        rest_s: time for a step of a world at rest, s per box to the power ``REST_POWER``.
+        overhead_s: time that any step takes in addition, s.
+        landing_s: time that it takes in addition until a box has landed, s per box² of those that stand then.
+        shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
+        carried: cost of a placement by hand, relative to one in which boxes appear.
+    """
+
+    rest_s: float
+    overhead_s: float
+    landing_s: float
+    shaken_s: float
+    carried: float
+
+    def seconds(self, work: Work, threads: int) -> float:
+        """Expected time, s, with the worlds shared out over threads: at least that of the longest one."""
+        placing_s, driving_s = self.placing_s(work), self.driving_s(work.boxes, work.drive_steps)
+        thread_s = float((work.appearing(self.carried) * placing_s + work.drives * driving_s).sum())
+        each_s = (self.carried if work.carried else 1.0) * placing_s
+        longest_s = float((each_s + (driving_s if work.drives else 0.0)).max())
+        return max(thread_s / threads, longest_s)
+
+    def placing_s(self, work: Work) -> FloatArray:
+        """(n,) time of one placement of each plan, s."""
+        boxes = np.asarray(work.boxes, dtype=float)
+        one_by_one = work.sim.check is Check.ONE_BY_ONE
+        # sums over the boxes that stand, 1…n, where they come one by one
+        at_rest = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
+        landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
+        return (at_rest + self.overhead_s) * work._placing_steps + self.landing_s * landings
+
+    def driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
+        """(n,) time of a drive of each plan, s. steps: of the drive."""
+        n = np.asarray(boxes, dtype=float)
+        at_rest = self.rest_s * n**REST_POWER + self.overhead_s
+        return np.asarray(at_rest * steps + self.shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS))
+
+
+@dataclass(frozen=True)
 class Costs:
     """Measured costs of the engines, in the detail that ``auto`` and estimates of time need.
 
     Attributes:
-        cpu_rest_s: time of one CPU thread for a step of a world at rest, s per box to the power ``REST_POWER``.
-        cpu_overhead_s: time that any step takes in addition, s.
-        cpu_landing_s: time that it takes in addition until a box has landed, s per box² of those that stand then.
-        cpu_shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
+        mujoco, kernel: of ``mujoco`` and of ``mjx-warp-cpu`` on a CPU thread.
+        kernel_start_s: time to start ``mjx-warp-cpu``, with compilation, s.
         jax_step_s: time of ``mjx-jax`` on a CPU for a step of one world, s per box²: 57 steps/s with 40 boxes on two
             cores.
         gpu_step_s: time of a device for a step of ``full_worlds`` worlds, s per box to the power ``WARP_POWER``.
         full_worlds: worlds that fill the device.
         tail_worlds: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
         gpu_start_s: time to start the device engine, with compilation, s.
-        kernel_share: time of ``mjx-warp-cpu``, as a share of that of ``mujoco`` on as many threads.
-        kernel_start_s: time to start it, with compilation, s.
     """
 
-    cpu_rest_s: float = 2.4e-6
-    cpu_overhead_s: float = 2e-5
-    cpu_landing_s: float = 1e-5
-    cpu_shaken_s: float = 4.5e-7
-    jax_step_s: float = 1.1e-5
-    gpu_step_s: float = 4.6e-7
-    full_worlds: int = 264
-    tail_worlds: int = 800
-    gpu_start_s: float = 17.0
-    kernel_share: float = 0.33
+    mujoco: ThreadCosts = ThreadCosts(1.5e-6, 3.6e-5, 8.3e-6, 4.5e-7, 8.6)
+    kernel: ThreadCosts = ThreadCosts(4.2e-7, 6e-6, 2.3e-6, 5e-8, 4.9)
     kernel_start_s: float = 10.0
+    jax_step_s: float = 1.1e-5
+    gpu_step_s: float = 3.6e-6
+    full_worlds: int = 264
+    tail_worlds: int = 900
+    gpu_start_s: float = 17.0
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
         """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
@@ -151,19 +188,14 @@ class Costs:
         if not n_plans:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
             return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
+        placements = work.appearing(CARRIED_ON_DEVICE)
         jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER)
-        jax_steps = float((work._appearing * jax_placing + work.drives * jax_driving).sum())
-        placing_s, driving_s = self._placing_s(work), self._driving_s(work.boxes, work.drive_steps)
-        thread_s = float((work._appearing * placing_s + work.drives * driving_s).sum())
-        each_s = (CARRIED_COST if work.carried else 1.0) * placing_s
-        longest_s = float((each_s + (driving_s if work.drives else 0.0)).max())
-        cpu_s = max(thread_s / threads, longest_s)
         return {
-            "mujoco": cpu_s,
-            "mjx-warp-cpu": self.kernel_start_s + self.kernel_share * cpu_s,
-            "mjx-jax": self.jax_step_s * jax_steps,
+            "mujoco": self.mujoco.seconds(work, threads),
+            "mjx-warp-cpu": self.kernel_start_s + self.kernel.seconds(work, threads),
+            "mjx-jax": self.jax_step_s * float((placements * jax_placing + work.drives * jax_driving).sum()),
             "mjx-warp": self.gpu_start_s
-            + self._phase_s(n_plans * work._appearing / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
+            + self._phase_s(n_plans * placements / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
             + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER).mean())),
         }
 
@@ -171,27 +203,12 @@ class Costs:
         """(n,) expected time of each job on one CPU thread, s. On a device only its order counts."""
         boxes = [job.scene.n_boxes for job in jobs]
         placed = np.array([job.start is None for job in jobs], dtype=float)
-        placed *= [CARRIED_COST if job.scene.placing.carries else 1.0 for job in jobs]
+        placed *= [self.mujoco.carried if job.scene.placing.carries else 1.0 for job in jobs]
         rest = [seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s) if job.drive else 0 for job in jobs]
         shaken = [len(job.drive.excitation.samples) if job.drive else 0 for job in jobs]
         drive_steps = np.array(rest, dtype=float) + shaken
         placing = Work(sim, boxes, drives=int(any(job.keep_state or job.drive for job in jobs)))
-        return np.asarray(placed * self._placing_s(placing) + self._driving_s(boxes, drive_steps))
-
-    def _placing_s(self, work: Work) -> FloatArray:
-        """(n,) time of one placement of each plan on one CPU thread, s."""
-        boxes = np.asarray(work.boxes, dtype=float)
-        one_by_one = work.sim.check is Check.ONE_BY_ONE
-        # sums over the boxes that stand, 1…n, where they come one by one
-        at_rest = self.cpu_rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
-        landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
-        return (at_rest + self.cpu_overhead_s) * work._placing_steps + self.cpu_landing_s * landings
-
-    def _driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
-        """(n,) time of a drive of each plan on one CPU thread, s. steps: of the drive."""
-        n = np.asarray(boxes, dtype=float)
-        at_rest = self.cpu_rest_s * n**REST_POWER + self.cpu_overhead_s
-        return np.asarray(at_rest * steps + self.cpu_shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS))
+        return np.asarray(placed * self.mujoco.placing_s(placing) + self.mujoco.driving_s(boxes, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
@@ -199,19 +216,17 @@ class Costs:
 
 
 MEASURED = Costs()
-"""Devices: fitted to plans on one H200 (benchmarks/results/h200-0.2.md), within a factor of two but for 63 large plans,
-which take less than half of what is estimated since the kernels became faster. Measured there:
-mjx-warp compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier run) and runs 3.1 s for 500 generated plans,
-5.4 s for 2,000 and 20 s for 10,003, adaptive (estimated: 2.6, 5.6 and 22 s); 14 s for 2,000 with the schedule fixed
-(14); 47 s for 630 plans of 156 boxes on average (78), and 21 s for 63 of them (47); 3.8 to 4.4 s for
-4,032 drives of EUMOS's profile. Not fitted to other devices.
+"""Records of runs that it was fitted to, within a factor of two: the lines ``estimates`` of
+benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, with which tests compare it, and those of
+tests/unit/test_choose.py.
 
-CPU threads: fitted to ``mujoco`` on one thread of two virtual EPYC cores, physics ``pallet``: 21 third-party plans of
-16 to 241 boxes and 110 generated ones, box by box, both schedules; static checks of 8 to 12 generated plans and 4 to 9
-of the others; drives of EUMOS's profile and of radial forces at 0.2, 0.5 and 0.8 g (benchmarks/results/cpu-0.2.md).
-Third-party plans are within a factor of two of it but for two, one of 45 boxes that takes 2.1 times as long (2.5 with
-the schedule fixed) and one of 160 that collapses at its end (2.1). Plans that fall early take less, drives of EUMOS's
-profile that move nothing a fifth of the estimate. On 16 threads of the machine with the H100 petmjx 0.1 took
-1.6 times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. ``mjx-warp-cpu`` takes 0.29
-of the time of ``mujoco`` for 200 generated plans and 0.40 for 20 of 103 to 154 boxes, compiles for 7 s and starts in
-3 s (two virtual Xeon cores with AVX-512, benchmarks/results/cpu-0.3.jsonl)."""
+CPU threads: one thread of two virtual EPYC cores, physics ``pallet``: scores of generated plans of 5 to 80 boxes and
+third-party ones of 98 to 204, static checks, scores with confidence, EUMOS's drives and search, tilts, placement
+errors; and on a slower one third-party plans of 16 to 241 boxes, both schedules, which took 1.5 times as long. Plans
+that fall early take less. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are
+simulated again with finer steps are not estimated.
+
+Devices: one H200, adaptive if nothing else is said: 500, 2,000 and 10,003 generated plans, 2,000 with the schedule
+fixed, 63 and 630 plans of 156 boxes on average, 1,000 plans with confidence 16, 100,000 worlds of 10 to 25 boxes with
+errors, 6,400 drives of EUMOS's profile. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier
+run)."""

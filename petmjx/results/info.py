@@ -1,19 +1,29 @@
-"""What ``run.json`` says of a run while its worlds finish."""
+"""What ``run.json`` says of a run while its worlds finish, and where its tables are kept."""
 
 from __future__ import annotations
 
+import contextlib
 import platform
+import tempfile
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+
+from petmjx.errors import PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.counts import WorldCounts
+from petmjx.results.listed import Parts
+from petmjx.results.memory import MemoryTables
 from petmjx.results.ordered import counts_block, orders_block
+from petmjx.results.reader import FINISHED
 from petmjx.results.schema import SCHEMA_VERSION, Param
+from petmjx.results.tables import Tables
 
 
 class RunInfo:
@@ -91,6 +101,51 @@ class RunInfo:
             "warnings": [*self.warnings, *self.odd_plans],
             **({"orders": orders_block(self.orders)} if self.orders else {}),
         }
+
+
+class RunFolder(RunInfo):
+    """Keeps a run's tables and ``run.json``.
+
+    Attributes:
+        out_dir: the folder.
+    """
+
+    def _hold(self, out_dir: str | Path | None) -> None:
+        """Name the folder; None: tables are held in memory."""
+        self._in_memory = out_dir is None
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self.out_dir = Path(out_dir or "")
+        self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
+
+    @property
+    def parts(self) -> Parts:
+        """The files of the tables, as they are now."""
+        return self._tables.parts
+
+    def write_summary(self, answers: pa.Table) -> None:
+        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An old one is replaced.
+
+        Raises:
+            PetmjxError: the file cannot be written.
+        """
+        with self._writing():
+            self._tables.write_first("summary", answers)
+
+    @contextlib.contextmanager
+    def _unless_temporary(self) -> Iterator[None]:
+        """Take away a temporary folder if the run has not come to its end."""
+        try:
+            yield
+        finally:
+            if self._temporary is not None and self.status != FINISHED:
+                self._temporary.cleanup()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error
 
 
 def _as_json(skipped: Skipped) -> dict[str, Any]:

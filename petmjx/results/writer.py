@@ -6,6 +6,7 @@ import contextlib
 import tempfile
 import threading
 import time
+import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -17,17 +18,18 @@ from petmjx.plans.plan import Plan
 from petmjx.results.by_place import ByPlace, Places
 from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
-from petmjx.results.folder import RunFolder
 from petmjx.results.given import Given
 from petmjx.results.going_on import run_there
-from petmjx.results.info import now
-from petmjx.results.listed import Parts
+from petmjx.results.info import RunFolder, now
+from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.memory import MemoryParts
 from petmjx.results.parts import Part, Pending, Row
-from petmjx.results.reader import FINISHED
+from petmjx.results.plain import plain
+from petmjx.results.reader import FINISHED, RunResults, load_run
 from petmjx.results.recorded import Recorded
+from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
@@ -55,7 +57,7 @@ class RunWriter(RunFolder):
 
     Args:
         out_dir: the run's folder; made if it is not there. None: the run stays in memory if it is no more than a part;
-            a larger one is written to a temporary folder, which goes with :meth:`results`.
+            a larger one is written to a temporary folder, which goes with its results.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
         dynamic, force_intervals: as in ``petmjx.results.schema.schemas``; ``boxes``: whether this table is kept.
@@ -98,13 +100,13 @@ class RunWriter(RunFolder):
     ) -> None:
         identity = manifest.identity if manifest else None
         super().__init__(config, identity, orders, params, versions or {}, device, expected_worlds)
-        self._hold(out_dir, manifest)
+        self._hold(out_dir)
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
         if not boxes:
             del self.schemas["boxes"]
         self.recorded = Recorded()
-        self._overwrite, self._resume = overwrite, resume
+        self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
@@ -120,6 +122,19 @@ class RunWriter(RunFolder):
         else:
             self._write_plans()
         return self
+
+    def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
+        """What was written, after the end.
+
+        Args:
+            held: the run's plans by id, if they are in no file.
+        """
+        if self._in_memory:
+            return RunResults(self.parts, plain(self.info), held or {})
+        results = load_run(self.out_dir, held)
+        if self._temporary is not None:
+            weakref.finalize(results, self._temporary.cleanup)
+        return results
 
     @property
     def counts(self) -> WorldCounts:
@@ -213,6 +228,17 @@ class RunWriter(RunFolder):
             except PetmjxError:
                 if error is None:
                     raise
+
+    def _write_plans(self) -> bool:
+        """Write the table ``plans`` if there is none that says the same; returns whether it did."""
+        if self._manifest is None:
+            return False
+        return self._tables.write_plans(self._manifest.table(self.orders.of_plan if self.orders else None))
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
+        return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def add(
         self,
@@ -364,3 +390,8 @@ class RunWriter(RunFolder):
                 self._write_info()
                 if put_together:
                     self._tables.drop_others()
+
+    def _write_info(self) -> None:
+        if not self._in_memory:
+            with self._writing():
+                write_run_file(self.info, self.out_dir)

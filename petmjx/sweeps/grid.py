@@ -24,6 +24,9 @@ from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, Variant
 
+_TILTED: Final = 0.5
+"""Steps of a tilt that are simulated, as a share: pallets slide or topple before its end."""
+
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
 """What axes change that give places or sizes errors: boxes are then placed by hand, unless told otherwise."""
 
@@ -216,7 +219,11 @@ class SweepPlan(Design):
         """The amount of work of all worlds, for estimates of time."""
         sim, profiles = self.sweep.simulation, list(self.sweep.profiles.values())
         rest_steps = seconds_to_steps(sim.rest_s, sim.physics.timestep_s)
-        drives = [profile.n_steps(sim.physics.timestep_s) + rest_steps for profile in profiles]
+        drives = [
+            profile.n_steps(sim.physics.timestep_s) * (_TILTED if profile.strength is Strength.ANGLE else 1)
+            + rest_steps
+            for profile in profiles
+        ]
         nominal = int(self.sweep.nominal)
         return Work(
             sim=sim,

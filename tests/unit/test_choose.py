@@ -45,10 +45,10 @@ def test_a_run_s_steps_and_cost_worked_out_by_hand() -> None:
     assert work.fixed_steps.tolist() == [500] * 10
     # with two soft starts of 100 steps
     assert work.steps.tolist() == [700] * 10
-    # 10 worlds × 700 steps at rest, and one landing of all boxes, worth 9
-    assert cpu_s(work) == pytest.approx(10 * (700 * (2.4e-6 * 40**1.25 + 2e-5) + 9 * 1600 * 1e-5))
-    # 17 s to start; 10 worlds and the end of the run, worth 800, at 264 a time
-    gpu_s = 17 + 4.6e-7 * 500 * 40**1.6 * 810 / 264
+    # 10 worlds × 700 steps at rest, and one landing of all boxes, worth 22
+    assert cpu_s(work) == pytest.approx(10 * (700 * (1.5e-6 * 40**1.25 + 3.6e-5) + 22 * 1600 * 8.3e-6))
+    # 17 s to start; 10 worlds and the end of the run, worth 900, at 264 a time
+    gpu_s = 17 + 3.6e-6 * 500 * 40 * (10 + 900) / 264
     assert MEASURED.seconds(work, THREADS)["mjx-warp"] == pytest.approx(gpu_s)
     assert MEASURED.seconds(work, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 10 * 500 * 1600)
     fixed = Work(Simulation(schedule="fixed"), [9])
@@ -56,7 +56,7 @@ def test_a_run_s_steps_and_cost_worked_out_by_hand() -> None:
     # mjx-jax has all boxes in its model from the beginning
     assert MEASURED.seconds(fixed, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 3500 * 9**2)
     # while boxes come one by one, the mean of k^1.25 is the last one's / 2.25, and the sum of k² a third of 9³
-    assert cpu_s(fixed) == pytest.approx(3700 * (2.4e-6 * 9**1.25 / 2.25 + 2e-5) + 9**3 / 3 * 1e-5)
+    assert cpu_s(fixed) == pytest.approx(3700 * (1.5e-6 * 9**1.25 / 2.25 + 3.6e-5) + 9**3 / 3 * 8.3e-6)
     # with the schedule adaptive a static check ends when the pallet is quiet, whatever its duration
     for duration_s, steps in ((10.0, 220), (100.0, 220), (0.2, 100)):
         adaptive = Work(Simulation(check="static", duration_s=duration_s), [9])
@@ -67,12 +67,20 @@ def test_drives_from_one_placement_worked_out_by_hand() -> None:
     sim = Simulation(check="static", schedule="fixed", settle_s=0.5)
     work = Work(sim, [10], placements=1, drives=64, drive_steps=450)
     assert work.steps.tolist() == [200 + 250 + 64 * 450]
-    rest_s = 2.4e-6 * 10**1.25 + 2e-5
+    rest_s = 1.5e-6 * 10**1.25 + 3.6e-5
     drive_s = 450 * (rest_s + 4.5e-7 * 100)
-    assert cpu_s(work) == pytest.approx(450 * rest_s + 9 * 100 * 1e-5 + 64 * drive_s)
+    assert cpu_s(work) == pytest.approx(450 * rest_s + 22 * 100 * 8.3e-6 + 64 * drive_s)
     # most of a long drive is at rest
     longer = Work(sim, [10], placements=1, drives=64, drive_steps=10_000)
     assert cpu_s(longer) - cpu_s(work) == pytest.approx(64 * (9550 * rest_s + 250 * 4.5e-7 * 100))
+
+
+def test_a_hand_takes_more_steps_and_each_costs_more() -> None:
+    errors = Work(SIM, [10], placements=17, carried=16)
+    assert errors.steps == pytest.approx((1 + 3 * 16) * Work(SIM, [10]).steps)
+    assert cpu_s(errors) == pytest.approx((1 + 8.6 * 16) * cpu_s(Work(SIM, [10])))
+    # a run lasts as long as its longest world
+    assert cpu_s(errors, threads=1000) == pytest.approx(8.6 * cpu_s(Work(SIM, [10])))
 
 
 def test_threads_share_worlds_and_no_world() -> None:

@@ -1,0 +1,53 @@
+"""Estimates of time and steps against records of runs: of many kinds, with 5 to 241 boxes, on all engines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.record import read_lines
+from petmjx.config import SOFT_START_STEPS, Simulation
+from petmjx.engines.cost import MEASURED, Work
+
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+RECORDS = [
+    line
+    for line in read_lines([RESULTS / "cpu-0.3.jsonl", RESULTS / "h200-0.3.jsonl"])
+    if line["case"] == "estimates" and not line.get("left_out")
+]
+
+
+def work_of(line: dict[str, Any]) -> Work:
+    """What a record's run had to simulate. Of many plans it has a few sizes that stand for all."""
+    values = dict(line["work"])
+    sim = Simulation(check=values.pop("check"), schedule=values.pop("schedule"))
+    boxes = values.pop("boxes")
+    return Work(sim, np.resize(boxes, values.pop("n_plans", len(boxes))).tolist(), **values)
+
+
+def name_of(line: dict[str, Any]) -> str:
+    return f"{line['engine']}, {line['what']}, {line['plans']}"
+
+
+@pytest.mark.parametrize("line", RECORDS, ids=map(name_of, RECORDS))
+def test_estimates_are_within_a_factor_of_two(line: dict[str, Any]) -> None:
+    work, engine = work_of(line), line["engine"]
+    start_s = MEASURED.seconds(Work(work.sim, []), 1)[engine]
+    expected_s = MEASURED.seconds(work, line["threads"])[engine] - start_s
+    assert 1 / 2 < expected_s / line["cpu_s" if "cpu_s" in line else "seconds"] < 2
+    if "steps" in line:
+        soft_starts = 2 * SOFT_START_STEPS * work.placements * len(work.boxes)
+        assert 1 / 2 < work.steps.sum() / (line["steps"] + soft_starts) < 2
+
+
+def test_records_are_of_all_kinds() -> None:
+    assert {line["engine"] for line in RECORDS} == {"mujoco", "mjx-warp-cpu", "mjx-warp"}
+    for engine in ("mujoco", "mjx-warp-cpu"):
+        what = {line["what"] for line in RECORDS if line["engine"] == engine}
+        assert what >= {"score", "confidence 4", "eumos", "eumos-search", "tilt", "placement-error"}
+    boxes = [n for line in RECORDS for n in line["work"]["boxes"]]
+    assert min(boxes) == 5
+    assert max(boxes) > 200
