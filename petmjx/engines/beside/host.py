@@ -113,11 +113,10 @@ class _Process:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
             )
-        except OSError:  # no memory for it, or an interpreter inside another program
+            for target in (self._write, self._read):
+                threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
+        except (OSError, RuntimeError):  # no memory for it or a thread, or an interpreter inside another program
             self.answers.put(None)
-            return
-        for target in (self._write, self._read):
-            threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
 
     @property
     def lives(self) -> bool:
