@@ -19,7 +19,8 @@ _IDENTITY = ("case", "physics", "engine", "threads", "lanes", "plans", "skip", "
 def tables(results: Sequence[Result]) -> str:
     """All tables for which there are results, each with a heading."""
     shown = latest(results)
-    rows = {group: [row for row in shown if row.get("group") == group and row["way"] != "agreement"] for group in SECTIONS}
+    of_group = {group: [row for row in shown if row.get("group") == group] for group in SECTIONS}
+    rows = {group: [row for row in some if row["way"] != "agreement"] for group, some in of_group.items()}
     rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
     found = [
         {**result, "reference": label, "found": found}
