@@ -12,14 +12,15 @@ from dataclasses import dataclass, field, replace
 from itertools import count, islice
 from typing import Final, Generic, TypeVar
 
-from petmjx.config import Simulation
-from petmjx.engines.attempts import ATTEMPTS, STAND_INS, AttemptRecipe, Engines, ready_for
+from petmjx.config import Simulation, Solver
+from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import Engine, GrowingJobs, Progress
-from petmjx.engines.beside.process import Answer, Task
+from petmjx.engines.beside.process import READY, Answer, Task
 from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.sinking import note_softness
 from petmjx.errors import InputError, PetmjxError
+from petmjx.physics import Cone
 from petmjx.plans.plan import Plan
 from petmjx.text import counted, one_line
 from petmjx.verdict import Attempt, Flag, Outcome, margin_of
@@ -50,6 +51,9 @@ class WorldResult(Generic[AnyWorld]):
     outcome: Outcome
     attempts: tuple[Attempt, ...]
 
+
+LARGE: Final = 1000
+"""Worlds of a run that is worth a process beside it before one of them needs it."""
 
 MOST_TOGETHER: Final = 64
 MOST_DELAY_S: Final = 0.1
@@ -137,6 +141,7 @@ def score_worlds(
             chunk = list(islice(source, chunk_worlds)) or aside.copy() or list(more() if more else ())
             aside.clear()
             if chunk:
+                besides.prepare(chunk, retries)
                 yield from attempt_at([(world, None, ()) for world in chunk], first)
             elif not waiting and besides.unanswered:
                 progress.message = f"{counted(besides.unanswered, 'world')} again on CPU threads"
@@ -154,6 +159,11 @@ def score_worlds(
         besides.close()
 
 
+def _is_alone(world: World) -> bool:
+    """Whether a world is a plan as it is, and nothing starts from it."""
+    return world.variant == 0 and world.job.drive is None and not world.job.keep_state
+
+
 @dataclass(eq=False)
 class _Besides(Generic[AnyWorld]):
     """Further attempts at single worlds that are made beside the engine of the run."""
@@ -169,13 +179,25 @@ class _Besides(Generic[AnyWorld]):
         """Worlds that are simulated now."""
         return len(self._asked)
 
+    def prepare(self, worlds: Sequence[AnyWorld], retries: Sequence[AttemptRecipe]) -> None:
+        """At the beginning of a large run: start what makes the attempts that few worlds need, with a box of one of
+        them. It may have to compile a kernel, for as long as many worlds take."""
+        name = BESIDE.get(self.engines.own.name)
+        if name is None or len(worlds) < LARGE or self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
+            return
+        scene = next((each.job.scene for each in worlds if _is_alone(each)), None)
+        for attempt in retries if self.sim.solver is not Solver.CG else ():
+            if attempt.few and scene is not None:
+                job, sim = Job(scene.first(1)), attempt.apply_to_sim(self.sim)
+                self.engines.helper.begin(Task(READY, name, job, sim))
+
     def begin(self, attempt: AttemptRecipe, pending: _Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
         making = _Making[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
         traits = {
             "doubles": attempt.doubles,
             "soft": making.is_soft(pending[0]),
-            "few": attempt.few and pending[0].variant == 0,
+            "few": attempt.few and _is_alone(pending[0]),
         }
         name = self.engines.beside(pending[0].job, making.sim, **traits)
         if name is not None:
@@ -196,6 +218,8 @@ class _Besides(Generic[AnyWorld]):
         """
         if self._asked:
             for answer in self.engines.helper.ended(wait=wait):
+                if answer.number not in self._asked:  # READY, of this run or the one before
+                    continue
                 making, pending, engine = self._asked.pop(answer.number)
                 for found in self._made(making, pending, engine, answer):
                     yield making.attempt, found

@@ -147,6 +147,21 @@ def test_worlds_with_errors_and_drives_keep_to_the_gpu_in_stiffer_contacts(monke
         assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp")]
 
 
+def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the engine of the run begins, and whether or not it is needed; small runs do not start a process."""
+    kernel = Scripted("mjx-warp-cpu", never, Reason.SINKING)
+    scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, kernel=kernel)
+    assert kernel.sims == []
+    monkeypatch.setattr(retry, "LARGE", WORLDS)
+    results, notes = scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, kernel=kernel)
+    assert kernel.sims == [ATTEMPTS[5].apply_to_sim(Simulation())]
+    assert all(len(result.attempts) == 1 for result in results)
+    assert notes == []
+    for other in (Simulation(physics="reference"), Simulation(solver=Solver.CG)):
+        scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, other, kernel=kernel)
+    assert len(kernel.sims) == 1
+
+
 def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> None:
     own, c_engine = Scripted("mjx-warp", never), Scripted("mujoco", never)
     results, notes = scored(own, c_engine, monkeypatch, Simulation(solver=Solver.CG))

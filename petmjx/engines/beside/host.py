@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from typing import Final, Protocol
 
-from petmjx.engines.beside.process import Answer, Task, next_of
+from petmjx.engines.beside.process import READY, Answer, Task, next_of
 from petmjx.text import one_line
 
 LOOK_S: Final = 0.25
@@ -85,7 +85,7 @@ class InProcess:
         process, self._process = self._process, None
         if process is None:
             return
-        if self._unanswered:
+        if self._unanswered - {READY}:
             process.end()
         else:
             _IDLE.setdefault(os.getpid(), []).append(process)

@@ -35,6 +35,10 @@ _BUILDING = threading.Lock()
 """The first engine starts JAX and Warp."""
 
 
+READY = -1
+"""Number of a task whose answer nobody needs: after it an engine is compiled."""
+
+
 @dataclass(frozen=True)
 class Task:
     """A world to simulate, on an engine of this name. ``sim`` and ``job`` are as an engine takes them."""
