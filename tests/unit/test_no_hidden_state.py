@@ -158,6 +158,7 @@ def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
     from petmjx.engines.batch.setup import cache_dir, set_up_warp
 
     monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
+    warp.init()  # when Warp starts, it puts its version behind the folder's name
     for users, folder in ((None, str(cache_dir() / "warp")), ("mine", "mine")):
         monkeypatch.setattr(warp.config, "kernel_cache_dir", users)
         set_up_warp()

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from petmjx.units import FloatArray
+
 TARGET_EXTENT_MM: dict[str, tuple[int, int]] = {"euro-pallet": (1200, 800), "rollcontainer": (800, 700)}
 """BED-BPP's two targets: extent along x and y."""
 
@@ -113,6 +115,12 @@ def catalogue(seed: int) -> tuple[Item, ...]:
     return tuple(_draw_article(stream(seed, _CATALOGUE_STREAM, j), FIRST_ARTICLE_ID + j) for j in range(CATALOGUE_SIZE))
 
 
+@functools.lru_cache(maxsize=4)
+def _volumes_m3(seed: int) -> FloatArray:
+    """(a,) volumes of the articles of ``seed``."""
+    return np.array([article.volume_m3 for article in catalogue(seed)])
+
+
 def draw_order(seed: int, index: int) -> Order:
     """Order ``index`` of ``seed``: number of boxes, target, and articles with their quantities."""
     articles = catalogue(seed)
@@ -130,13 +138,16 @@ def draw_order(seed: int, index: int) -> Order:
 
     extent = TARGET_EXTENT_MM[target]
     budget_m3 = FILL_BUDGET * extent[0] * extent[1] * 2000 * 1e-9
-    volumes = np.array([articles[j].volume_m3 for j in chosen])
+    of_all = _volumes_m3(seed)
+    volumes = of_all[chosen]
     while float(volumes @ quantity) > budget_m3:
         # Too much for one target: the article with the largest volume in the order is replaced by a smaller one.
         bulkiest = int(np.argmax(volumes * quantity))
-        smaller = [j for j, a in enumerate(articles) if a.volume_m3 < volumes[bulkiest] and j not in chosen]
-        chosen[bulkiest] = smaller[int(rng.integers(len(smaller)))]
-        volumes[bulkiest] = articles[chosen[bulkiest]].volume_m3
+        free = of_all < volumes[bulkiest]
+        free[chosen] = False
+        smaller = np.flatnonzero(free)
+        chosen[bulkiest] = int(smaller[int(rng.integers(len(smaller)))])
+        volumes[bulkiest] = of_all[chosen[bulkiest]]
     return Order(target, tuple(articles[j] for j, q in zip(chosen, quantity, strict=True) for _ in range(int(q))))
 
 
