@@ -141,7 +141,17 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
 
     sizes = records.axes(WORLDS, BOXES, boards=1, npairmax=1, nconmax=1)
     with wp.ScopedDevice("cpu"):
-        model = filled(Model, {**constants(sim, timetable), "queue": 0, "npairmax": 1, "nconmax": 1})
+        model = filled(
+            Model,
+            {
+                **constants(sim, timetable),
+                "queue": 0,
+                "most_boxes": BOXES,
+                "most_idle": NEVER,
+                "npairmax": 1,
+                "nconmax": 1,
+            },
+        )
         flat = after.flat()
         flat["step"] = after.step - 1
         flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}

@@ -1,7 +1,8 @@
-// Differences between GPU and CPU. On a GPU the threads of a block share one world. On a CPU one thread has a world, so
-// barriers and sums over threads do nothing.
+// Differences between GPU and CPU. On a GPU the threads of a block share one world, or each of its warps has one. On a CPU
+// one thread has a world, so barriers and sums over threads do nothing. "All threads" are those that share a world.
 //
 // PETMJX_ONCE: a function that is called at several places, and stands in a GPU's program once.
+// PETMJX_WORLDS: worlds of a block.
 //
 // Warp's headers come first: they define CUDA_CALLABLE. NVRTC and Warp's own Clang compile the same source.
 
@@ -16,6 +17,14 @@
 #define PETMJX_ONCE inline
 #endif
 
+#if !defined(PETMJX_WORLDS)
+#define PETMJX_WORLDS 1
+#endif
+
+#if defined(__CUDA_ARCH__) && PETMJX_WORLDS > 1
+#define PETMJX_WORLD_OF_A_WARP
+#endif
+
 namespace petmjx {
 
 // Threads of a warp; neighbouring threads that together sum over one body's contacts.
@@ -26,8 +35,36 @@ const int WARP = 1, SHARE = 1;
 #endif
 
 inline CUDA_CALLABLE void wait_for_all() {
-#if defined(__CUDA_ARCH__)
+#if defined(PETMJX_WORLD_OF_A_WARP)
+    __syncwarp();
+#elif defined(__CUDA_ARCH__)
     __syncthreads();
+#endif
+}
+
+// Which of a block's worlds a lane has.
+inline CUDA_CALLABLE int place_in_block(int lane) { return lane % PETMJX_WORLDS; }
+
+// The warps of a block wait for one another where each has a world: they then pass through the same instructions, which
+// the multiprocessor has to fetch once.
+inline CUDA_CALLABLE void go_together(int stage) {
+#if defined(PETMJX_WORLD_OF_A_WARP)
+#if !defined(PETMJX_STAGES)
+#define PETMJX_STAGES 0xff
+#endif
+    if (!(PETMJX_STAGES >> stage & 1)) return;
+    __syncwarp();
+    __syncthreads();
+#endif
+}
+
+// Whether any world of a block goes on. Its warps wait for one another.
+inline CUDA_CALLABLE bool any_of_block(bool mine) {
+#if defined(PETMJX_WORLD_OF_A_WARP)
+    __syncwarp();
+    return __syncthreads_or(mine);
+#else
+    return mine;
 #endif
 }
 
@@ -56,7 +93,10 @@ inline CUDA_CALLABLE void wait_for_arrival(int barrier, int threads) {
 
 // Whether any thread says so. All threads wait for one another.
 inline CUDA_CALLABLE bool any_of_all(bool mine) {
-#if defined(__CUDA_ARCH__)
+#if defined(PETMJX_WORLD_OF_A_WARP)
+    __syncwarp();
+    return __any_sync(0xffffffffu, mine);
+#elif defined(__CUDA_ARCH__)
     return __syncthreads_or(mine);
 #else
     return mine;
@@ -70,6 +110,24 @@ inline CUDA_CALLABLE float* begin_of(const Tile& tile) {
 }
 
 inline CUDA_CALLABLE float* begin_of(const wp::array_t<float>& array) { return array.data; }
+
+// Products, and products that are added to, for which a GPU's compiler may not choose where to round: of a·b − c·d it would
+// round one or the other product, in each kernel another one, and a world would depend on the kernel that has it.
+#if defined(__CUDA_ARCH__)
+inline __device__ float times(float a, float b) { return __fmul_rn(a, b); }
+inline __device__ double times(double a, double b) { return __dmul_rn(a, b); }
+inline __device__ float fused(float a, float b, float c) { return __fmaf_rn(a, b, c); }
+inline __device__ double fused(double a, double b, double c) { return __fma_rn(a, b, c); }
+#else
+template <class Number>
+inline Number times(Number a, Number b) {
+    return a * b;
+}
+template <class Number>
+inline Number fused(Number a, Number b, Number c) {
+    return a * b + c;
+}
+#endif
 
 // Adds to a number that all blocks share; returns its value before. Blocks come in no fixed order.
 inline CUDA_CALLABLE int add_to(int* number, int amount) {
@@ -189,18 +247,56 @@ inline CUDA_CALLABLE void take_larger(int& value, int other) {
 #endif
 }
 
-const int MOST_WARPS = 8;  // of a block
+// Warps that share a world: at most so many.
+#if defined(PETMJX_WORLD_OF_A_WARP)
+const int MOST_WARPS = 1;
+#else
+const int MOST_WARPS = 8;
+#endif
 
-// Sums of some numbers over all threads, the same to the last bit in every thread and in every run. `partial` is shared
-// memory for COUNT numbers of each warp.
-template <int COUNT>
-inline CUDA_CALLABLE void sum_over_block(int thread, int threads, double* partial, double (&x)[COUNT]) {
 #if defined(__CUDA_ARCH__)
+// Sums of some numbers over the threads of a warp.
+template <int COUNT>
+inline __device__ void sum_over_warp(double (&x)[COUNT]) {
     #pragma unroll
     for (int offset = 16; offset > 0; offset >>= 1) {
         #pragma unroll
         for (int i = 0; i < COUNT; ++i) x[i] += __shfl_xor_sync(0xffffffffu, x[i], offset);
     }
+}
+#endif
+
+// Sums x of what `add(i, x)` adds to them for each i from 0 to before `count`, the same to the last bit in every thread and
+// in every run. It is called beyond `count`, too, and must add nothing there: so neighbouring threads may work together.
+// `partial` is shared memory for COUNT numbers of each warp.
+//
+// Thread i has i, i + threads, …; the threads of a warp are summed, then the warps in their order. A warp that has a world
+// by itself takes the places of the warps of a block of PETMJX_THREADS threads, one after the other. So it finds the same,
+// and a world may be that of a warp today and of a block tomorrow.
+template <int COUNT, class Add>
+inline CUDA_CALLABLE void sum_over_all(
+    int count, int thread, int threads, double* partial, double (&x)[COUNT], const Add& add
+) {
+    #pragma unroll
+    for (int i = 0; i < COUNT; ++i) x[i] = 0.0;
+#if defined(PETMJX_WORLD_OF_A_WARP)
+    #pragma unroll 1
+    for (int begin = 0; begin < PETMJX_THREADS && begin < count; begin += WARP) {
+        double part[COUNT];
+        #pragma unroll
+        for (int i = 0; i < COUNT; ++i) part[i] = 0.0;
+        #pragma unroll 1
+        for (int first = begin; first < count; first += PETMJX_THREADS) add(first + thread, part);
+        sum_over_warp(part);
+        #pragma unroll
+        for (int i = 0; i < COUNT; ++i) x[i] += part[i];
+    }
+    __syncwarp();
+#else
+    #pragma unroll 1
+    for (int first = 0; first < count; first += threads) add(first + thread, x);
+#if defined(__CUDA_ARCH__)
+    sum_over_warp(x);
     wait_for_all();
     if ((thread & 31) == 0) {
         #pragma unroll
@@ -212,6 +308,7 @@ inline CUDA_CALLABLE void sum_over_block(int thread, int threads, double* partia
         x[i] = 0.0;
         for (int w = 0; w < threads >> 5; ++w) x[i] += partial[COUNT * w + i];
     }
+#endif
 #endif
 }
 

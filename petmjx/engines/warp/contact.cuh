@@ -93,18 +93,19 @@ inline CUDA_CALLABLE void respond(
             const int side = 1 + (edge >> 1);
             const double r = j[0] + t * j[side];
             if (r >= 0.0) continue;
-            push[0] -= D * r;
-            push[side] -= D * r * t;
+            const double Dr = times(D, r), Dt = times(D, t);
+            push[0] -= Dr;
+            push[side] -= Dr * t;
             bend[0] += D;
-            bend[side] += D * t;
-            bend[side == 1 ? 3 : 5] += D * t * t;
+            bend[side] += Dt;
+            bend[side == 1 ? 3 : 5] += Dt * t;
         }
         return;
     }
     const double tangent = sqrt(j[1] * j[1] + j[2] * j[2]);
     const double m = mu * impratio_invsqrt;
-    const double N = m * j[0], T = mu * tangent;
-    if (N >= m * T) {
+    const double N = times(m, j[0]), T = times(mu, tangent), most_N = times(m, T);
+    if (N >= most_N) {
         drag[0] = drag[1] = 0.0f;
         return;
     }
@@ -120,7 +121,7 @@ inline CUDA_CALLABLE void respond(
         bend[3] = bend[5] = Dt;
         return;
     }
-    const double Dm = D / (m * m * (1.0 + m * m)), gap = N - m * T;
+    const double Dm = D / (times(m, m) * fused(m, m, 1.0)), gap = N - most_N;
     const double x = j[1] / tangent, y = j[2] / tangent;
     push[0] = -Dm * gap * m;
     push[1] = -push[0] * mu * x;
@@ -168,7 +169,7 @@ inline CUDA_CALLABLE void respond_along(
     }
     const double square = one * one + two * two, m = mu * impratio_invsqrt;
     const double mixed = one * v[1] + two * v[2], speed = v[1] * v[1] + v[2] * v[2];
-    const double N = m * normal;
+    const double N = times(m, normal);
     if (N >= 0.0 && N * N >= m * m * mu * mu * square) return;
     if (N <= 0.0 && m * m * N * N >= mu * mu * square) {
         const double Dt = D / (impratio_invsqrt * impratio_invsqrt);
@@ -177,8 +178,8 @@ inline CUDA_CALLABLE void respond_along(
         return;
     }
     const double tangent = sqrt(square), turned = mixed / tangent;
-    const double Dm = D / (m * m * (1.0 + m * m)), gap = N - m * mu * tangent;
-    const double change = m * v[0] - m * mu * turned;
+    const double Dm = D / (times(m, m) * fused(m, m, 1.0)), m_mu = times(m, mu);
+    const double gap = fused(-m_mu, tangent, N), change = fused(m, v[0], -times(m_mu, turned));
     cost[0] += Dm * gap * change;
     cost[1] += Dm * (change * change - gap * m * mu * (speed - turned * turned) / tangent);
 }

@@ -49,7 +49,8 @@ inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* W, float* own, 
         #pragma unroll
         for (int q = 0; q < B; q += 4) load_four(one + q, rows + q), load_four(two + q, rows + B + q);
         const float a = one[0], b = one[1], c = two[1];
-        const float determinant = a * c - b * b, rest = a * v[1] - b * v[0], over_a = reciprocal(a);
+        const float determinant = fused(a, c, -times(b, b)), rest = fused(a, v[1], -times(b, v[0]));
+        const float over_a = reciprocal(a);
         const float x = v[0] * over_a, y = rest * reciprocal(determinant), factor = b * over_a;
         if (lane >= B) {
             const float first = v[0] * inverse_root(a), second = rest * (over_a * inverse_root(determinant * over_a));

@@ -18,6 +18,7 @@ from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, round_up, tables
 from petmjx.engines.open import MOST_BOXES
+from petmjx.engines.warp.few import fleet_for_few
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
 from petmjx.engines.warp.launch import Launch, size_for
@@ -322,6 +323,10 @@ class MjxWarpEngine(Engine):
         says that memory is short is raised if these are blocks of two sizes."""
         run = group.run
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
+        smallest = _sizes(run)[-1]
+        if self._room.get((run.sim.physics.cone, smallest), 1) == 1:  # larger buffers of all lanes would be too much
+            few = fleet_for_few(fleets[-1], sum(_size(job) == smallest for job in group.jobs), self.lanes)
+            fleets = (few, *fleets) if few else fleets
         launches = tuple(fleet.launch for fleet in fleets)
         key = run.sim, run.timetable, fleets
         if launches in self._kept and self._kept[launches][0] == key:
@@ -334,7 +339,9 @@ class MjxWarpEngine(Engine):
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
-                if not self._kept:
+                if not self._kept and fleets[0].least:
+                    fleets = fleets[1:]
+                elif not self._kept:
                     more, fleets = fleets, tuple(_halved(fleet) for fleet in fleets)
                     if fleets == more:
                         if len(fleets) > 1:

@@ -3,6 +3,10 @@
 A step of forty boxes is latency for the most part, and needs another world beside it; one of two hundred is work for
 many threads. So there are blocks of two sizes, each with a kernel of its own. A world's size depends on its number of
 boxes alone: the number of threads decides the order of sums, and with it the last bits of results.
+
+Where few boxes stand a step is latency alone, and many worlds have to go through it together: a third kernel has eight
+of them in a block, a warp each. Its sums have the order of the smaller size, so that a world may change between the two
+at any step: it is here as long as it has few boxes, if there are enough such worlds.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from petmjx.engines.warp import newton
 from petmjx.engines.warp.kernel.worlds import run_worlds
 from petmjx.engines.warp.records import (
     MAX_BOXES,
+    PANEL,
     Counts,
     FrameBuffer,
     Model,
@@ -26,6 +31,9 @@ from petmjx.engines.warp.records import (
     Worlds,
     most_panels,
 )
+
+WARP = wp.constant(32)
+"""Threads of a warp of a GPU."""
 
 
 @dataclass(frozen=True)
@@ -38,16 +46,21 @@ class Size:
         per_sm: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
         shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
             multiprocessor has for all its blocks the rest is cache.
+        worlds: of a block: one of all its threads, or each one of a warp.
     """
 
     most_boxes: int
     threads: int
     per_sm: int
     shared_bytes: int
+    worlds: int = 1
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 """By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured: docs/performance.md."""
+
+FEW_BOXES = Size(15, 256, 2, 48 << 10, worlds=8)
+"""For worlds of the smallest size while so few boxes stand: with a carrier that moves they fill six panels."""
 
 
 def size_for(n_boxes: int) -> Size:
@@ -60,9 +73,9 @@ class Launch:
     """How a device runs thread blocks: the execution configuration of a launch, and the sizes that a kernel knows.
 
     Attributes:
-        blocks: at the same time; each has one world.
-        threads, per_sm: as in ``Size``.
-        shared_words: shared memory for rows of a block's factor and its Hessian, in numbers of four bytes.
+        blocks: at the same time.
+        threads, per_sm, worlds: as in ``Size``.
+        shared_words: shared memory for rows of a world's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
         hands: whether a hand may carry boxes. Without it a kernel has fewer registers to spill.
         gives, wraps: whether boxes may give, and film may hold them; as for hands.
@@ -76,25 +89,39 @@ class Launch:
     hands: bool
     gives: bool = False
     wraps: bool = False
+    worlds: int = 1
+
+    @property
+    def lanes(self) -> int:
+        """Worlds at the same time."""
+        return self.blocks * self.worlds
 
     @classmethod
     def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
         """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread, and one kernel is
         for all sizes."""
+        return cls.of(size_for(n_boxes), hands, gives, wraps)
+
+    @classmethod
+    def of(cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
+        """For blocks of this size."""
         device = wp.get_device()
-        size = size_for(n_boxes)
-        panels = most_panels(size.most_boxes)
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
-        shared = min(size.shared_bytes, device.max_shared_memory_per_block // size.per_sm - newton.own_bytes(panels))
+        panels = most_panels(size.most_boxes)
+        own = newton.own_bytes(panels, size.worlds)
+        shared = min(size.shared_bytes, device.max_shared_memory_per_block // size.per_sm - own)
+        tiles = max(shared // size.worlds, 0) // (4 * PANEL**2)
+        words = tiles * PANEL**2 if size.worlds > 1 else shared // 4
         blocks = size.per_sm * device.sm_count
-        return cls(blocks, size.threads, size.per_sm, shared // 4, panels, hands, gives, wraps)
+        return cls(blocks, size.threads, size.per_sm, words, panels, hands, gives, wraps, size.worlds)
 
 
 @functools.cache
 def kernel(launch: Launch) -> Any:
     """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
-    shared_words = launch.shared_words
+    shared_words, of_block = launch.shared_words, launch.worlds
+    of_all = of_block * shared_words
     hands, gives, wraps = int(launch.hands), int(launch.gives), int(launch.wraps)
 
     def march(
@@ -115,17 +142,26 @@ def kernel(launch: Launch) -> Any:
         block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
         block += first_block
         if wp.static(shared_words > 0):
-            shared = wp.tile_zeros(shape=shared_words, dtype=float, storage="shared")
+            shared = wp.tile_zeros(shape=of_all, dtype=float, storage="shared")
         else:
             shared = work.strip  # type: ignore[assignment]  # never used: there is no shared memory
-        run_worlds(
-            model, worlds,
-            block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, shared, shared_words,
-            state, work, frames, counts,
-        )  # fmt: skip
+        if wp.static(of_block > 1):
+            run_worlds(
+                model, worlds,
+                of_block * block + thread // WARP, thread % WARP, WARP, n_blocks, slice_ns, hands, gives, wraps, shared,
+                shared_words,
+                state, work, frames, counts,
+            )  # fmt: skip
+        else:
+            run_worlds(
+                model, worlds,
+                block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, shared, shared_words,
+                state, work, frames, counts,
+            )  # fmt: skip
 
     bounds = launch.threads, launch.per_sm
-    return with_cpp(march, newton.text_for(launch.panels), threads=launch.threads, launch_bounds=bounds)
+    text = newton.text_for(launch.panels, of_block, SIZES[0].threads)
+    return with_cpp(march, text, threads=launch.threads, launch_bounds=bounds)
 
 
 def with_cpp(function: Callable[..., None], text: str, threads: int = 1, **options: Any) -> Any:

@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import warp as wp
 
+from petmjx.engines.batch.state import NEVER
 from petmjx.engines.warp import records
 from petmjx.engines.warp.blocks import Call, launch_all
 from petmjx.engines.warp.launch import Launch, kernel
@@ -61,6 +62,7 @@ class Fleet:
         blocks: how many; each has one world at a time.
         n_boxes, boards: most boxes of a world, and most shapes of a carrier.
         npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
+        least: with fewer worlds it is not worth while; 0: it always is.
     """
 
     launch: Launch
@@ -69,11 +71,22 @@ class Fleet:
     boards: int
     npairmax: int
     nconmax: int
+    least: int = 0
+
+    @property
+    def most_idle(self) -> int:
+        """Lanes without a world with which it is still worth while."""
+        return self.lanes - self.least if self.least else NEVER
+
+    @property
+    def lanes(self) -> int:
+        """Worlds at the same time."""
+        return self.blocks * self.launch.worlds
 
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes of the axes of its workspace."""
-        return records.axes(self.blocks, self.n_boxes, self.boards, self.npairmax, self.nconmax)
+        return records.axes(self.lanes, self.n_boxes, self.boards, self.npairmax, self.nconmax)
 
 
 class March:
@@ -81,17 +94,27 @@ class March:
 
     Args:
         constants: fields of ``records.Model`` except those of a fleet.
-        fleets: by number of the queue from which they take worlds; those for the largest worlds first.
+        fleets: by number of the queue from which they take worlds; those that come first have the device's room first.
         slice_ns: time of a call, ns; with 0 each block takes one step.
     """
 
     def __init__(self, constants: Mapping[str, Any], fleets: Sequence[Fleet], slice_ns: int = SLICE_NS) -> None:
         self.fleets = tuple(fleets)
         self.models = [
-            filled(Model, {**constants, "queue": queue, "npairmax": fleet.npairmax, "nconmax": fleet.nconmax})
+            filled(
+                Model,
+                {
+                    **constants,
+                    "queue": queue,
+                    "most_boxes": fleet.n_boxes,
+                    "most_idle": fleet.most_idle,
+                    "npairmax": fleet.npairmax,
+                    "nconmax": fleet.nconmax,
+                },
+            )
             for queue, fleet in enumerate(fleets)
         ]
-        self.blocks = sum(fleet.blocks for fleet in fleets)
+        self.lanes = sum(fleet.lanes for fleet in fleets)
         self.slice_ns = slice_ns
         self.id = next(_IDS)
         _MARCHES[self.id] = self
@@ -141,7 +164,8 @@ class March:
             work = filled(Workspace, records.in_buffer(arrays["workspace"], fleet.sizes, row))
             row += records.buffer_rows(fleet.sizes)
             threads = fleet.launch.threads
-            before, after = (model, worlds, threads, self.blocks, self.slice_ns), (state, work, frames, counts)
+            each = threads // fleet.launch.worlds
+            before, after = (model, worlds, each, self.lanes, self.slice_ns), (state, work, frames, counts)
             arguments = partial(_with_block, before, after)
             calls.append(Call(kernel(fleet.launch), fleet.blocks, threads, arguments))
         launch_all(calls, arrays["clock"], self.slice_ns)

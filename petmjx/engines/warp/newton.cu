@@ -40,13 +40,11 @@ const size_t DRIVER_BYTES = 1024;  // of a block's shared memory (CUDA C++ Progr
 
 const double INFINITE = 1e300;  // what a singular Hessian may make of a step: no NaN
 
-// Gradient g = M·(qacc − qacc_smooth) − Jᵀ·force into grad and rhs, SHARE threads per body. Returns this thread's part
-// of gᵀM⁻¹g.
-inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread, int threads) {
-    double bound = 0.0;
-    #pragma unroll 1
-    for (int base = 0; base < world.nfree * SHARE; base += threads) {
-        const int b = (base + thread) / SHARE, share_of = thread % SHARE;
+// Gradient g = M·(qacc − qacc_smooth) − Jᵀ·force into grad and rhs, SHARE threads per body. Returns gᵀM⁻¹g.
+inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* partial, int thread, int threads) {
+    double bound[1];
+    sum_over_all(world.nfree * SHARE, thread, threads, partial, bound, [&](int item, double (&sum)[1]) {
+        const int b = item / SHARE, share_of = item % SHARE;
 #if defined(__CUDA_ARCH__)
         double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
         if (b < world.nfree) {
@@ -85,10 +83,10 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, int thread,
             const double whole = value[i] + world.qM[at] * (world.qacc[at] - world.qacc_smooth[at]);
             world.grad[at] = whole;
             rhs[6 * world.position[b] + i] = (float)whole;
-            bound += whole * whole / world.qM[at];
+            sum[0] += whole * whole / world.qM[at];
         }
-    }
-    return bound;
+    });
+    return bound[0];
 }
 
 #if defined(__CUDA_ARCH__)
@@ -297,13 +295,22 @@ inline CUDA_CALLABLE void lay_out(
         const bool begins = k == 0 || body[2 * k] != body[2 * k - 2] || body[2 * k + 1] != body[2 * k - 1];
         if (begins && body[2 * k] >= 0) world.bodies_conadr[take_number(layout.pairs)] = k;
     }
-    double trace[1] = {0.0};
-    #pragma unroll 1
-    for (int i = thread; i < world.nv; i += threads) trace[0] += world.qM[i];
-    sum_over_block(thread, threads, partial, trace);
+    double trace[1];
+    sum_over_all(world.nv, thread, threads, partial, trace, [&](int i, double (&sum)[1]) {
+        if (i < world.nv) sum[0] += world.qM[i];
+    });
     if (thread == 0) layout.trace = trace[0];
     wait_for_all();
 }
+
+// What the threads that share a world share.
+template <int PANELS>
+struct Own {
+    Factoring<PANELS> factoring;
+    alignas(16) float rhs[PANELS * B];
+    double partial[3 * MOST_WARPS];
+    Layout<PANELS> layout;
+};
 
 // Accelerations and contact forces of a block's world. The solver starts from the accelerations that are there. All
 // `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, EFC_WORDS:
@@ -316,12 +323,13 @@ inline CUDA_CALLABLE void newton(
     int shared_words, const Workspace& work
 ) {
     static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
-    PETMJX_SHARED Factoring<PANELS> factoring;
-    PETMJX_SHARED alignas(16) float rhs[PANELS * B];
-    PETMJX_SHARED double partial[3 * MOST_WARPS];
-    PETMJX_SHARED Layout<PANELS> layout;
-    const size_t own = sizeof factoring + sizeof rhs + sizeof partial + sizeof layout;
-    static_assert(own + DRIVER_BYTES <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
+    PETMJX_SHARED Own<PANELS> of_worlds[PETMJX_WORLDS];
+    static_assert(sizeof of_worlds + DRIVER_BYTES <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
+    Own<PANELS>& own = of_worlds[place_in_block(block)];
+    Factoring<PANELS>& factoring = own.factoring;
+    Layout<PANELS>& layout = own.layout;
+    float* rhs = own.rhs;
+    double* partial = own.partial;
 
     if (WARP == 1) thread = 0, threads = 1;  // so that the compiler knows
     const int at_once = Factoring<PANELS>::AT_ONCE;
@@ -397,25 +405,23 @@ inline CUDA_CALLABLE void newton(
         }
         wait_for_all();
         if (ends) break;
-        double bound[1] = {gradient(world, rhs, thread, threads)};
-        sum_over_block(thread, threads, partial, bound);
+        const double bound = gradient(world, rhs, partial, thread, threads);
         // Since H ≥ M, the cost can decrease by at most this.
-        if (!(0.5 * bound[0] > enough)) break;
+        if (!(0.5 * bound > enough)) break;
         if (thread == 0) work.solver_niter.data[at] = iteration + 1;
         hessian(world, system, pairs, thread, threads);
         factor_and_solve(system, factoring, thread, threads);
 
         // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
-        double along[3] = {0.0, 0.0, 0.0};
-        #pragma unroll 1
-        for (int i = thread; i < nv; i += threads) {
+        double along[3];
+        sum_over_all(nv, thread, threads, partial, along, [&](int i, double (&sums)[3]) {
+            if (i >= nv) return;
             const double s = -(double)rhs[6 * world.position[i / 6] + i % 6];
             search[i] = s;
-            along[0] += world.grad[i] * s;
-            along[1] += s * world.qM[i] * (qacc[i] - world.qacc_smooth[i]);
-            along[2] += s * world.qM[i] * s;
-        }
-        sum_over_block(thread, threads, partial, along);
+            sums[0] += world.grad[i] * s;
+            sums[1] += s * world.qM[i] * (qacc[i] - world.qacc_smooth[i]);
+            sums[2] += s * world.qM[i] * s;
+        });
         const double start = along[0];
         if (!(start < 0.0 && start > -INFINITE)) break;
         #pragma unroll 1
@@ -423,11 +429,11 @@ inline CUDA_CALLABLE void newton(
         double length = 1.0, shortest = 0.0, longest = 1.0, first = start;
         #pragma unroll 1
         for (int trial = 0; trial < model.ls_iterations; ++trial) {
-            double cost[2] = {0.0, 0.0};
-            #pragma unroll 1
-            for (int k = thread; k < ncon; k += threads)
-                respond_along(pyramidal, impratio_invsqrt, Jaref + 3 * k, jv + 3 * k, length, efc + EFC * k, cost);
-            sum_over_block(thread, threads, partial, cost);
+            double cost[2];
+            sum_over_all(ncon, thread, threads, partial, cost, [&](int k, double (&sums)[2]) {
+                if (k < ncon)
+                    respond_along(pyramidal, impratio_invsqrt, Jaref + 3 * k, jv + 3 * k, length, efc + EFC * k, sums);
+            });
             first = cost[0] + along[1] + length * along[2];
             const double second = cost[1] + along[2];
             // No step is longer than Newton's, though the cost may decrease further on where contacts open.

@@ -47,15 +47,28 @@ FEW_PANELS = 40
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
-def own_bytes(panels: int) -> int:
+def own_bytes(panels: int, worlds: int = 1) -> int:
     """Shared memory that the threads of a block take for systems of up to so many panels, beside the tile of
     ``kernel.solve.newton``; with what the driver keeps for itself. newton.cu checks that it is enough."""
+    if worlds > 1:
+        return worlds * (4 * (PANEL + 4) * panels + (4 << 10)) + (1 << 10)
     return 4 * (PANEL + 4) * panels + ((9 if panels <= FEW_PANELS else 18) << 10)
 
 
-def text_for(panels: int) -> str:
-    """The solver's C++ for systems of up to so many panels."""
-    numbers = {PANELS_MACRO: panels, "PETMJX_FEW_PANELS": FEW_PANELS, "PETMJX_OWN_BYTES": own_bytes(panels)}
+def text_for(panels: int, worlds: int = 1, threads: int = 32) -> str:
+    """The solver's C++ for systems of up to so many panels.
+
+    Args:
+        worlds: of a block; each of several has a warp.
+        threads: of the blocks of one world in whose order those of several sum.
+    """
+    numbers = {
+        PANELS_MACRO: panels,
+        "PETMJX_FEW_PANELS": FEW_PANELS,
+        "PETMJX_OWN_BYTES": own_bytes(panels, worlds),
+        "PETMJX_WORLDS": worlds,
+        "PETMJX_THREADS": threads,
+    }
     return "".join(f"#define {name} {number}\n" for name, number in numbers.items()) + source("newton.cu")
 
 

@@ -18,6 +18,7 @@ from petmjx.engines.batch.state import NEVER, State, of_flat
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
+from petmjx.engines.warp.few import with_few_first
 from petmjx.engines.warp.march import Fleet, March
 from petmjx.physics import Cone, Physics
 from petmjx.world.contact import MOST_IMPEDANCE
@@ -100,12 +101,13 @@ class Programs:
     but no states, so any number of runs and threads can call them at the same time.
 
     Args:
-        fleets: those for the largest worlds first.
+        fleets: that for few boxes first, if there is one, then those for the largest worlds.
         slice_ns: time of a call of the kernels, ns.
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> None:
         self.march = March(constants(sim, timetable), fleets, slice_ns)
+        self._few = fleets[0] if fleets[0].least else None
         self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
@@ -136,6 +138,8 @@ class Programs:
     ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
         """A time slice. Returns states, workspace, a copy of the statuses, frames, and counts."""
         table = self._rules.begin_drives(table, worlds)
+        if self._few:
+            order = with_few_first(self._few, order, table)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)

@@ -83,6 +83,8 @@ class Model:
     ls_iterations: int  # the same of its line search
 
     queue: int  # from which these blocks take worlds
+    most_boxes: int  # that stand in a world; one that has more goes on in other blocks
+    most_idle: int  # lanes without a world; if there are more the others give their worlds up, too, for this call
     npairmax: int  # most pairs of near geoms of a world
     nconmax: int  # most contacts of a world
 
@@ -210,6 +212,7 @@ class Counts:
     """What a call counts."""
 
     taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken, so far
+    idle: Annotated[wp.array[int], "queue"]  # lanes that have found no more worlds
     clock: Annotated[wp.array[int], "1"]  # when it began: block.cuh
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]

@@ -51,9 +51,9 @@ class Rollout:
 
     def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
         """Begin a time slice for all worlds of a group that run: behind those that are under way."""
-        blocks = self.march.blocks
-        if group.frames is None or (len(group.frames["of"]) < blocks and not group.recorder.idle):
-            group.frames = room_for(group, blocks)
+        lanes = self.march.lanes
+        if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
+            group.frames = room_for(group, lanes)
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
         program = self.programs.compiled(arguments, group.run.progress)
         began = time.perf_counter()
@@ -95,6 +95,6 @@ class Rollout:
         sums = {"seconds": self._last_end - began, "steps": steps, "iterations": iterations}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
-        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.blocks)
+        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
         return status, ended

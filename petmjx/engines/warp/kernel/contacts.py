@@ -12,7 +12,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernel.block import any_of_all, prefix_sums, wait_for_all, warp_by_warp
+from petmjx.engines.warp.kernel.block import (
+    any_of_all,
+    cross,
+    fused,
+    prefix_sums,
+    times,
+    wait_for_all,
+    warp_by_warp,
+)
 from petmjx.engines.warp.kernel.give import spring_law, spring_of_pair
 from petmjx.engines.warp.kernel.motion import (
     ROOM,
@@ -24,7 +32,7 @@ from petmjx.engines.warp.kernel.motion import (
     linear_velocity,
     skin_of,
 )
-from petmjx.engines.warp.kernel.mujoco_warp import box_box, make_frame, mat83f, plane_box, vec8f
+from petmjx.engines.warp.kernel.mujoco_warp import box_box, mat83f, plane_box, vec8f
 from petmjx.engines.warp.kernel.ordering import free_position
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 
@@ -195,6 +203,16 @@ def collide(
 
 
 @wp.func
+def _frame_of(direction: wp.vec3) -> wp.mat33:
+    """The frame of a contact, axis after axis, as MuJoCo has it (mujoco_warp's make_frame)."""
+    normal = wp.normalize(direction)
+    other = wp.where((-0.5 < normal[1]) and (normal[1] < 0.5), wp.vec3(0.0, 1.0, 0.0), wp.vec3(0.0, 0.0, 1.0))
+    one = wp.normalize(other - normal * wp.dot(normal, other))
+    two = cross(normal, one)
+    return wp.matrix_from_rows(normal, one, two)
+
+
+@wp.func
 def _reference(model: Model, depth: float) -> wp.vec3:
     """Stiffness, damping and impedance of a contact (MuJoCo's documentation, "Modeling", "Solver parameters")."""
     low = wp.clamp(model.solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
@@ -216,7 +234,7 @@ def _moment_arms(axes: wp.mat33, lever: wp.vec3, turn: wp.mat33) -> wp.mat33:
     """Velocity along each axis at the end of a lever, per angular velocity in the body's own frame."""
     arms = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for r in range(3):
-        arms[r] = wp.transpose(turn) * wp.cross(lever, axes[r])
+        arms[r] = wp.transpose(turn) * cross(lever, axes[r])
     return arms
 
 
@@ -279,7 +297,7 @@ def make_constraint(
         first = work.pair_geom1[block, pair]
         second = work.pair_geom2[block, pair]
         point = work.pair_points[block, pair, contact - work.pair_conadr[block, pair]]
-        axes = make_frame(work.pair_normal[block, pair])
+        axes = _frame_of(work.pair_normal[block, pair])
         body_one = body_of(worlds, world, first)
         body_two = body_of(worlds, world, second)
         one = body_one - at.held
@@ -311,7 +329,8 @@ def make_constraint(
                 work.efc[block, contact, 3 * r + i] = axes[r, i]
                 work.efc[block, contact, 9 + 3 * r + i] = arms_one[r, i]
                 work.efc[block, contact, 18 + 3 * r + i] = arms_two[r, i]
-        work.efc[block, contact, 27] = -kbi[1] * velocity[0] - kbi[0] * kbi[2] * point[3]
+        pull = -times(times(kbi[0], kbi[2]), point[3])
+        work.efc[block, contact, 27] = fused(-kbi[1], velocity[0], pull)
         work.efc[block, contact, 28] = -damping * velocity[1]
         work.efc[block, contact, 29] = -damping * velocity[2]
         work.efc[block, contact, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)

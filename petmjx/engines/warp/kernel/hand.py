@@ -9,6 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.batch import state as batch_state
+from petmjx.engines.warp.kernel.block import cross, difference, times
 from petmjx.engines.warp.kernel.motion import (
     angular_velocity,
     box_half,
@@ -198,7 +199,7 @@ def _three(values: wp.array2d[float], world: int) -> wp.vec3:
 def _progress(step: int, steps: int) -> float:
     """Share of the way after some of its steps."""
     share = wp.clamp(float(step) / float(steps), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return times(share * share, 3.0 - 2.0 * share)
 
 
 @wp.func
@@ -215,7 +216,7 @@ def _rotation_vector(q: wp.vec4, wanted: wp.vec4) -> wp.vec3:
     u = wp.vec3(q[1], q[2], q[3])
     v = wp.vec3(wanted[1], wanted[2], wanted[3])
     real = w * wanted[0] + wp.dot(u, v)
-    imaginary = w * v - wanted[0] * u - wp.cross(u, v)
+    imaginary = difference(w, v, wanted[0], u) - cross(u, v)
     return imaginary * wp.where(real >= 0.0, 2.0, -2.0)
 
 
@@ -264,7 +265,7 @@ def _hand_qacc(
             worlds.start[world, box, 5],
             worlds.start[world, box, 6],
         )
-        moment = wp.cw_mul(inertia, (rate * rate) * _rotation_vector(q, wanted) - (2.0 * rate) * spin)
+        moment = wp.cw_mul(inertia, difference(rate * rate, _rotation_vector(q, wanted), 2.0 * rate, spin))
     moment = _limited(moment, most * wp.max(half))
     found = vec6()
     for i in range(3):

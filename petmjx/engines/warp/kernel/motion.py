@@ -11,6 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.batch.rules import UNBELIEVABLE
+from petmjx.engines.warp.kernel.block import cross, fused, times
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.metrics import force_jax as force_metrics
 
@@ -67,7 +68,7 @@ def skin_of(model: Model, worlds: Worlds, world: int, geom: int) -> float:
 @wp.func
 def moments(half: wp.vec3, mass: float) -> wp.vec3:
     """Principal moments of a solid box, kg·m²: m/3 · (b² + c²)."""
-    squares = wp.cw_mul(half, half)
+    squares = wp.vec3(times(half[0], half[0]), times(half[1], half[1]), times(half[2], half[2]))
     whole = squares[0] + squares[1] + squares[2]
     return mass / 3.0 * wp.vec3(whole - squares[0], whole - squares[1], whole - squares[2])
 
@@ -116,17 +117,23 @@ def rotation(q: wp.vec4) -> wp.mat33:
     x = q[1]
     y = q[2]
     z = q[3]
-    s = 2.0 / (w * w + x * x + y * y + z * z)
+    xx = times(x, x)
+    yy = times(y, y)
+    zz = times(z, z)
+    wx = times(w, x)
+    wy = times(w, y)
+    wz = times(w, z)
+    s = 2.0 / (w * w + xx + yy + zz)
     return wp.mat33(
-        1.0 - s * (y * y + z * z),
-        s * (x * y - w * z),
-        s * (x * z + w * y),
-        s * (x * y + w * z),
-        1.0 - s * (x * x + z * z),
-        s * (y * z - w * x),
-        s * (x * z - w * y),
-        s * (y * z + w * x),
-        1.0 - s * (x * x + y * y),
+        1.0 - s * (yy + zz),
+        s * fused(x, y, -wz),
+        s * fused(x, z, wy),
+        s * fused(x, y, wz),
+        1.0 - s * (xx + zz),
+        s * fused(y, z, -wx),
+        s * fused(x, z, -wy),
+        s * fused(y, z, wx),
+        1.0 - s * (xx + yy),
     )
 
 
@@ -211,7 +218,7 @@ def begin_step(
         if free_body < 0:
             continue
         inertia = moments(wp.vec3(equal[0], equal[1], equal[2]), mass)
-        torque = -wp.cross(spin, wp.cw_mul(inertia, spin))
+        torque = -cross(spin, wp.cw_mul(inertia, spin))
         dof = 6 * free_body
         for i in range(3):
             force = wp.where(body == 0, push[i], 0.0)
@@ -277,7 +284,7 @@ def end_step(
         w = q[0]
         u = wp.vec3(q[1], q[2], q[3])
         turned_w = w * cosine - wp.dot(u, v)
-        turned = w * v + cosine * u + wp.cross(u, v)
+        turned = w * v + cosine * u + cross(u, v)
         size = wp.sqrt(turned_w * turned_w + wp.dot(turned, turned))
         after = wp.vec4(turned_w / size, turned[0] / size, turned[1] / size, turned[2] / size)
         for i in range(3):

@@ -64,4 +64,3 @@ box_box = _colliders.box_box
 plane_box = _colliders.plane_box
 mat83f = _colliders.mat83f
 vec8f = _colliders.vec8f
-make_frame = _load("math").make_frame

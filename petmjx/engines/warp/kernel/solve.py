@@ -12,7 +12,8 @@ from petmjx.engines.warp.records import EFC_WORDS, PANEL, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
-    "(model, block, thread, threads, limit, changed, forces, petmjx::begin_of(shared), shared_words, work);"
+    "(model, block, thread, threads, limit, changed, forces,"
+    " petmjx::begin_of(shared) + petmjx::place_in_block(block) * shared_words, shared_words, work);"
 )
 def newton(
     # Model:
@@ -36,5 +37,6 @@ def newton(
 
     Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
     ``contact_force`` and ``solver_niter``. Uses other arrays of the workspace as scratch, and
-    ``shared``, a tile in shared memory, for rows of the factor and the Hessian if they fit.
+    ``shared``, a tile in shared memory with ``shared_words`` numbers for each world of a block, for rows of the
+    factor and the Hessian if they fit.
     """

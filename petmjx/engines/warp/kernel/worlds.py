@@ -1,4 +1,8 @@
-"""What a thread block does: it takes worlds from the queue, one after the other, and steps each one to its end."""
+"""What the threads of a lane do: they take worlds from the queue, one after the other, and step each one to its end.
+
+A lane is a thread block, or a warp of one. Warps of a block go through the parts of a step together, also those that
+have no world any more (docs/performance.md, "Small worlds").
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,17 @@ from typing import Any
 import warp as wp
 
 from petmjx.engines.batch.state import Status
-from petmjx.engines.warp.kernel.block import add_to, any_of_all, elapsed, raise_to, wait_for_all
+from petmjx.engines.warp.kernel.block import (
+    add_to,
+    any_of_all,
+    any_of_block,
+    elapsed,
+    fused,
+    go_together,
+    raise_to,
+    times,
+    wait_for_all,
+)
 from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_constraint
 from petmjx.engines.warp.kernel.film import hold
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
@@ -37,9 +51,10 @@ def excitation(model: Model, worlds: Worlds, state: State, world: int) -> tuple[
             scale = worlds.drive_scale[world]
             cos = worlds.drive_yaw[world, 0]
             sin = worlds.drive_yaw[world, 1]
-            x = scale * sample[0]
-            y = scale * sample[1]
-            turned = wp.vec3(cos * x - sin * y, sin * x + cos * y, scale * sample[2])
+            x = times(scale, sample[0])
+            y = times(scale, sample[1])
+            z = times(scale, sample[2])
+            turned = wp.vec3(fused(cos, x, -times(sin, y)), fused(sin, x, times(cos, y)), z)
             if worlds.held[world]:
                 gravity -= turned
             else:
@@ -68,6 +83,7 @@ def advance(
     worlds: Worlds,
     # In:
     at: Thread,
+    goes: bool,
     shared: Any,
     shared_words: int,
     listed: int,
@@ -77,59 +93,86 @@ def advance(
     frames: FrameBuffer,
     counts: Counts,
 ) -> int:
-    """One step of a block's world and all that follows from it.
+    """One step of a lane's world and all that follows from it.
 
     Args:
-        shared: a tile in shared memory for ``shared_words`` numbers.
+        goes: the lane has a world that goes on. Else its threads wait for the others of their block.
+        shared: a tile in shared memory for ``shared_words`` numbers for each world of the block.
         listed: near pairs that are listed; negative: none are.
 
     Returns:
         Near pairs that are listed for the next step; negative: none are.
     """
-    gravity, push = excitation(model, worlds, state, at.world)
-    step = state.step[at.world] + 1
-    sample = step > 0 and step % model.sample_every == 0
-    every = frames.every[at.world]
-    measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
-    left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
-    if at.hands != 0:
-        carry(model, worlds, state, at, work)
-    if at.wraps != 0 and state.driven_from[at.world] <= state.step[at.world]:
-        hold(model, worlds, at, state, work)
-    npair = listed
-    anew = left or npair < 0
-    if anew:
-        npair = list_pairs(model, worlds, at, APART, work)
-        listed = npair
-        if npair > model.npairmax:
-            # without the pairs that only may touch soon, so that it does not depend on when they were listed
-            npair = list_pairs(model, worlds, at, NEAR, work)
-            listed = -1
-        if npair > model.npairmax:
+    on = bool(goes)
+    anew = bool(False)
+    measured = bool(False)
+    changed = bool(False)
+    astray = bool(False)
+    step = int(0)
+    every = int(0)
+    npair = int(listed)
+    ncon = int(0)
+    if on:
+        gravity, push = excitation(model, worlds, state, at.world)
+        step = state.step[at.world] + 1
+        sample = step > 0 and step % model.sample_every == 0
+        every = frames.every[at.world]
+        measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
+        left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
+        if at.hands != 0:
+            carry(model, worlds, state, at, work)
+        if at.wraps != 0 and state.driven_from[at.world] <= state.step[at.world]:
+            hold(model, worlds, at, state, work)
+        anew = left or npair < 0
+        if anew:
+            npair = list_pairs(model, worlds, at, APART, work)
+            listed = npair
+            if npair > model.npairmax:
+                # without the pairs that only may touch soon, so that it does not depend on when they were listed
+                npair = list_pairs(model, worlds, at, NEAR, work)
+                listed = -1
+            if npair > model.npairmax:
+                overflow(at, state)
+                on = False
+    go_together(1)
+    if on:
+        changed = collide(model, worlds, at, npair, anew, work)
+        ncon = work.pair_conadr[at.block, npair]
+        if at.thread == 0:
+            work.ncon[at.block] = ncon
+            raise_to(counts.contacts, 0, ncon)
+        if ncon > model.nconmax:
             overflow(at, state)
-            return -1
-    changed = collide(model, worlds, at, npair, anew, work)
-    ncon = work.pair_conadr[at.block, npair]
-    if at.thread == 0:
-        work.ncon[at.block] = ncon
-        raise_to(counts.contacts, 0, ncon)
-    if ncon > model.nconmax:
-        overflow(at, state)
-        return -1
-    make_constraint(model, worlds, state, at, ncon, work)
-    if step % RENEWED_EVERY == 0:
-        renew_order(worlds, at, npair, state, work)
-        changed = True
-    if changed:
-        link_contacts(worlds, state, at, work)
-    limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
-    newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
-    wait_for_all()
-    astray = any_of_all(end_step(model, at, measured, state, work))
-    after_step(model, worlds, at, astray, state, work)
-    if every > 0:
-        keep_frame(state, at, every, work, frames)
-    return listed
+            on = False
+    go_together(2)
+    if on:
+        make_constraint(model, worlds, state, at, ncon, work)
+        if step % RENEWED_EVERY == 0:
+            renew_order(worlds, at, npair, state, work)
+            changed = True
+        if changed:
+            link_contacts(worlds, state, at, work)
+    go_together(3)
+    if on:
+        limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
+        newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
+        wait_for_all()
+    go_together(4)
+    if on:
+        astray = any_of_all(end_step(model, at, measured, state, work))
+    go_together(5)
+    if on:
+        after_step(model, worlds, at, astray, state, work)
+        if every > 0:
+            keep_frame(state, at, every, work, frames)
+        return listed
+    return -1
+
+
+@wp.func
+def _goes_on(model: Model, state: State, world: int) -> bool:
+    """Whether a world has a step to take in blocks of this size."""
+    return state.status[world] == RUNNING and state.placed[world] <= model.most_boxes
 
 
 @wp.func
@@ -157,43 +200,58 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        n_blocks: of the call, of all sizes.
+        block: the lane's number: that of its rows in the workspace.
+        thread: of the threads that share a world.
+        threads: how many these are.
+        n_blocks: lanes of the call, of all sizes.
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may give.
         wraps: 1 if film may hold boxes.
-        slice_ns: time slice, from the call's first step on, ns. If it is over a block takes one step more.
-        shared: a tile in shared memory for ``shared_words`` numbers.
+        slice_ns: time slice, from the call's first step on, ns. If it is over a lane takes one step more.
+        shared: a tile in shared memory for ``shared_words`` numbers for each world of the block.
     """
+    at = Thread()
+    at.block = block
+    at.thread = thread
+    at.threads = threads
+    at.world = -1
+    at.hands = hands
+    at.gives = gives
+    at.wraps = wraps
+    steps = int(0)
+    iterations = int(0)
+    stood = int(-1)  # boxes for which pairs are listed
+    listed = int(-1)
+    recorded = bool(False)
     late = bool(False)
-    while not late:
-        if thread == 0:
-            number = add_to(counts.taken, model.queue, 1)
-            work.world[block] = -1
-            if number < worlds.order.shape[1]:
-                work.world[block] = worlds.order[model.queue, number]
-        wait_for_all()
-        world = work.world[block]
-        wait_for_all()
-        if world < 0:
-            break
-        at = Thread()
-        at.block = block
-        at.thread = thread
-        at.threads = threads
-        at.world = world
-        at.hands = hands
-        at.gives = gives
-        at.wraps = wraps
-        steps = int(0)
-        iterations = int(0)
-        stood = int(-1)  # boxes for which pairs are listed
-        listed = int(-1)
-        recorded = frames.every[at.world] > 0
-        full = bool(False)
-        if recorded and thread == 0:
-            full = no_room(frames, n_blocks)
-        late = any_of_all(full)
-        while state.status[at.world] == RUNNING and not late:
+    others = bool(True)  # a world of the block goes on
+    while others:
+        goes = bool(False)
+        if at.world >= 0 and not late:
+            goes = _goes_on(model, state, at.world)
+        while not goes and not late:
+            if thread == 0:
+                number = add_to(counts.taken, model.queue, 1)
+                work.world[block] = -1
+                if number < worlds.order.shape[1]:
+                    work.world[block] = worlds.order[model.queue, number]
+            wait_for_all()
+            at.world = work.world[block]
+            wait_for_all()
+            if at.world < 0:
+                late = True
+                if thread == 0:
+                    add_to(counts.idle, model.queue, 1)
+            else:
+                stood = -1
+                recorded = frames.every[at.world] > 0
+                full = bool(False)
+                if recorded and thread == 0:
+                    full = no_room(frames, n_blocks)
+                late = any_of_all(full)
+                goes = not late and _goes_on(model, state, at.world)
+        others = any_of_block(goes)
+        if goes:
             at.placed = state.placed[at.world]
             at.geoms = first_geom(worlds, at.world, at.placed + 1)
             at.held = wp.where(state.driven_from[at.world] != NEVER and worlds.held[at.world], 1, 0)
@@ -201,15 +259,19 @@ def run_worlds(
             if at.placed != stood:
                 listed = -1
             stood = at.placed
-            listed = advance(model, worlds, at, shared, shared_words, listed, state, work, frames, counts)
+        if others:
+            listed = advance(model, worlds, at, goes, shared, shared_words, listed, state, work, frames, counts)
+        if goes:
             steps += 1
             iterations += work.solver_niter[block]
             over = bool(False)
             if thread == 0:
                 over = elapsed(counts.clock) >= slice_ns
+                if model.most_idle < NEVER:
+                    over = over or add_to(counts.idle, model.queue, 0) > model.most_idle
                 if recorded:
                     over = over or no_room(frames, n_blocks)
             late = any_of_all(over)
-        if thread == 0:
-            add_to(counts.steps, 0, steps)
-            add_to(counts.iterations, 0, iterations)
+    if thread == 0:
+        add_to(counts.steps, 0, steps)
+        add_to(counts.iterations, 0, iterations)

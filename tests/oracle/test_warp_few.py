@@ -1,0 +1,198 @@
+"""On mjx-warp worlds in which few boxes stand may have thread blocks of their own: results stay the same to the last
+bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+import warp as wp
+from support.fake_stepper import assert_same
+from support.plans import heap, make_scene
+from support.tiny_worlds import SHORT, SOME_NS, TINY, assert_equal_worlds, engine, tiny_scenes
+from support.worlds import simulate
+
+from petmjx.engines.batch.state import NEVER
+from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import newton, simulator
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.few import fleet_for_few, with_few_first
+from petmjx.engines.warp.group import Group
+from petmjx.engines.warp.launch import SIZES, Launch, with_cpp
+from petmjx.engines.warp.march import Fleet
+from petmjx.engines.warp.rollout import Rollout, Slice
+from petmjx.verdict import Outcome
+
+FEW = Launch(4, 256, 2, 0, 6, hands=False, worlds=8)
+ONE = Fleet(Launch(4, SIZES[0].threads, 2, 0, 37, hands=False), 4, 40, 1, 420, 336)
+
+
+@pytest.fixture
+def taken(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
+    """Worlds that each fleet's lanes have asked for, slice after slice."""
+    found: list[list[int]] = []
+    wait = Rollout.wait
+
+    def watched(self: Rollout, group: Group) -> tuple[Any, Slice]:
+        status, ended = wait(self, group)
+        found.append(np.asarray(ended.counts["taken"]).tolist())
+        return status, ended
+
+    monkeypatch.setattr(Rollout, "wait", watched)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most", [1, 2])
+def test_a_world_goes_on_in_other_blocks_when_more_boxes_stand(
+    most: int, monkeypatch: pytest.MonkeyPatch, taken: list[list[int]], crowd: dict[str, Outcome]
+) -> None:
+    monkeypatch.setattr(
+        mjx_warp, "fleet_for_few", lambda fleet, worlds, lanes: replace(fleet, n_boxes=most, blocks=2, least=1)
+    )
+    assert_equal_worlds(simulate(engine(slice_ns=SOME_NS), tiny_scenes(), SHORT), crowd)
+    few, one = np.array(taken).T
+    assert (few[: len(TINY)] > 0).all()
+    assert one[0] == 1, "in the first slice only few boxes stand: a lane asks once, and there is none"
+    assert (one > 1).any()
+
+
+@pytest.mark.slow
+def test_open_worlds_have_them_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = list(tiny_scenes(("hand-bridge", "hand-overhang-45")).values())
+    found = []
+    for most in (None, 1):
+        if most:
+            few = {"n_boxes": most, "blocks": 2, "least": 1}
+            monkeypatch.setattr(simulator, "fleet_for_few", lambda fleet, _, few=few: replace(fleet, **few))
+        worlds = engine().open([scene.first(0) for scene in scenes], SHORT, most_boxes=4)
+        for count in (1, 2):
+            worlds.go_on()
+            worlds.put([0, 1], [scene.first(count) for scene in scenes])
+        found.append(worlds.finish([0, 1]))
+        assert ("_march_of_many" in vars(worlds.simulator)) == bool(most)
+    for one, other in zip(*found, strict=True):
+        assert_same(one, other)
+
+
+def test_worlds_with_few_boxes_have_a_queue_of_their_own_if_they_are_enough() -> None:
+    class Table:
+        running = jnp.array([1, 1, 0, 1, 1, 1], bool)
+        placed = jnp.array([2, 9, 2, 3, 0, 1])
+
+    order = jnp.array([[5, -1, -1, -1, -1, -1], [3, 1, 2, 0, 4, -1]], jnp.int32)
+    few = replace(ONE, n_boxes=2, least=2)
+    found = with_few_first(few, order, Table)  # type: ignore[arg-type]  # all that it looks at
+    assert found.tolist() == [[0, 4, -1, -1, -1, -1], [5, -1, -1, -1, -1, -1], [3, 1, 2, -1, -1, -1]]
+    found = with_few_first(replace(few, least=3), order, Table)  # type: ignore[arg-type]
+    assert found.tolist() == [[-1] * 6, *order.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("worlds", "lanes", "fleet", "blocks"),
+    [
+        (8, None, ONE, 4),
+        (7, None, ONE, None),  # fewer than a quarter of the lanes
+        (4, 17, ONE, 2),
+        (100, 7, ONE, None),  # not one block
+        (100, None, replace(ONE, launch=replace(ONE.launch, threads=SIZES[1].threads)), None),  # other sums
+    ],
+)
+def test_they_have_blocks_if_these_are_worth_while(
+    worlds: int, lanes: int | None, fleet: Fleet, blocks: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Launch, "of", lambda *_: FEW)
+    few = fleet_for_few(fleet, worlds, lanes)
+    assert (few and few.blocks) == blocks
+    if few:
+        assert (few.lanes, few.least, few.most_idle) == (8 * few.blocks, 2 * few.blocks, 6 * few.blocks)
+        assert (few.n_boxes, few.nconmax) == (15, fleet.nconmax)
+    assert fleet.most_idle == NEVER
+
+
+def test_on_a_cpu_there_are_none() -> None:
+    assert fleet_for_few(Fleet(replace(Launch.of(SIZES[0]), threads=SIZES[0].threads), 8, 4, 1, 1, 1), 10**6) is None
+
+
+def test_memory_without_room_for_them_has_room_for_others(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    tried: list[int] = []
+
+    def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
+        tried.append(len(fleets))
+        if len(fleets) > 1:
+            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory")
+        return Rollout(run, fleets, slice_ns)
+
+    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    monkeypatch.setattr(mjx_warp, "fleet_for_few", lambda fleet, *_: replace(fleet, n_boxes=1, least=1))
+    assert_equal_worlds(simulate(engine(), tiny_scenes(TINY[:1]), SHORT), crowd)
+    assert tried == [2, 1]
+
+
+COUNTS = (1, 31, 32, 33, 96, 127, 128, 129, 300)
+
+
+def _sums(numbers: wp.array[wp.float64], count: int, sums: wp.array2d[wp.float64]) -> None:
+    block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
+    _sum(numbers, count, block, thread, sums)
+
+
+@wp.func_native("petmjx::sum_numbers(numbers.data, count, block, thread, sums.data);")
+def _sum(numbers: wp.array[wp.float64], count: int, block: int, thread: int, sums: wp.array2d[wp.float64]) -> None: ...
+
+
+_SUM = """
+namespace petmjx {
+inline CUDA_CALLABLE void sum_numbers(const double* numbers, int count, int block, int thread, double* sums) {
+    PETMJX_SHARED double partial[PETMJX_WORLDS][MOST_WARPS];
+    const int threads = PETMJX_WORLDS > 1 ? WARP : PETMJX_THREADS, lane = block * PETMJX_WORLDS + thread / threads;
+    double sum[1];
+    sum_over_all(count, thread % threads, threads, partial[place_in_block(lane)], sum, [&](int i, double (&sum)[1]) {
+        if (i < count) sum[0] += numbers[i];
+    });
+    sums[lane * PETMJX_THREADS + thread % threads] = sum[0];
+}
+}
+"""
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("count", COUNTS)
+def test_a_warp_sums_in_the_order_of_a_block(count: int) -> None:
+    """Also the next world's sums are its own."""
+    threads = SIZES[0].threads
+    numbers = wp.array(np.random.default_rng(0).normal(size=count), dtype=wp.float64)
+    found = {}
+    for worlds in (1, 8):
+        size = threads if worlds == 1 else 32 * worlds
+        kernel = with_cpp(_sums, newton.text_for(6, worlds, threads) + _SUM, threads=size)
+        sums = wp.zeros((worlds, threads), dtype=wp.float64)
+        wp.launch(kernel, dim=(1, size), inputs=[numbers, count, sums], block_dim=size)
+        found[worlds] = sums.numpy()[:, : threads if worlds == 1 else 32]
+    assert np.unique(found[1]).tolist() == np.unique(found[8]).tolist()
+    assert len(np.unique(found[1])) == 1
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("check", ["one_by_one", "static"])
+def test_blocks_of_eight_worlds_give_what_blocks_of_one_give(
+    check: str, monkeypatch: pytest.MonkeyPatch, taken: list[list[int]]
+) -> None:
+    """Worlds of 1 to 24 boxes, of which some fall, in company that changes."""
+    sim = SHORT.changed(check=check)
+    scenes = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(160)}
+    scenes |= {f"heap of {n}, {k}": make_scene(heap(n)) for n in (6, 15, 24) for k in range(60)}
+    together = simulate(MjxWarpEngine(slice_ns=3_000_000), scenes, sim)
+    assert len(taken[0]) == 2
+    assert min(np.array(taken).max(0)) > 500
+    monkeypatch.setattr(mjx_warp, "fleet_for_few", lambda *_: None)
+    assert_equal_worlds(simulate(MjxWarpEngine(), scenes, sim), together)
+    assert len(taken[-1]) == 1
