@@ -47,12 +47,8 @@ inline CUDA_CALLABLE int place_in_block(int lane) { return lane % PETMJX_WORLDS;
 
 // The warps of a block wait for one another where each has a world: they then pass through the same instructions, which
 // the multiprocessor has to fetch once.
-inline CUDA_CALLABLE void go_together(int stage) {
+inline CUDA_CALLABLE void go_together() {
 #if defined(PETMJX_WORLD_OF_A_WARP)
-#if !defined(PETMJX_STAGES)
-#define PETMJX_STAGES 0xff
-#endif
-    if (!(PETMJX_STAGES >> stage & 1)) return;
     __syncwarp();
     __syncthreads();
 #endif

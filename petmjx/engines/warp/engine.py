@@ -21,7 +21,7 @@ from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.few import fleet_for_few
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
-from petmjx.engines.warp.launch import Launch, size_for
+from petmjx.engines.warp.launch import FEW_BOXES, Launch, size_for
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
@@ -325,7 +325,8 @@ class MjxWarpEngine(Engine):
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
         smallest = _sizes(run)[-1]
         if self._room.get((run.sim.physics.cone, smallest), 1) == 1:  # larger buffers of all lanes would be too much
-            few = fleet_for_few(fleets[-1], sum(_size(job) == smallest for job in group.jobs), self.lanes)
+            worlds = sum(job.scene.n_boxes <= FEW_BOXES.most_boxes for job in group.jobs)
+            few = fleet_for_few(fleets[-1], worlds, self.lanes)
             fleets = (few, *fleets) if few else fleets
         launches = tuple(fleet.launch for fleet in fleets)
         key = run.sim, run.timetable, fleets

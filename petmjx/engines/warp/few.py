@@ -1,8 +1,8 @@
-"""Worlds in which few boxes stand: when they have thread blocks of their own, and which they are.
+"""Worlds of few boxes: when they have thread blocks of their own, and which they are.
 
 A block for them has several worlds, a warp each (``launch.FEW_BOXES``). Such a world takes the same steps to the last
-bit as in a block of its own, where it goes on as soon as more boxes stand: so which blocks have it is a matter of speed
-alone.
+bit as in a block of its own, where it goes on when too few such worlds are left: so which blocks have it is a matter of
+speed alone.
 """
 
 from __future__ import annotations
@@ -12,37 +12,45 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from petmjx.engines.batch.state import State
 from petmjx.engines.warp.launch import FEW_BOXES, Launch, size_for
 from petmjx.engines.warp.march import Fleet
 
-LEAST_SHARE = 0.25
-"""Of the lanes of these blocks: with fewer worlds than lanes in this share, blocks of one world are faster."""
+ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
+"""Worlds with which these blocks begin, and with fewer of which they end, as shares of their lanes: with few worlds
+blocks of one world are faster."""
 
 
 def fleet_for_few(fleet: Fleet, worlds: int, lanes: int | None = None) -> Fleet | None:
-    """Blocks for worlds of a fleet in which few boxes stand; None: not on this device, or not for so few worlds.
+    """Blocks for worlds of few boxes; None: not on this device, or not for so few worlds.
 
     Args:
-        fleet: blocks for the smallest worlds.
+        fleet: those that have them else.
+        worlds: which have few boxes, and may have other blocks.
         lanes: worlds that may run at the same time; None: as many as the device has room for.
     """
     one = fleet.launch
     launch = Launch.of(FEW_BOXES, one.hands, one.gives, one.wraps)
     blocks = min((lanes or launch.lanes) // launch.worlds, launch.blocks)
-    least = int(LEAST_SHARE * blocks * launch.worlds)
-    if launch.worlds == 1 or one.threads != size_for(1).threads or not 0 < least <= worlds:
+    of_all = blocks * launch.worlds
+    if launch.worlds == 1 or one.threads != size_for(1).threads or not 0 < ENOUGH_SHARE * of_all <= worlds:
         return None
+    least = int(LEAST_SHARE * of_all)
     return replace(fleet, launch=launch, blocks=blocks, n_boxes=min(FEW_BOXES.most_boxes, fleet.n_boxes), least=least)
 
 
-def with_few_first(few: Fleet, order: Int[Array, "queue world"], state: State) -> Int[Array, "queue_and_one world"]:
-    """Queues with one more, the first: of the worlds of the last queue in which few boxes stand, if there are enough.
+def with_few_first(
+    few: Fleet, order: Int[Array, "queue world"], n_boxes: Int[Array, " world"], running: Bool[Array, " world"]
+) -> Int[Array, "queue_and_one world"]:
+    """Queues with one more, the first: of the worlds of the last queue that have few boxes, while they are enough.
 
     All keep their order. For jitted programs.
+
+    Args:
+        n_boxes: of each world.
+        running: worlds that go on.
     """
     last = order[-1]
-    chosen = (last >= 0) & (state.running & (state.placed <= few.n_boxes))[last]
+    chosen = (last >= 0) & (running & (n_boxes <= few.n_boxes))[last]
     chosen &= chosen.sum() >= few.least
     return jnp.concatenate([_closed_up(last, chosen)[None], order[:-1], _closed_up(last, ~chosen)[None]])
 

@@ -106,7 +106,6 @@ class March:
                 {
                     **constants,
                     "queue": queue,
-                    "most_boxes": fleet.n_boxes,
                     "most_idle": fleet.most_idle,
                     "npairmax": fleet.npairmax,
                     "nconmax": fleet.nconmax,

@@ -83,7 +83,6 @@ class Model:
     ls_iterations: int  # the same of its line search
 
     queue: int  # from which these blocks take worlds
-    most_boxes: int  # that stand in a world; one that has more goes on in other blocks
     most_idle: int  # lanes without a world; if there are more the others give their worlds up, too, for this call
     npairmax: int  # most pairs of near geoms of a world
     nconmax: int  # most contacts of a world

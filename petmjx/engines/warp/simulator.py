@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Final, NamedTuple
 
 import jax
@@ -16,7 +15,6 @@ from petmjx.engines.batch.state import NEVER, State, Status, fresh_state, of_fla
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp import records
-from petmjx.engines.warp.few import fleet_for_few, with_few_first
 from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
 from petmjx.engines.warp.next_box import NewBox, with_new_box
@@ -76,9 +74,9 @@ class Simulator:
         launch = Launch.here(most_boxes, *traits)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        self._fleet = Fleet(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
-        self._sim, self._timetable, self._room = sim, timetable, room
-        self._march = March(constants(sim, timetable), [self._fleet], SLICE_NS)
+        fleet = Fleet(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
+        self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
+        self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
         self._driving = Rules(sim, timetable, most_boxes, driven=True)
 
@@ -149,26 +147,11 @@ class Simulator:
     def time_slice(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
         """Let worlds go on for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
-        state = self._driving.begin_drives(open_.state, worlds)
-        march, order = self._march, jnp.arange(n, dtype=jnp.int32)[None]
-        if few := self._fleet_for_few(n):
-            march, order = self._march_of_many, with_few_first(few, order, state)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
-        after, *_ = march(flat_worlds, state.flat(), march.workspace(), _no_frames(n, worlds.half.shape[1]))
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
+        flat = self._driving.begin_drives(open_.state, worlds)._asdict()
+        flat |= flat.pop("metrics")._asdict()
+        after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
         return Open(worlds, of_flat(after))
-
-    def _fleet_for_few(self, n_worlds: int) -> Fleet | None:
-        """Blocks for those of so many worlds in which few boxes stand."""
-        return fleet_for_few(self._fleet, n_worlds) if self._room == 1 else None
-
-    @functools.cached_property
-    def _march_of_many(self) -> March:
-        """With blocks for few boxes, whose kernel is loaded when there are worlds enough for the first time."""
-        few = self._fleet_for_few(NEVER)
-        assert few is not None
-        march = March(constants(self._sim, self._timetable), [few, self._fleet], SLICE_NS)
-        march.load()
-        return march
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
         """The flag of worlds that go on although they are not at rest."""

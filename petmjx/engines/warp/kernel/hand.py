@@ -265,7 +265,8 @@ def _hand_qacc(
             worlds.start[world, box, 5],
             worlds.start[world, box, 6],
         )
-        moment = wp.cw_mul(inertia, difference(rate * rate, _rotation_vector(q, wanted), 2.0 * rate, spin))
+        turn = difference(rate * rate, _rotation_vector(q, wanted), 2.0 * rate, spin)
+        moment = wp.vec3(inertia[0] * turn[0], inertia[1] * turn[1], inertia[2] * turn[2])
     moment = _limited(moment, most * wp.max(half))
     found = vec6()
     for i in range(3):

@@ -134,7 +134,7 @@ def advance(
             if npair > model.npairmax:
                 overflow(at, state)
                 on = False
-    go_together(1)
+    go_together()
     if on:
         changed = collide(model, worlds, at, npair, anew, work)
         ncon = work.pair_conadr[at.block, npair]
@@ -144,7 +144,7 @@ def advance(
         if ncon > model.nconmax:
             overflow(at, state)
             on = False
-    go_together(2)
+    go_together()
     if on:
         make_constraint(model, worlds, state, at, ncon, work)
         if step % RENEWED_EVERY == 0:
@@ -152,27 +152,21 @@ def advance(
             changed = True
         if changed:
             link_contacts(worlds, state, at, work)
-    go_together(3)
+    go_together()
     if on:
         limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
         newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
         wait_for_all()
-    go_together(4)
+    go_together()
     if on:
         astray = any_of_all(end_step(model, at, measured, state, work))
-    go_together(5)
+    go_together()
     if on:
         after_step(model, worlds, at, astray, state, work)
         if every > 0:
             keep_frame(state, at, every, work, frames)
         return listed
     return -1
-
-
-@wp.func
-def _goes_on(model: Model, state: State, world: int) -> bool:
-    """Whether a world has a step to take in blocks of this size."""
-    return state.status[world] == RUNNING and state.placed[world] <= model.most_boxes
 
 
 @wp.func
@@ -228,7 +222,7 @@ def run_worlds(
     while others:
         goes = bool(False)
         if at.world >= 0 and not late:
-            goes = _goes_on(model, state, at.world)
+            goes = state.status[at.world] == RUNNING
         while not goes and not late:
             if thread == 0:
                 number = add_to(counts.taken, model.queue, 1)
@@ -249,7 +243,7 @@ def run_worlds(
                 if recorded and thread == 0:
                     full = no_room(frames, n_blocks)
                 late = any_of_all(full)
-                goes = not late and _goes_on(model, state, at.world)
+                goes = not late and state.status[at.world] == RUNNING
         others = any_of_block(goes)
         if goes:
             at.placed = state.placed[at.world]
