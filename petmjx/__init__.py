@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from petmjx.plans.plan import Plan
     from petmjx.plans.plan_set import PlanSet
     from petmjx.plans.read import load_plans
+    from petmjx.plans.samples.online.placement import placement_stability
     from petmjx.plans.write import save_plans
     from petmjx.rating.kpis import kpis
     from petmjx.results.compare import compare_runs
@@ -72,6 +73,7 @@ _HOME = {
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan_set",
     "load_plans": "petmjx.plans.read",
+    "placement_stability": "petmjx.plans.samples.online.placement",
     "compare_packers": "petmjx.packers.compare",
     "compare_runs": "petmjx.results.compare",
     "Story": "petmjx.story.tell",
@@ -128,6 +130,7 @@ __all__ = [
     "loads",
     "merge_runs",
     "pack",
+    "placement_stability",
     "report",
     "save_plans",
     "score",

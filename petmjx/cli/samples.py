@@ -12,6 +12,8 @@ from petmjx.cli.physical import write_physical
 from petmjx.errors import InputError
 from petmjx.packing.options import PHYSICAL, PhysicalOptions
 from petmjx.plans.samples import DEFAULT_LOOSE_SHARE, LeftOut
+from petmjx.plans.samples.online.learned import LEARNED
+from petmjx.plans.samples.online.stream import MOST_LOOK_AHEAD
 from petmjx.plans.samples.packers import BASELINE
 from petmjx.run_options import Confidence
 from petmjx.text import counted, printable
@@ -57,8 +59,20 @@ def samples(
             "--packer",
             metavar="NAME",
             help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance; "
-            "physical: denser still, of packings that stand in simulation, also as a robot places them.  "
+            "physical: denser still, of packings that stand in simulation, also as a robot places them; "
+            "learned: takes boxes as they come, by a network trained with physics.  "
             "[default: baseline, with some loose plans]",
+            show_default=False,
+        ),
+    ] = None,
+    look_ahead: Annotated[
+        int | None,
+        typer.Option(
+            "--lookahead",
+            metavar="K",
+            min=1,
+            max=MOST_LOOK_AHEAD,
+            help="Boxes that the packer learned sees of those that come next; it may place any of them.  [default: 1]",
             show_default=False,
         ),
     ] = None,
@@ -84,6 +98,9 @@ def samples(
     The packer physical simulates several packings of each order and takes the densest that stands often enough; it
     takes seconds an order on CPUs.
 
+    The packer learned takes boxes in the sequence of the order, and sees --lookahead of them; the others see the whole
+    order.
+
     With --orders it packs the orders of a file instead. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
@@ -95,6 +112,8 @@ def samples(
     if is_csv(out) or is_parquet_name(out):
         raise InputError(f"{out}: samples are written as JSON; use petmjx convert to make a table")
     check_free(out, overwrite, [orders] if orders is not None else ())
+    if look_ahead is not None and packer != LEARNED:
+        raise InputError(f"--lookahead needs the packer {LEARNED}")
     drawn = {"-n": n, "--loose-share": loose_share}
     if orders is not None and (given := next((name for name, value in drawn.items() if value is not None), None)):
         raise InputError(f"{given} is for drawn orders, and --orders names a file of orders")
@@ -116,6 +135,7 @@ def samples(
     how: dict[str, Any] = {
         "seed": seed,
         "packer": packer,
+        "look_ahead": look_ahead,
         "workers": workers or cpu_threads(),
         "on_left_out": left_out.append,
     }

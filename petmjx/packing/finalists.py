@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from petmjx.packing.options import PhysicalOptions
 from petmjx.plans.samples.beam import Found, search
+from petmjx.plans.samples.online.learned import CLEARANCE_MM, pack_learned
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
 from petmjx.plans.samples.packer import Placed
 from petmjx.units import MM_PER_M
@@ -42,13 +43,27 @@ def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
     return sorted(there, key=lambda each: (each.volume_m3, each.utilisation), reverse=True)
 
 
+def learned_finalists(order: Order, look_ahead: int) -> list[Finalist]:
+    """The packing of the packer ``learned``; none where no box has a place."""
+    placed = pack_learned(order.items, TARGET_EXTENT_MM[order.target], look_ahead)
+    if not placed:
+        return []
+    height = max(box.corner_mm[2] + box.item.height_mm for box in placed)
+    volume = sum(box.item.volume_m3 for box in placed)
+    return [Finalist(tuple(placed), CLEARANCE_MM, volume, height, _utilisation(order, volume, height))]
+
+
 def _searched(order: Order, clearance_mm: float, options: PhysicalOptions) -> Found:
     extent_mm = TARGET_EXTENT_MM[order.target]
     return search(order.items, extent_mm, clearance_mm, width=options.width, branch=options.branch)
 
 
 def _finalist(order: Order, clearance_mm: float, found: Found) -> Finalist:
-    length, width = TARGET_EXTENT_MM[order.target]
-    space_m3 = length * width * found.height_mm / MM_PER_M**3
     volume = found.worth.volume_m3
-    return Finalist(found.placed, clearance_mm, volume, found.height_mm, volume / space_m3)
+    utilisation = _utilisation(order, volume, found.height_mm)
+    return Finalist(found.placed, clearance_mm, volume, found.height_mm, utilisation)
+
+
+def _utilisation(order: Order, volume_m3: float, height_mm: float) -> float:
+    length, width = TARGET_EXTENT_MM[order.target]
+    return volume_m3 / (length * width * height_mm / MM_PER_M**3)

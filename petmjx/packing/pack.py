@@ -9,15 +9,18 @@ from typing import Any, Final
 import pandas as pd
 
 from petmjx.arguments import path_of, whole_of
+from petmjx.checked import got
 from petmjx.config import Simulation
 from petmjx.errors import InputError
-from petmjx.packing.options import PhysicalOptions
+from petmjx.packing.options import PHYSICAL, PhysicalOptions
 from petmjx.packing.packed import PackedOrder
 from petmjx.packing.physical import pack_physical
 from petmjx.plans.forms import is_csv, is_parquet_name
 from petmjx.plans.gather import PathArgument
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import MOST_SAMPLES, write_plans
+from petmjx.plans.samples.online.learned import LEARNED
+from petmjx.plans.samples.online.stream import MOST_LOOK_AHEAD
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Order, draw_order
 from petmjx.plans.write import save_plans
@@ -93,12 +96,14 @@ def pack(
     *,
     n: int | None = None,
     seed: int = 0,
+    packer: str = PHYSICAL,
+    look_ahead: int | None = None,
     workers: int = 1,
     on_bad_order: Callable[[InputError], None] | None = None,
     **options: Any,
 ) -> Packed:
     """Pack orders with the packer ``physical``: densely, and so that the plans stand in simulation, placed exactly and
-    with the errors of a robot.
+    with the errors of a robot. Or with ``learned``, which takes boxes as they come; its plans are simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
@@ -107,6 +112,8 @@ def pack(
     Args:
         orders: file of BED-BPP orders; None: ``n`` drawn ones, as in ``petmjx samples``.
         n, seed: how many drawn orders, and of which seed.
+        packer: ``physical`` or ``learned``.
+        look_ahead: of ``learned``: how many of the boxes that come next it sees; None: 1.
         workers: processes that search; they change no plan. Scripts that ask for more than one need
             ``if __name__ == "__main__":``.
         on_bad_order: called with the error of an unusable order, which is then skipped.
@@ -117,10 +124,20 @@ def pack(
         InputError: unusable orders or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    return Packed(tuple(pack_each(orders_of(orders, n, seed, on_bad_order), workers=workers, **options)))
+    each = pack_each(
+        orders_of(orders, n, seed, on_bad_order), packer=packer, look_ahead=look_ahead, workers=workers, **options
+    )
+    return Packed(tuple(each))
 
 
-def pack_each(orders: Iterable[tuple[str, Order]], *, workers: int = 1, **options: Any) -> Iterator[PackedOrder]:
+def pack_each(
+    orders: Iterable[tuple[str, Order]],
+    *,
+    packer: str = PHYSICAL,
+    look_ahead: int | None = None,
+    workers: int = 1,
+    **options: Any,
+) -> Iterator[PackedOrder]:
     """What ``pack`` makes of each order, as soon as it is known.
 
     Args:
@@ -128,7 +145,13 @@ def pack_each(orders: Iterable[tuple[str, Order]], *, workers: int = 1, **option
         options: as in ``pack``. They are checked before the first order is taken.
     """
     asked, how = _sorted(options)
-    return pack_physical(orders, asked, how, whole_of(workers, "workers", 1, MOST_WORKERS))
+    if packer not in (PHYSICAL, LEARNED):
+        raise InputError(f"packer must be {PHYSICAL} or {LEARNED}, {got(packer)}")
+    if packer == PHYSICAL and look_ahead is not None:
+        raise InputError(f"look_ahead needs the packer {LEARNED}")
+    ahead = whole_of(1 if look_ahead is None else look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD)
+    sees = ahead if packer == LEARNED else None
+    return pack_physical(orders, asked, how, whole_of(workers, "workers", 1, MOST_WORKERS), sees)
 
 
 def orders_of(

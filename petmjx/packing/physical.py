@@ -13,7 +13,7 @@ from itertools import islice
 from typing import Any, Final
 
 from petmjx.machine import why_no_warp, why_no_warp_on_cpu
-from petmjx.packing.finalists import Finalist, finalists
+from petmjx.packing.finalists import Finalist, finalists, learned_finalists
 from petmjx.packing.judged import Judged, judge
 from petmjx.packing.options import PhysicalOptions
 from petmjx.packing.packed import PackedOrder
@@ -27,7 +27,11 @@ AT_ONCE_GPU: Final = 512
 
 
 def pack_physical(
-    orders: Iterable[tuple[str, Order]], options: PhysicalOptions, how: Mapping[str, Any], workers: int
+    orders: Iterable[tuple[str, Order]],
+    options: PhysicalOptions,
+    how: Mapping[str, Any],
+    workers: int,
+    look_ahead: int | None = None,
 ) -> Iterator[PackedOrder]:
     """Pack orders, in the order given.
 
@@ -35,6 +39,7 @@ def pack_physical(
         orders: id and order.
         how: options of ``petmjx.score`` for the simulation.
         workers: processes that search; they change no plan.
+        look_ahead: instead of searching, pack by ``learned``, which sees so many boxes; physics judges that packing.
 
     Raises:
         InputError: unusable options.
@@ -43,7 +48,7 @@ def pack_physical(
     engine = how.get("engine", AUTO)
     if engine == AUTO:
         engine = fastest()
-    searched = in_order(partial(_searched, options=options), orders, workers, alone=1, chunk=1)
+    searched = in_order(partial(_searched, options=options, look_ahead=look_ahead), orders, workers, alone=1, chunk=1)
     while batch := list(islice(searched, AT_ONCE_GPU if engine == "mjx-warp" else AT_ONCE_CPU)):
         yield from _packed(batch, options, {**how, "engine": engine})
 
@@ -59,9 +64,10 @@ def fastest() -> str:
 _Searched = tuple[str, Order, list[Finalist]]
 
 
-def _searched(numbered: tuple[str, Order], options: PhysicalOptions) -> _Searched:
+def _searched(numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None) -> _Searched:
     order_id, order = numbered
-    return order_id, order, finalists(order, options)
+    found = finalists(order, options) if look_ahead is None else learned_finalists(order, look_ahead)
+    return order_id, order, found
 
 
 def _packed(batch: Sequence[_Searched], options: PhysicalOptions, how: Mapping[str, Any]) -> list[PackedOrder]:

@@ -28,7 +28,7 @@ from petmjx.errors import InputError
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, Order, draw_order, stream
 from petmjx.plans.samples.packer import PackRules, Placed
-from petmjx.plans.samples.packers import BASELINE, packer_named
+from petmjx.plans.samples.packers import BASELINE, WHY, packer_named
 from petmjx.plans.samples.parallel import in_order
 from petmjx.run_options import MOST_WORKERS
 from petmjx.text import counted, printable, shown
@@ -56,18 +56,21 @@ class LeftOut:
         order_id: the order's, and the plan's.
         n_items: how many the order has.
         numbers: the keys of those left out in the order's ``item_sequence``, rising; of drawn orders their place in it.
+        why: the reason; "": they found no place below 2 m.
     """
 
     order_id: str
     n_items: int
     numbers: tuple[int, ...]
+    why: str = ""
 
     def __str__(self) -> str:
         """ "order 00100408: 12 of 40 boxes are left out, items 3, 7, 8, …" """
         many, few = counted(self.n_items, "box", "boxes"), len(self.numbers)
         numbers = ", ".join(map(str, self.numbers))
         verb, items = ("is", "item") if few == 1 else ("are", "items")
-        return f"order {shown(self.order_id)}: {few} of {many} {verb} left out: {items} {numbers}"
+        why = f": {self.why}" if self.why else ""
+        return f"order {shown(self.order_id)}: {few} of {many} {verb} left out: {items} {numbers}{why}"
 
 
 _Packed = tuple[str, list[Placement], LeftOut | None]
@@ -80,6 +83,7 @@ def generate(
     *,
     loose_share: float | None = None,
     packer: str | None = None,
+    look_ahead: int | None = None,
     workers: int = 1,
     on_left_out: Callable[[LeftOut], None] | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
@@ -90,6 +94,7 @@ def generate(
             ``DEFAULT_LOOSE_SHARE``.
         packer: a name of ``petmjx.plans.samples.packers.PACKERS``. The orders are the same for all. None: a mixed set,
             packed by ``baseline``.
+        look_ahead: of the packer ``learned``: how many of the boxes that come next it sees; None: 1.
         workers: processes; they change nothing in the plans.
         on_left_out: called with what a plan leaves out of its order, just before the plan is yielded.
 
@@ -101,9 +106,9 @@ def generate(
     share = loose_share_of(packer, loose_share)
     number_of(share, "loose_share", 0, 1)
     name = BASELINE if packer is None else packer
-    packer_named(name)
+    packer_named(name, look_ahead)
     whole_of(workers, "workers", 1, MOST_WORKERS)
-    pack_one = partial(_pack_drawn, seed=seed, loose_share=share, packer=name)
+    pack_one = partial(_pack_drawn, seed=seed, loose_share=share, packer=name, look_ahead=look_ahead)
     return _plans(in_order(pack_one, range(n), workers), on_left_out)
 
 
@@ -129,6 +134,7 @@ def write_samples(
     *,
     loose_share: float | None = None,
     packer: str | None = None,
+    look_ahead: int | None = None,
     workers: int = 1,
     on_left_out: Callable[[LeftOut], None] | None = None,
     progress: Callable[[int], None] | None = None,
@@ -142,7 +148,15 @@ def write_samples(
         InputError: ``n`` below 1, a negative seed, a share outside 0…1, no such packer, or a path that cannot be
             written.
     """
-    made = generate(n, seed, loose_share=loose_share, packer=packer, workers=workers, on_left_out=on_left_out)
+    made = generate(
+        n,
+        seed,
+        loose_share=loose_share,
+        packer=packer,
+        look_ahead=look_ahead,
+        workers=workers,
+        on_left_out=on_left_out,
+    )
     write_plans(path, made, progress=progress)
 
 
@@ -182,6 +196,7 @@ def pack_orders(
     seed: int = 0,
     packer: str | None = None,
     rules: PackRules | None = None,
+    look_ahead: int | None = None,
     workers: int = 1,
     on_bad_order: Callable[[InputError], None] | None = None,
     on_left_out: Callable[[LeftOut], None] | None = None,
@@ -191,21 +206,23 @@ def pack_orders(
     Without a name the packer is ``baseline``. ``rules`` are those of the packer ``baseline``; without them the
     strict rules are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is called with them just
     before the plan is yielded. If no box of an order finds a place, there is no plan for it. The packer sorts, so
-    ``sequence`` is numbered anew in packing order.
+    ``sequence`` is numbered anew in packing order. ``look_ahead`` is of the packer ``learned``: how
+    many of the next boxes it sees.
 
     Raises:
         InputError: the file is no orders file; no such packer; or an order is bad and ``on_bad_order`` is not given
             (else that is called with the error and the order skipped).
     """
     name = BASELINE if packer is None else packer
-    packer_named(name)
+    packer_named(name, look_ahead)
     whole_of(seed, "seed", 0)
     whole_of(workers, "workers", 1, MOST_WORKERS)
     orders = enumerate(read_orders(path_of(path, "path"), on_bad_order))
-    return _plans(in_order(partial(_pack_read, seed=seed, packer=name, rules=rules), orders, workers), on_left_out)
+    pack_one = partial(_pack_read, seed=seed, packer=name, rules=rules, look_ahead=look_ahead)
+    return _plans(in_order(pack_one, orders, workers), on_left_out)
 
 
-def _pack_drawn(index: int, seed: int, loose_share: float, packer: str) -> _Packed:
+def _pack_drawn(index: int, seed: int, loose_share: float, packer: str, look_ahead: int | None = None) -> _Packed:
     rng = stream(seed, PACKER_STREAM, index)
     loose, support, y_first = rng.random(3)
     rules = PackRules(y_first=bool(y_first < 0.5))
@@ -213,20 +230,33 @@ def _pack_drawn(index: int, seed: int, loose_share: float, packer: str) -> _Pack
         low, high = LOOSE_SUPPORT
         support = low + (high - low) * float(support)
         rules = PackRules(min_support=support, centre_supported=False, y_first=rules.y_first)
-    return _pack(f"s{seed}-{index:06d}", draw_order(seed, index), packer, rules, rng)
+    return _pack(f"s{seed}-{index:06d}", draw_order(seed, index), packer, rules, rng, look_ahead)
 
 
-def _pack_read(numbered: tuple[int, tuple[str, Order]], seed: int, packer: str, rules: PackRules | None) -> _Packed:
+def _pack_read(
+    numbered: tuple[int, tuple[str, Order]],
+    seed: int,
+    packer: str,
+    rules: PackRules | None,
+    look_ahead: int | None,
+) -> _Packed:
     index, (order_id, order) = numbered
-    return _pack(order_id, order, packer, rules, stream(seed, PACKER_STREAM, index))
+    return _pack(order_id, order, packer, rules, stream(seed, PACKER_STREAM, index), look_ahead)
 
 
-def _pack(order_id: str, order: Order, packer: str, rules: PackRules | None, rng: np.random.Generator) -> _Packed:
-    placed = packer_named(packer)(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
-    return order_id, as_placements(placed), left_out_of(order_id, order, placed)
+def _pack(
+    order_id: str,
+    order: Order,
+    packer: str,
+    rules: PackRules | None,
+    rng: np.random.Generator,
+    look_ahead: int | None,
+) -> _Packed:
+    placed = packer_named(packer, look_ahead)(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
+    return order_id, as_placements(placed), left_out_of(order_id, order, placed, WHY.get(packer, ""))
 
 
-def left_out_of(order_id: str, order: Order, placed: Iterable[Placed]) -> LeftOut | None:
+def left_out_of(order_id: str, order: Order, placed: Iterable[Placed], why: str = "") -> LeftOut | None:
     """What a packing leaves out of an order; None: nothing."""
     there = Counter(box.item for box in placed)
     missing = []
@@ -235,7 +265,7 @@ def left_out_of(order_id: str, order: Order, placed: Iterable[Placed]) -> LeftOu
         there[item] -= 1
         if there[item] < 0:
             missing.append(number)
-    return LeftOut(order_id, len(order.items), tuple(missing)) if missing else None
+    return LeftOut(order_id, len(order.items), tuple(missing), why) if missing else None
 
 
 def _plans(

@@ -31,6 +31,9 @@ MARGIN_SHARE: Final = 0.2
 """How far inside the hull a resultant must act: 20 mm, for small boxes this share of the shorter side. With 10 mm and a
 least support of 0.6 all of 60 plans stood as well; the margin is for what a robot does."""
 
+FAR_M: Final = 0.2
+"""Margins are not said to be larger: that of a box on the carrier."""
+
 _SAME_PLACE_DECIMALS: Final = 9
 """Corners are the same where they are as near as a nanometre. The hull takes points from left to right, and would lose
 one that is to the left of others by less than its products resolve."""
@@ -55,6 +58,20 @@ class Rest(NamedTuple):
     planes: FloatArray
 
 
+class Margins(NamedTuple):
+    """How far from tipping over a pile with one more box would be.
+
+    Attributes:
+        rest: what the box would do; None: there is nothing under it.
+        own_m: how far inside its hull its weight acts.
+        pile_m: the same of all boxes below, the least of them.
+    """
+
+    rest: Rest | None
+    own_m: float
+    pile_m: float
+
+
 class Balance:
     """The boxes placed so far, and the load that each passes on."""
 
@@ -67,6 +84,7 @@ class Balance:
         self._passed = np.zeros((capacity, capacity, 3, 3))
         self._planes = np.zeros((0, 3))
         self._owner: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self._moved = np.zeros(0)
 
     def copy(self) -> Balance:
         """The same pile, which goes its own way."""
@@ -84,6 +102,52 @@ class Balance:
 
     def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
         """What one more box would do, let down on the tops at its height; None: it or a box below would tip over."""
+        let_down = self._let_down(corner_mm, base_mm, mass_kg)
+        if corner_mm[2] <= 0:
+            return let_down
+        if let_down is None or (let_down.planes @ let_down.load).max() > 0:
+            return None
+        # the load of a plane's owner against that plane, for all hulls of the pile at a time
+        if len(self._planes) and self._over_planes(let_down).max() > _SLACK_KG_M:
+            return None
+        return let_down
+
+    def margins_m(
+        self,
+        corner_mm: tuple[float, float, float],
+        base_mm: tuple[float, float],
+        mass_kg: float,
+        rest: Rest | None = None,
+    ) -> Margins:
+        """How far inside the hulls of their contacts loads would act if one more box were let down, in metres, at most
+        ``FAR_M``; negative: outside, so that a box tips over.
+
+        Args:
+            rest: what ``rest`` said of the box, where that is known.
+        """
+        let_down = rest or self._let_down(corner_mm, base_mm, mass_kg)
+        if let_down is None:  # on nothing
+            return Margins(let_down, -FAR_M, FAR_M)
+        own = pile = FAR_M
+        if len(let_down.planes):
+            own = _margin_m(base_mm) - float((let_down.planes @ let_down.load).max()) / mass_kg
+        if len(self._planes) and let_down.passed is not None:
+            after = self._load[:, 0][: self.n] + (let_down.passed @ let_down.load)[:, 0]
+            beyond = self._over_planes(let_down) / after[self._owner]
+            pile = float((self._moved - beyond).min())
+        return Margins(let_down, min(own, FAR_M), min(pile, FAR_M))
+
+    def _over_planes(self, let_down: Rest) -> FloatArray:
+        """(k,) what each plane of the pile says of its owner's load with one more box: above 0 is outside."""
+        assert let_down.passed is not None
+        after = self._load[: self.n] + let_down.passed @ let_down.load
+        found: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])
+        return found
+
+    def _let_down(
+        self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float
+    ) -> Rest | None:
+        """What one more box would do, whether it keeps the balance or not; None: there is nothing under it."""
         n = self.n
         corner = np.array(corner_mm[:2]) / MM_PER_M
         base = np.array(base_mm) / MM_PER_M
@@ -95,20 +159,16 @@ class Balance:
         side = high - low > touch
         below = side[:, 0] & side[:, 1] & (np.abs(self._top_mm[:n] - corner_mm[2]) <= TOUCH_MM)
         under = np.flatnonzero(below)
-        low, high = low[under], high[under]
-        planes = hull_planes(low, high, min(MARGIN_M, MARGIN_SHARE * float(base.min())))
-        if not len(under) or (planes @ load).max() > 0:
+        if not len(under):
             return None
+        low, high = low[under], high[under]
+        planes = hull_planes(low, high, _margin_m(base_mm))
         if len(under) == 1:  # which takes the whole load
             passed = self._passed[under[0], :n]
         else:
             moments = _moments(low, high)
             shares = moments @ np.linalg.inv(moments.sum(axis=0))
             passed = np.matmul(self._passed[under, :n], shares[:, None]).sum(axis=0)
-        # the load of a plane's owner against that plane, for all hulls of the pile at a time
-        after = self._load[:n] + passed @ load
-        if len(self._planes) and np.einsum("kc,kc->k", self._planes, after[self._owner]).max() > _SLACK_KG_M:
-            return None
         return Rest(load, passed, planes)
 
     def add(self, corner_mm: tuple[float, float, float], size_mm: tuple[float, float, float], rest: Rest) -> None:
@@ -124,7 +184,14 @@ class Balance:
             self._load[:n] += rest.passed @ rest.load
             self._planes = np.concatenate([self._planes, rest.planes])
             self._owner = np.concatenate([self._owner, np.full(len(rest.planes), n)])
+            moved = _margin_m((size_mm[0], size_mm[1]))
+            self._moved = np.concatenate([self._moved, np.full(len(rest.planes), moved)])
         self.n += 1
+
+
+def _margin_m(base_mm: tuple[float, float]) -> float:
+    """How far inside its hull the load of a box with that base must act."""
+    return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
 
 def _moments(low: FloatArray, high: FloatArray) -> FloatArray:

@@ -55,6 +55,11 @@ class Candidates:
         twin._low, twin._high = _copied(self._low, self._n), _copied(self._high, self._n)
         return twin
 
+    @property
+    def placed(self) -> tuple[FloatArray, FloatArray]:
+        """(n, 3) low and high corners of the boxes placed so far, mm."""
+        return self._low[: self._n], self._high[: self._n]
+
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
         """Forget shapes without remaining boxes."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]

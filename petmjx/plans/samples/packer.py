@@ -66,12 +66,21 @@ def pack_best(
 
 
 def pack(
-    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator
+    items: Sequence[Item],
+    extent_mm: tuple[float, float],
+    rules: PackRules,
+    rng: np.random.Generator,
+    *,
+    as_they_come: bool = False,
 ) -> list[Placed]:
-    """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out."""
+    """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out.
+
+    Args:
+        as_they_come: in the sequence of ``items``, instead of large and heavy ones first.
+    """
     pile = _Pile(len(items), extent_mm, rules)
     placed = []
-    for item in _sorted(items, rules, rng):
+    for item in items if as_they_come else _sorted(items, rules, rng):
         found = pile.find(item)
         if found is not None:
             orientation, corner = found

@@ -104,13 +104,19 @@ class Packing:
         twin._table, twin._pile = self._table.copy(), self._pile.copy()
         return twin
 
-    def next(self, count: int = 1) -> list[Next]:
-        """The best candidates that keep the pile in balance, at most ``count``, the best first."""
+    def next(self, count: int = 1, kinds: Sequence[int] | None = None) -> list[Next]:
+        """The best candidates that keep the pile in balance, at most ``count``, the best first.
+
+        Args:
+            kinds: only boxes of these kinds, numbered as they first come in the items; None: of all.
+        """
         table, weight = self._table, self._weight
         support = table.carried / table.area
         cost = table.z - self._worth + self._taste.per_overhang * (1 - support)
         cost += self._taste.per_distance * table.points.sum(axis=1)[:, None]
         fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - 1e-9)
+        if kinds is not None:
+            fits = fits & np.isin(self._kind_of, kinds)
         cost = np.where(table.open & fits, cost, np.inf)
         found: list[Next] = []
         while cost.size and len(found) < count:

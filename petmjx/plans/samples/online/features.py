@@ -1,0 +1,173 @@
+"""What a policy sees of a candidate: the place, its neighbours, and what the pile would be with the box on it.
+
+All features are about 1. None says anything of boxes that are not seen.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from petmjx.plans.samples.balance import TOUCH_MM
+from petmjx.plans.samples.online.stream import Places, Stream
+from petmjx.plans.samples.online.surface import CELL_MM, Surface
+from petmjx.units import MM_PER_M, FloatArray
+
+NAMES: Final = (
+    *("z", "top", "grows", "below_top", "above_lowest"),
+    *("support", "overhang_area", "waste", "n_supports", "column", "one_support"),
+    *("touch", "edge", "flush", "deeper"),
+    *("gap_left", "gap_right", "gap_front", "gap_back", "sliver_x", "sliver_y", "above_ring", "ring_rough"),
+    *("mean_after", "rough_after", "rougher"),
+    *("length_x", "length_y", "height", "slim", "base", "volume", "log_mass", "density"),
+    *("x", "y", "from_middle", "off_centre"),
+    *("mean_before", "rough_before", "top_before", "placed"),
+    *("kinds_seen", "comes_first", "volume_of_seen", "height_of_seen", "mass_of_seen"),
+)
+"""docs/packers.md says what they are."""
+
+NEAR_MM: Final = 8.0
+"""Sides and tops so near count as touching and level."""
+
+SLIVER_MM: Final = 100.0
+"""Gaps narrower than most cartons."""
+
+MOST_GAP_MM: Final = 400.0
+
+_RING: Final = 3
+"""Width of the ring around a base in which heights are compared, in cells."""
+
+_LEVEL_MM: Final = 500.0
+"""Heights are divided by it."""
+
+
+def features(stream: Stream, places: Places) -> FloatArray:
+    """(c, f) features of c candidates, in the order of ``NAMES``."""
+    low, high = stream.boxes
+    surface, extent = stream.surface, np.array(stream.extent_mm)
+    start, size, mass = places.corner_mm, places.size_mm, places.mass_kg
+    end = start + size
+    z, top, height = start[:, 2], end[:, 2], size[:, 2]
+    top_before = float(high[:, 2].max(initial=0.0))
+    volume = places.own_mm2 * height
+    middle = (start + size / 2)[:, :2] - extent / 2
+    found: dict[str, FloatArray | float] = {
+        "z": z / MM_PER_M,
+        "top": top / MM_PER_M,
+        "grows": np.maximum(top - top_before, 0) / _LEVEL_MM,
+        "below_top": np.maximum(top_before - top, 0) / _LEVEL_MM,
+        "above_lowest": (z - z.min()) / _LEVEL_MM,
+        "support": places.support,
+        "overhang_area": (1 - places.support) * places.own_mm2 / 1e5,
+        "length_x": size[:, 0] / _LEVEL_MM,
+        "length_y": size[:, 1] / _LEVEL_MM,
+        "height": height / _LEVEL_MM,
+        "slim": height / size[:, :2].min(axis=1),
+        "base": places.own_mm2 / 1e5,
+        "volume": volume / 2e7,
+        "log_mass": np.log(mass) / 2,
+        "density": mass / volume * 2e6,
+        "x": start[:, 0] / extent[0],
+        "y": start[:, 1] / extent[1],
+        "from_middle": np.abs(middle / extent).sum(axis=1),
+        "off_centre": _off_centre(low, high, volume, middle, extent),
+        "mean_before": surface.mean / MM_PER_M,
+        "rough_before": _deviation(surface.mean_square, surface.mean) / _LEVEL_MM,
+        "top_before": top_before / MM_PER_M,
+        "placed": len(low) / 40,
+        "kinds_seen": len(set(stream.seen)) / 5,
+        "comes_first": (places.kind == stream.seen[0]).astype(np.float64),
+        "volume_of_seen": np.log(volume / volume.mean()),
+        "height_of_seen": height / height.mean() - 1,
+        "mass_of_seen": np.log(mass / mass.mean()),
+    }
+    _beside(found, start, end, low, high, extent)
+    _heights(found, start, end, surface)
+    rows = np.empty((len(NAMES), len(places)))
+    for row, name in zip(rows, NAMES, strict=True):
+        row[:] = found[name]
+    return np.ascontiguousarray(rows.T)
+
+
+def _off_centre(
+    low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
+) -> FloatArray:
+    """(c,) how far the middle of all volume would be beside the target's."""
+    sides = high - low
+    weight = sides[:, 0] * sides[:, 1] * sides[:, 2]
+    moment = weight @ ((low + high)[:, :2] / 2 - extent / 2) + volume[:, None] * middle
+    shift: FloatArray = np.abs(moment / (weight.sum() + volume)[:, None] / extent).sum(axis=1) * 4
+    return shift
+
+
+def _deviation(mean_square: FloatArray | float, mean: FloatArray | float) -> FloatArray:
+    deviation: FloatArray = np.sqrt(np.maximum(mean_square - np.square(mean), 0.0))
+    return deviation
+
+
+def _beside(
+    found: dict[str, FloatArray | float],
+    start: FloatArray,
+    end: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    extent: FloatArray,
+) -> None:
+    """What is beside and below: (c, 3) corners of candidates, (n, 3) of boxes."""
+    size = end - start
+    # (3, c, n): distances from the sides at the start, from those at the end, and what is shared along each axis
+    starts, ends, lows, highs = start.T[:, :, None], end.T[:, :, None], low.T[:, None, :], high.T[:, None, :]
+    before, after = starts - highs, lows - ends
+    shared = -np.maximum(np.maximum(before, after), np.maximum(lows - highs, starts - ends))
+    along, upwards = shared[:2], shared[2]
+    is_beside = along[::-1] > TOUCH_MM  # along x there is what shares y
+    is_facing = is_beside & (upwards > NEAR_MM)
+    level = highs[2] - ends[2]
+    is_level, is_deeper = np.abs(level) <= NEAR_MM, level > NEAR_MM
+    face = np.maximum(upwards, 0.0)
+    perimeter = 2 * (size[:, 0] + size[:, 1])
+    touch, flush, deeper, edge = np.zeros((4, len(start)))
+    narrow = []
+    for axis, names in enumerate((("gap_left", "gap_right"), ("gap_front", "gap_back"))):
+        for away, to_edge, name in zip(
+            (before[axis], after[axis]), (start[:, axis], extent[axis] - end[:, axis]), names, strict=True
+        ):
+            length = np.where((np.abs(away) <= NEAR_MM) & is_beside[axis], along[1 - axis], 0.0)
+            touch += (length * face).sum(axis=1)
+            flush += (length * is_level).sum(axis=1)
+            deeper += (length * is_deeper).sum(axis=1)
+            edge += np.where(to_edge <= NEAR_MM, size[:, 1 - axis], 0.0)
+            gap = np.where(is_facing[axis] & (away >= -NEAR_MM), away, MOST_GAP_MM).min(axis=1, initial=MOST_GAP_MM)
+            gap = np.maximum(np.minimum(gap, to_edge), 0.0)
+            narrow.append(((gap > NEAR_MM) & (gap < SLIVER_MM)).astype(np.float64))
+            found[name] = gap / MOST_GAP_MM
+    found["touch"] = touch / (perimeter * size[:, 2])
+    found["edge"], found["flush"] = edge / perimeter, flush / perimeter
+    found["deeper"] = np.minimum(deeper / perimeter, 1.0)
+    found["sliver_x"], found["sliver_y"] = narrow[0] + narrow[1], narrow[2] + narrow[3]
+    bears = (along > TOUCH_MM).all(axis=0) & (np.abs(before[2]) <= TOUCH_MM)
+    area = np.where(bears, along[0] * along[1], 0.0)
+    base, tops = size[:, 0] * size[:, 1], (high - low)[:, :2].prod(axis=1)
+    found["n_supports"] = bears.sum(axis=1) / 4
+    found["column"] = (area / np.maximum(base[:, None], tops)).max(axis=1, initial=0.0)
+    found["one_support"] = area.max(axis=1, initial=0.0) / base
+
+
+def _heights(found: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: Surface) -> None:
+    """What the pile's surface is under and around a box, and with it."""
+    low, high = surface.lines(start), surface.lines(end)
+    count, under, under_square = surface.over(low, high)
+    n_outer, outer, outer_square = surface.over(low - _RING, high + _RING)
+    z, top = start[:, 2], end[:, 2]
+    found["waste"] = np.maximum(z * count - under, 0.0) * CELL_MM**2 / 2e7
+    around = np.maximum(n_outer - count, 1.0)
+    ring, ring_square = (outer - under) / around, (outer_square - under_square) / around
+    found["above_ring"] = np.clip((top - ring) / _LEVEL_MM, -2, 2)
+    found["ring_rough"] = _deviation(ring_square, ring) / _LEVEL_MM
+    mean = surface.mean + (top * count - under) / surface.cells
+    square = surface.mean_square + (top**2 * count - under_square) / surface.cells
+    rough = _deviation(square, mean)
+    found["mean_after"] = mean / MM_PER_M
+    found["rough_after"] = rough / _LEVEL_MM
+    found["rougher"] = (rough - _deviation(surface.mean_square, surface.mean)) / 50
