@@ -1,0 +1,27 @@
+"""What physics says of the policy's plans, on orders that it never trains on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import petmjx
+from petmjx.plans.samples import as_placements
+from petmjx.plans.samples.online.learned import Policy, pack_learned
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, draw_order
+from petmjx.plans.validate import parse_plan
+
+CATALOGUE = 4_000_000
+ORDERS, WORLDS = 24, 4
+
+
+def judged(policy: Policy, engine: Any) -> dict[str, float]:
+    """The share of plans that stand placed exactly, and of worlds with errors."""
+    plans = []
+    for number in range(ORDERS):
+        order = draw_order(CATALOGUE, number)
+        placements = as_placements(pack_learned(order.items, TARGET_EXTENT_MM[order.target], policy=policy))
+        plans.append(parse_plan(f"{number}", "judge", placements, len(placements), {}))
+    worlds = petmjx.score(plans, confidence=WORLDS, engine=engine).worlds
+    exact = worlds.variant == 0
+    stable = worlds.verdict == "stable"
+    return {"stand": float(stable[exact].mean()), "share": float(stable[~exact].mean())}

@@ -1,0 +1,78 @@
+"""Labels in files, collected by a process of its own while others pack."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from labels import Labels, collect
+
+from petmjx.plans.samples.online.learned import Policy
+
+
+class Labeller:
+    """Rounds of labels, those that are there and those that are missing.
+
+    Args:
+        out: folder of the files.
+        how: arguments of ``collect`` that are the same for all.
+    """
+
+    def __init__(self, out: Path, how: dict[str, Any]) -> None:
+        self._out, self._how = out, how
+        self._process: ProcessPoolExecutor | None = None
+        self._coming: dict[int, Future[None]] = {}
+
+    def begin(self, round_: int, policy: Policy) -> None:
+        """Collect a round in the background, if it is missing.
+
+        Its policy is kept, so that a training that goes on later uses the same one.
+        """
+        kept = self._out / f"policy-{round_}.npz"
+        if not kept.exists():
+            policy.save(kept)
+        if round_ in self._coming or self._path(round_).exists():
+            return
+        if self._process is None:  # fresh, since it starts an engine
+            self._process = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        job = (round_, self._path(round_), kept, self._how)
+        self._coming[round_] = self._process.submit(_write, *job)
+
+    def labels(self, rounds: int, most_s: float) -> Labels:
+        """All labels of the first rounds, when they are there.
+
+        Raises:
+            TimeoutError: they are not, after so long.
+        """
+        end = time.monotonic() + most_s
+        parts = []
+        for round_ in range(rounds):
+            if round_ in self._coming:
+                self._coming[round_].result(timeout=max(end - time.monotonic(), 0.0))
+            with np.load(self._path(round_), allow_pickle=False) as file:
+                parts.append(Labels(**dict(file)))
+        return Labels.joined(parts)
+
+    def close(self) -> None:
+        """Give up what is under way."""
+        if self._process is not None:
+            for process in list((self._process._processes or {}).values()):
+                process.terminate()
+            self._process.shutdown(wait=False, cancel_futures=True)
+
+    def _path(self, round_: int) -> Path:
+        return self._out / f"labels-{round_}.npz"
+
+
+def _write(round_: int, path: Path, policy: Path, how: dict[str, Any]) -> None:
+    begin = time.monotonic()
+    found = collect(round_=round_, policy=Policy.load(policy), **how)
+    with path.with_suffix(".part").open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **found.arrays)
+    path.with_suffix(".part").replace(path)
+    seconds = time.monotonic() - begin
+    print(f"labels {round_}: {len(found.stands)}, {found.stands.mean():.4f} stand, {seconds:.0f} s", flush=True)

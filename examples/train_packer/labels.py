@@ -1,0 +1,192 @@
+"""What physics says of placements.
+
+Many pallets are packed side by side in ``petmjx.Pallets``, by rules and partly at random, and a hand places each box as
+inexactly as a robot does: its place, its size and its mass are in error. So each box stands among others that are in
+error, too. A label is whether the pallet stands when the box has been placed; one that does not begins anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import petmjx
+from petmjx.plans.samples.online.learned import CLEARANCE_MM, Policy, placing_of
+from petmjx.plans.samples.online.stability import stability_features
+from petmjx.plans.samples.online.stream import Places, Stream, by_taste
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, draw_order, stream
+from petmjx.plans.samples.packing import Next
+
+TARGET = "euro-pallet"
+
+CLEARANCES_MM = (0.0, 2.0, CLEARANCE_MM, CLEARANCE_MM, 6.0, 10.0)
+WANDERS = (0.0, 0.05, 0.2, 0.5)
+"""Free space between boxes, and the share of boxes that are placed at random, in balance or not. Each order has one of
+them."""
+
+LEAST_SUPPORT = 0.2
+"""Of a box that is placed at random."""
+
+PLACE_MM, SIZE_MM, MASS = 2.7, 1.0, 0.02
+"""Errors, as standard deviations: of the ready-made sweep ``confidence``; that of places also stands for turns of 0.5°,
+which are 1.8 mm at the ends of a carton of 400 mm."""
+
+CATALOGUES = 3_000_000
+"""Seeds of orders begin here: no other set of petmjx's has these."""
+
+STREAM = 101
+"""Random numbers of this stage."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Placements with what physics says of them.
+
+    Attributes:
+        features: (m, f) ``stability_features``.
+        stands: (m,) 1 where the pallet stands with the box on it, else 0.
+        order: (m,) numbers of orders: what is kept aside is kept aside by orders.
+        usual: (m,) 1 where the box was placed by the packer and with its free space, 0 where with another or at random.
+    """
+
+    features: Array
+    stands: Array
+    order: Array
+    usual: Array
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """What a file has of them."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    @classmethod
+    def joined(cls, parts: list[Labels]) -> Labels:
+        """All of several parts."""
+        return cls(**{name: np.concatenate([part.arrays[name] for part in parts]) for name in cls.__dataclass_fields__})
+
+
+def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, policy: Policy) -> Labels:
+    """The labels of one round. They depend on the arguments alone.
+
+    Args:
+        pallets: side by side; ``steps``: boxes placed on each.
+        policy: packs half of the orders, the rule of ``balanced`` the others.
+    """
+    world = petmjx.Pallets(pallets, engine=engine, carrier=TARGET, placing="hand")
+    games = [_Game(seed, round_ * 10_000 + number, policy) for number in range(pallets)]
+    rows = []
+    for _ in range(steps):
+        moves = [game.next() for game in games]
+        if fresh := [number for number, game in enumerate(games) if game.is_new]:
+            world.reset(np.array(fresh))
+        told = world.place(
+            size_mm=np.array([move.size_mm for move in moves]),
+            corner_mm=np.array([move.corner_mm for move in moves]),
+            mass_kg=np.array([move.mass_kg for move in moves]),
+        )
+        for game, move, verdict in zip(games, moves, told.verdict.tolist(), strict=True):
+            if verdict != "invalid":
+                rows.append((move.features, float(verdict == "stable"), game.number, float(move.usual)))
+            game.placed(verdict == "stable")
+    world.close()
+    features, stands, order, usual = zip(*rows, strict=True)
+    return Labels(np.array(features), np.array(stands), np.array(order, float), np.array(usual))
+
+
+@dataclass(frozen=True)
+class _Move:
+    """A box, as it is meant and as it is placed."""
+
+    next: Next
+    features: Array
+    size_mm: Array
+    corner_mm: Array
+    mass_kg: float
+    usual: bool
+
+
+class _Game:
+    """One pallet, with an order after the other on it.
+
+    Attributes:
+        number: of the order; ``is_new``: whether nothing of it is on the pallet yet.
+    """
+
+    def __init__(self, seed: int, number: int, policy: Policy) -> None:
+        self._rng = stream(seed, STREAM, number)
+        self._seed, self._policy = seed, policy
+        self._first, self._orders = number, 0
+        self._begin()
+
+    def _begin(self) -> None:
+        rng = self._rng
+        self.number = self._first * 100 + self._orders
+        self._orders += 1
+        items = list(draw_order(CATALOGUES + self._seed, self.number).items)
+        if rng.random() < 0.5:
+            items = [items[i] for i in rng.permutation(len(items))]
+        self._plays = self._policy if rng.random() < 0.5 else None
+        self._wanders, clearance = float(rng.choice(WANDERS)), float(rng.choice(CLEARANCES_MM))
+        self._clearance = clearance if self._plays is None else CLEARANCE_MM
+        self._boxes = Stream(items, TARGET_EXTENT_MM[TARGET], self._clearance, 1)
+        self._move: _Move | None = None
+        self.is_new = True
+
+    def next(self) -> _Move:
+        """The box that comes next, with its errors; of the next order where none is left."""
+        while True:
+            if not self._boxes.seen:
+                self._begin()
+            wanders = self._rng.random() < self._wanders
+            found = self._anywhere() if wanders else self._best()
+            if found is None:
+                self._boxes.skip()
+                continue
+            places, row, chosen = found
+            size, rng = places.size_mm[row] - self._boxes.clearance, self._rng
+            beside = np.append(rng.normal(0, PLACE_MM, 2), 0.0)
+            self._move = _Move(
+                chosen,
+                stability_features(placing_of(self._boxes, places, row)),
+                size + rng.normal(0, SIZE_MM, 3),
+                places.corner_mm[row] + beside,
+                float(places.mass_kg[row] * (1 + rng.normal(0, MASS))),
+                not wanders and self._clearance == CLEARANCE_MM,
+            )
+            return self._move
+
+    def placed(self, stands: bool) -> None:
+        """The pallet stands with the box on it, or not: then the next order begins."""
+        assert self._move is not None
+        self.is_new = False
+        if stands:
+            self._boxes.put(self._move.next)
+        else:
+            self._begin()
+
+    def _best(self) -> tuple[Places, int, Next] | None:
+        places = self._boxes.places()
+        chosen = by_taste(self._boxes) if self._plays is None else self._plays.choose(self._boxes)
+        if chosen is None:
+            return None
+        row = int(np.flatnonzero((places.point == chosen.point) & (places.shape == chosen.shape))[0])
+        return places, row, chosen
+
+    def _anywhere(self) -> tuple[Places, int, Next] | None:
+        """A place at random, whether the box keeps the balance there or not."""
+        places = self._boxes.places(LEAST_SUPPORT)
+        if not len(places):
+            return None
+        row = int(self._rng.integers(len(places)))
+        rest = placing_of(self._boxes, places, row).margins.rest
+        (x, y, z) = places.corner_mm[row].tolist()
+        return (
+            None
+            if rest is None
+            else (places, row, Next(int(places.point[row]), int(places.shape[row]), (x, y, z), rest))
+        )

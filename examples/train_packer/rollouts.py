@@ -1,0 +1,84 @@
+"""Orders packed by a policy, and what the packings are worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from labels import Array
+
+from petmjx.plans.samples.online.learned import CLEARANCE_MM, Policy
+from petmjx.plans.samples.online.stream import Stream
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order, draw_order, stream
+
+STREAM = 103
+CATALOGUES, VALIDATION = 1_000_000, 2_000_000
+"""Seeds of orders: no other set of petmjx's has these, and nothing is trained on those for validation."""
+
+PER_CATALOGUE = 8
+"""Generations that draw their orders from one catalogue of articles."""
+
+LEFT_OUT, SURE = 0.5, 0.3
+"""What a packing loses if all volume is left out, and if it is sure to fall; as shares of utilisation."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of an order.
+
+    Attributes:
+        worth: utilisation − ``LEFT_OUT`` · share of volume left out − ``SURE`` · (1 − chance that the plan stands).
+        chance: the product of the placements' chances.
+    """
+
+    worth: float
+    utilisation: float
+    left_out: float
+    chance: float
+
+
+def drawn(seed: int, generation: int, number: int) -> tuple[Order, list[int], int]:
+    """An order of a generation, the sequence of its boxes, and how many of them are seen."""
+    rng = stream(seed, STREAM, generation, number)
+    order = draw_order(CATALOGUES + 1000 * seed + generation // PER_CATALOGUE, int(rng.integers(100_000)))
+    sequence = list(range(len(order.items)))
+    if rng.random() < 0.3:
+        sequence = rng.permutation(len(order.items)).tolist()
+    look_ahead = 1 if rng.random() < 0.6 else int(rng.integers(2, 11))
+    return order, sequence, look_ahead
+
+
+def outcomes(task: tuple[int, int, int], policy: Policy, candidates: Array) -> list[Outcome]:
+    """What candidates make of one order.
+
+    Args:
+        task: seed, generation, number of the order.
+        candidates: (n, d) linear weights of the policy's taste.
+    """
+    order, sequence, look_ahead = drawn(*task)
+    return [outcome(policy.with_linear(linear), order, sequence, look_ahead) for linear in candidates]
+
+
+def validated(number: int, policy: Policy, look_ahead: int) -> Outcome:
+    """What the packer makes of an order that it never trains on."""
+    order = draw_order(VALIDATION, number)
+    return outcome(policy, order, list(range(len(order.items))), look_ahead)
+
+
+def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) -> Outcome:
+    """One order packed."""
+    length, width = TARGET_EXTENT_MM[order.target]
+    boxes = Stream([order.items[i] for i in sequence], (length, width), CLEARANCE_MM, look_ahead)
+    log_chance = 0.0
+    while boxes.seen:
+        decision = policy.decide(boxes)
+        if decision is None:
+            boxes.skip()
+        else:
+            log_chance += np.log(max(decision.chosen.chance, 1e-6))
+            boxes.put(decision.chosen.next)
+    utilisation = boxes.volume_m3 * 1e9 / (length * width * boxes.top_mm) if boxes.placed else 0.0
+    left_out = 1 - boxes.volume_m3 / sum(item.volume_m3 for item in order.items)
+    chance = float(np.exp(log_chance))
+    worth = utilisation - LEFT_OUT * left_out - SURE * (1 - chance)
+    return Outcome(worth, utilisation, left_out, chance)

@@ -1,0 +1,156 @@
+"""examples/train_packer: a training that stops goes on with the same bits, and its numbers are what it says."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from petmjx.plans.samples.online.learned import Policy, published
+from petmjx.plans.samples.online.stability import NAMES
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples" / "train_packer"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def importable() -> Iterator[None]:
+    """Its files import one another by their bare names."""
+    sys.path.insert(0, str(FOLDER))
+    yield
+    sys.path.remove(str(FOLDER))
+
+
+class Here:
+    """Calls in this process, in place of others."""
+
+    def map(self, function: Callable[..., Any], tasks: Any, chunksize: int = 1) -> Iterator[Any]:
+        return map(function, tasks)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        done: Future[Any] = Future()
+        done.set_result(function(*arguments))
+        return done
+
+
+def labels(rng: np.random.Generator, count: int = 400) -> Any:
+    """Placements of which the first feature decides how likely they stand."""
+    from labels import Labels
+
+    features = rng.standard_normal((count, len(NAMES)))
+    stands = rng.random(count) < 1 / (1 + np.exp(-2 - 2 * features[:, 0]))
+    order = np.repeat(np.arange(count // 10), 10).astype(float)
+    return Labels(features, stands.astype(float), order, (rng.random(count) < 0.5).astype(float))
+
+
+def plan(**changes: Any) -> Any:
+    from train import Plan
+
+    small: dict[str, Any] = {
+        "seed": 3,
+        "updates": 3,
+        "orders": 1,
+        "candidates": 2,
+        "label_pallets": 1,
+        "label_steps": 1,
+        "rounds": 2,
+        "relabel": 1,
+        "imitated": 1,
+        "fit_steps": 20,
+        "validate": 9,
+        "judge": 0,
+        "sigma": 0.2,
+        "patience_s": 60.0,
+        "engine": "mujoco",
+    }
+    return Plan(**{**small, **changes})
+
+
+def trained(monkeypatch: pytest.MonkeyPatch, out: Path, *stops: int) -> Any:
+    """A training that stops after so many updates, and goes on."""
+    import labeller
+    import train
+
+    def collected(round_: int, policy: Policy, **options: Any) -> Any:
+        return labels(np.random.default_rng(round_))
+
+    monkeypatch.setattr(labeller, "collect", collected)
+    monkeypatch.setattr(labeller, "ProcessPoolExecutor", lambda *arguments, **options: Here())
+    out.mkdir(exist_ok=True)
+    state = None
+    for updates in stops:
+        asked = plan(updates=updates)
+        state = train.Training(asked, out, Here(), labeller.Labeller(out, {})).run(time.monotonic() + 600, 1)
+    return state
+
+
+def test_a_training_that_stops_goes_on_with_the_same_bits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    whole = trained(monkeypatch, tmp_path / "whole", 3)
+    parts = trained(monkeypatch, tmp_path / "parts", 1, 2, 3)
+    assert parts.update == whole.update == 3
+    for name, values in whole.search.arrays.items():
+        assert (parts.search.arrays[name] == values).all(), name
+    assert (parts.taste.learned == whole.taste.learned).all()
+    assert (parts.head.learned == whole.head.learned).all()
+    for name in ("learned.npz", "labels-1.npz"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    curves = [
+        [{**json.loads(row), "seconds": 0} for row in (tmp_path / name / "curves.jsonl").read_text().splitlines()]
+        for name in ("whole", "parts")
+    ]
+    assert curves[0] == curves[1]
+    assert [row["update"] for row in curves[0]] == [0, 1, 2, 3]
+    assert "valid_1_utilisation" in curves[0][0]
+
+
+def test_what_is_played_is_what_is_counted() -> None:
+    """Outcomes are those of the packings, and gradients those of their numbers."""
+    import rollouts
+
+    from petmjx.plans.samples.online.learned import pack_learned
+    from petmjx.plans.samples.orders import TARGET_EXTENT_MM, draw_order
+
+    order = draw_order(rollouts.VALIDATION, 0)
+    length, width = TARGET_EXTENT_MM[order.target]
+    placed = pack_learned(order.items, (length, width), 5)
+    top = max(box.corner_mm[2] + box.item.height_mm for box in placed)
+    volume = sum(box.item.volume_m3 for box in placed) * 1e9
+    found = rollouts.validated(0, published(), 5)
+    assert found.utilisation == pytest.approx(volume / (length * width * top))
+    assert found.left_out == pytest.approx(1 - volume / 1e9 / sum(item.volume_m3 for item in order.items))
+    linear = published().taste.linear
+    candidates = np.array([linear, -linear])
+    same, other = rollouts.outcomes((0, 0, 0), published(), candidates)
+    order, sequence, look_ahead = rollouts.drawn(0, 0, 0)
+    assert same == rollouts.outcome(published(), order, sequence, look_ahead)
+    assert other.worth < same.worth
+
+
+def test_the_search_climbs() -> None:
+    """A noisy hill in 12 dimensions."""
+    from search import Search
+
+    rng, steep = np.random.default_rng(0), np.linspace(0.2, 1.0, 12)
+    search = Search.fresh(np.full(12, 2.0), 0.3)
+    for _ in range(60):
+        candidates = search.drawn(16, rng)
+        search = search.told(candidates, -(candidates**2 @ steep) + rng.normal(0, 0.3, 16))
+    assert (search.mean**2 @ steep) < 0.02 * (np.full(12, 4.0) @ steep)
+    assert int(search.count) == 60
+
+
+def test_the_head_learns_what_decides() -> None:
+    from head import fit
+
+    head, said = fit(labels(np.random.default_rng(1), 4000), 0, 150)
+    assert said["all"]["brier"] < 0.85 * said["all"]["brier_of_a_constant"]
+    assert said["all"]["ece"] < 0.06
+    assert said["all"]["auc"] > 0.8
+    assert sum(row["placements"] for row in said["usual"]["reliability"]) == said["usual"]["placements"]
+    assert head.scores(np.eye(1, len(NAMES))).item() > head.scores(-np.eye(1, len(NAMES))).item()
