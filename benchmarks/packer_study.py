@@ -1,145 +1,211 @@
-"""Our packers on the same orders: how dense, how sure and how firm their plans are.
+"""Packers on the same orders: how dense, how sure and how firm their plans are.
 
-Worlds with errors are drawn from another seed than those by which ``physical`` chooses: a packing that was chosen
+What packing alone decides is measured on all orders, what physics says on the first ones. Worlds with errors are drawn
+from another seed than those by which ``physical`` chooses and from which ``learned`` learned: a packing that was chosen
 since it stood in 16 worlds must stand in others, too.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 import petmjx
+from benchmarks.packers_compared import (
+    PHYSICAL,
+    RULES_ONLINE,
+    Numbered,
+    Packings,
+    Placements,
+    packed,
+    packed_already,
+    packed_physically,
+    packers,
+)
 from benchmarks.record import environment
-from petmjx.packing.pack import pack_each
+from petmjx.packers.paired import PairedCounts, mcnemar_p
+from petmjx.plans.plan import Plan
 from petmjx.plans.samples import as_placements
-from petmjx.plans.samples.balanced import TASTES
+from petmjx.plans.samples.online.learned import Policy
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
-from petmjx.plans.samples.packer import Placed
-from petmjx.plans.samples.packers import packer_named
-from petmjx.plans.samples.packing import Packing
+from petmjx.plans.samples.packers import BALANCED
 from petmjx.plans.validate import parse_plan
 from petmjx.sweeps.ready import find_sweep
-from petmjx.units import MM_PER_M
+from petmjx.units import MM_PER_M, FloatArray
 
 LEVELS_G: Final = (0.3, 0.5)
 DIRECTIONS: Final = ("+x", "+y")
-CLEARANCE_MM: Final = 6.0
 ERROR_SEED: Final = 20261124
 BOOTSTRAPS: Final = 4000
 
-Packs = Callable[[str, Order], Sequence[Placed]]
+PACKED: Final = ("placed", "whole", "utilisation")
+JUDGED: Final = ("stands", "share", *(f"at_{level:g}_g" for level in LEVELS_G), "most_load_n")
+"""What packing alone decides, and what physics says."""
 
 
-def _named(name: str, order_id: str, order: Order) -> Sequence[Placed]:
-    return packer_named(name)(order.items, TARGET_EXTENT_MM[order.target], None, np.random.default_rng(0))
+class Asked(NamedTuple):
+    """What a study measures.
 
-
-def _apart(order_id: str, order: Order) -> Sequence[Placed]:
-    """``balanced`` with free space: what physical has from its clearances alone."""
-    best: Sequence[Placed] = ()
-    for taste in TASTES:
-        packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste, CLEARANCE_MM)
-        packing.fill()
-        best = max(best, packing.placed, key=len)
-        if len(best) == len(order.items):
-            break
-    return best
-
-
-RULES: Final[dict[str, Packs]] = {
-    "baseline": partial(_named, "baseline"),
-    "balanced": partial(_named, "balanced"),
-    f"balanced, {CLEARANCE_MM:g} mm apart": _apart,
-}
-
-
-def study(orders: Sequence[tuple[str, Order]], worlds: int, engine: str, threads: int | None) -> dict[str, Any]:
-    """A line of results: each packer's plans, and the differences to ``balanced`` on the same orders.
-
-    Args:
+    Attributes:
+        judged: plans of the first so many orders of each set are simulated.
+        physical: so many orders of each set are packed by ``physical``.
         worlds: with errors, of each plan.
+        shaken: plans of the first so many orders of each set are shaken.
+        only: names of packers; None: all.
+        others: name → file of plans of another packer, of orders of any set.
+        policy: of ``learned``; None: the published one.
+        workers: processes that pack.
+        engine, threads: of simulations.
     """
-    how: dict[str, Any] = {"engine": engine, "threads": threads}
-    tables = {}
-    for name, packs in RULES.items():
-        begin = time.process_time()
-        placed = {order_id: packs(order_id, order) for order_id, order in orders}
-        tables[name] = _judged(orders, placed, worlds, how, time.process_time() - begin)
-    begin = time.process_time()
-    placed = {
-        each.order_id: each.taken.finalist.placed if each.taken else () for each in pack_each(iter(orders), **how)
-    }
-    tables["physical"] = _judged(orders, placed, worlds, how, time.process_time() - begin)
+
+    judged: int
+    physical: int
+    worlds: int
+    shaken: int
+    only: Sequence[str] | None
+    others: Mapping[str, Path]
+    policy: Policy | None
+    workers: int
+    engine: str
+    threads: int | None
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """Options of ``petmjx.score``."""
+        return {"engine": self.engine, "threads": self.threads}
+
+
+def study(sets: Mapping[str, Sequence[Numbered]], asked: Asked) -> list[dict[str, Any]]:
+    """A line of results for each set of orders: each packer's plans, and differences on the same orders.
+
+    All plans are simulated in one run, and shaken in another: the worlds of a run cost little more than one.
+    """
+    found = {name: _packed(name, orders, asked) for name, orders in sets.items()}
+    judged = _judged(_plans(sets, found, asked.judged), asked)
+    shaken = _shaken(_plans(sets, found, asked.shaken), asked)
+    lines = []
+    for name, orders in sets.items():
+        tables = {}
+        for packer, packings in found[name].items():
+            rows = [{"plan_id": id_, **_measures(order, packings[id_])} for id_, order in orders if id_ in packings]
+            table = pd.DataFrame(rows).set_index("plan_id").assign(pack_cpu_s=packings.cpu_s)
+            for more in (judged, shaken):
+                table = table.join(more.xs((name, packer), level=("set", "packer"))) if len(more) else table
+            tables[packer] = table
+        lines.append(_line(name, tables, asked))
+    return lines
+
+
+def _line(name: str, tables: Mapping[str, pd.DataFrame], asked: Asked) -> dict[str, Any]:
+    against = [other for other in (BALANCED, *RULES_ONLINE) if other in tables]
     return {
         "case": "packer-study",
-        "orders": len(orders),
-        "worlds": worlds,
-        "engine": engine,
-        "packers": {name: _summary(table) for name, table in tables.items()},
-        "against_balanced": {
-            name: _differences(table, tables["balanced"]) for name, table in tables.items() if name != "balanced"
+        "source": name,
+        "worlds": asked.worlds,
+        "engine": asked.engine,
+        "packers": {packer: _summary(table) for packer, table in tables.items()},
+        "differences": {
+            f"{packer} - {other}": _differences(tables[packer], tables[other])
+            for other in against
+            for packer in tables
+            if packer != other and (other == BALANCED or packer.startswith("learned") or packer in asked.others)
         },
+        "from_best_to_worst": _ranks(tables),
+        "as_many_boxes_as_balanced": _as_many(tables),
         **environment(),
     }
 
 
-def _judged(
-    orders: Sequence[tuple[str, Order]],
-    placed: Mapping[str, Sequence[Placed]],
-    worlds: int,
-    how: Mapping[str, Any],
-    cpu_s: float,
-) -> pd.DataFrame:
-    """A row an order: what was placed, and what physics says of it. What has no plan does not stand."""
-    plans = [
-        parse_plan(order_id, "study", as_placements(boxes), len(boxes), {})
-        for order_id, boxes in placed.items()
-        if boxes
-    ]
+def _packed(name: str, orders: Sequence[Numbered], asked: Asked) -> dict[str, Packings]:
+    by = {packer: each for packer, each in packers(asked.policy).items() if asked.only is None or packer in asked.only}
+    found = packed(orders, by, asked.workers)
+    print(f"{name}: {', '.join(f'{packer} {each.cpu_s:.4f} s' for packer, each in found.items())}", flush=True)
+    for packer, path in asked.others.items():
+        there = packed_already(path)
+        if theirs := {order_id: there[order_id] for order_id, _ in orders if order_id in there}:
+            found[packer] = Packings(theirs)
+    if asked.physical and (asked.only is None or PHYSICAL in asked.only):
+        found[PHYSICAL] = packed_physically(orders[: asked.physical], asked.workers, asked.how)
+    return found
+
+
+_Key = tuple[str, str, str]
+"""Set, packer, order."""
+
+
+def _plans(
+    sets: Mapping[str, Sequence[Numbered]], found: Mapping[str, Mapping[str, Packings]], most: int
+) -> dict[_Key, Plan | None]:
+    """The plans of the first orders of each set; None where no box is placed."""
+    plans: dict[_Key, Plan | None] = {}
+    for name, orders in sets.items():
+        for packer, packings in found[name].items():
+            for order_id, _ in orders[:most]:
+                if order_id in packings:
+                    key = (name, packer, order_id)
+                    placements = as_placements(packings[order_id])
+                    plans[key] = (
+                        parse_plan(f"{len(plans)}", "study", placements, len(placements), {}) if placements else None
+                    )
+    return plans
+
+
+def _judged(plans: Mapping[_Key, Plan | None], asked: Asked) -> pd.DataFrame:
+    """Whether plans stand, placed exactly and with errors. What has no plan does not stand."""
+    some = [plan for plan in plans.values() if plan is not None]
+    if not some:
+        return pd.DataFrame()
     with TemporaryDirectory() as folder:
-        errors, shaking = Path(folder, "errors.toml"), Path(folder, "shaking.toml")
+        errors = Path(folder, "errors.toml")
         text = find_sweep("confidence").read_text(encoding="utf-8")
         assert "\nseed = 1\n" in text
         errors.write_text(text.replace("\nseed = 1\n", f"\nseed = {ERROR_SEED}\n"), encoding="utf-8")
+        scored = petmjx.score(some, confidence=asked.worlds, errors=errors, **asked.how)
+    exact = scored.worlds[scored.worlds.variant == 0].set_index("plan_id")
+    assert scored.summary is not None
+    share = scored.summary.set_index("plan_id").share
+    columns = {
+        "stands": (exact.verdict == "stable").astype(float),
+        "share": share,
+        "most_load_n": exact.rest_top_force_n,
+    }
+    return _by_key(plans, columns)
+
+
+def _shaken(plans: Mapping[_Key, Plan | None], asked: Asked) -> pd.DataFrame:
+    """The share of directions in which plans survive each level."""
+    some = [plan for plan in plans.values() if plan is not None]
+    if not some:
+        return pd.DataFrame()
+    with TemporaryDirectory() as folder:
+        shaking = Path(folder, "shaking.toml")
         shaking.write_text(
             f'name = "shaking"\n[axes]\nprofile = "eumos-40509"\ndirection = {[*DIRECTIONS]}\nlevel = {[*LEVELS_G]}\n',
             encoding="utf-8",
         )
-        scored = petmjx.score(plans, confidence=worlds, errors=errors, **how)
-        shaken = petmjx.sweep(shaking, plans, **how).worlds
-    exact = scored.worlds[scored.worlds.variant == 0].set_index("plan_id")
-    rows = pd.DataFrame(
-        [{"plan_id": order_id, **_measures(order, placed[order_id])} for order_id, order in orders]
-    ).set_index("plan_id")
-    stands = (exact.verdict == "stable").reindex(rows.index, fill_value=False)
-    assert scored.summary is not None
-    share = scored.summary.set_index("plan_id").share.reindex(rows.index).fillna(0.0)
-    levels = {
-        f"at_{level:g}_g": (shaken[shaken.level_g == level].verdict == "stable")
-        .groupby(shaken.plan_id)
-        .mean()
-        .reindex(rows.index)
-        .fillna(0.0)
-        for level in LEVELS_G
-    }
-    return rows.assign(
-        stands=stands.astype(float),
-        share=share,
-        **levels,
-        most_load_n=exact.rest_top_force_n.reindex(rows.index),
-        pack_cpu_s=cpu_s / len(orders),
-    )
+        worlds = petmjx.sweep(shaking, some, **asked.how).worlds
+    columns = {}
+    for level in LEVELS_G:
+        here = worlds[worlds.level_g == level]
+        columns[f"at_{level:g}_g"] = (here.verdict == "stable").groupby(here.plan_id).mean()
+    return _by_key(plans, columns)
 
 
-def _measures(order: Order, placed: Sequence[Placed]) -> dict[str, float]:
+def _by_key(plans: Mapping[_Key, Plan | None], columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Columns by plan id, with the keys of plans; loads of no plan are not known, and what else it does is 0."""
+    index = pd.MultiIndex.from_tuples(plans, names=("set", "packer", "plan_id"))
+    names = ["" if plan is None else plan.plan_id for plan in plans.values()]
+    table = pd.DataFrame({name: values.reindex(names).to_numpy(float) for name, values in columns.items()}, index=index)
+    return table.fillna({name: 0.0 for name in table if name != "most_load_n"})
+
+
+def _measures(order: Order, placed: Placements) -> dict[str, float]:
     length, width = TARGET_EXTENT_MM[order.target]
     height_m = max((box.corner_mm[2] + box.item.height_mm for box in placed), default=0.0) / MM_PER_M
     volume_m3 = sum(box.item.volume_m3 for box in placed)
@@ -151,17 +217,61 @@ def _measures(order: Order, placed: Sequence[Placed]) -> dict[str, float]:
     }
 
 
-def _summary(table: pd.DataFrame) -> dict[str, float]:
-    return {name: round(float(value), 4) for name, value in table.mean().items()}
+def _summary(table: pd.DataFrame) -> dict[str, Any]:
+    """Mean of each column, with its 95 % interval."""
+    found: dict[str, Any] = {"orders": len(table)}
+    for name in (*PACKED, *JUDGED):
+        if name in table and (values := table[name].dropna().to_numpy()).size:
+            found[name] = _interval(values)
+    seconds = float(table.pack_cpu_s.iloc[0])
+    return found if np.isnan(seconds) else {**found, "pack_cpu_s": round(seconds, 4)}
+
+
+def _interval(values: FloatArray) -> list[float]:
+    """Mean and 95 % interval: percentiles of orders drawn with replacement (Efron 1979)."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(values), size=(BOOTSTRAPS, len(values)))
+    low, high = np.percentile(values[drawn].mean(axis=1), [2.5, 97.5])
+    return [round(float(value), 4) for value in (values.mean(), low, high)]
 
 
 def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[float]]:
-    """Column → mean difference and its 95 % interval: percentiles of orders drawn with replacement (Efron 1979)."""
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(len(table), size=(BOOTSTRAPS, len(table)))
+    """Column → mean difference on the same orders and its interval; of what stands also McNemar's p."""
     found = {}
-    for name in ("utilisation", "stands", "share", *(f"at_{level:g}_g" for level in LEVELS_G)):
-        each = (table[name] - other[name]).to_numpy()
-        low, high = np.percentile(each[drawn].mean(axis=1), [2.5, 97.5])
-        found[name] = [round(float(value), 4) for value in (each.mean(), low, high)]
+    for name in ("utilisation", "placed", *JUDGED[:-1]):
+        if name not in table or name not in other:
+            continue
+        each = (table[name] - other[name]).dropna().to_numpy()
+        if each.size:
+            found[name] = _interval(each)
+    if "stands" in found:
+        both = table[["stands"]].join(other[["stands"]], rsuffix="_other").dropna().to_numpy() > 0
+        counts = PairedCounts(
+            int(both.all(axis=1).sum()),
+            int((both[:, 0] & ~both[:, 1]).sum()),
+            int((~both[:, 0] & both[:, 1]).sum()),
+            int((~both).all(axis=1).sum()),
+        )
+        if find_spec("scipy") is not None:
+            found["stands_mcnemar_p"] = [mcnemar_p(counts)]
     return found
+
+
+def _ranks(tables: Mapping[str, pd.DataFrame]) -> dict[str, list[str]]:
+    """The packers from the best to the worst, by what a goal compares."""
+    found = {}
+    for name in ("utilisation", "share"):
+        means = {packer: table[name].mean() for packer, table in tables.items() if name in table}
+        found[name] = sorted(means, key=lambda packer: -means[packer])
+    return found
+
+
+def _as_many(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
+    """Of how many orders a packer places as many boxes as ``balanced``."""
+    if BALANCED not in tables:
+        return {}
+    whole = tables[BALANCED].placed
+    return {
+        packer: round(float((table.placed >= whole.reindex(table.index) - 1e-9).mean()), 4)
+        for packer, table in tables.items()
+    }

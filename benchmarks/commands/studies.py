@@ -139,25 +139,51 @@ def balance(
 @app.command("packers")
 @opt.takes("engine", "threads")
 def packers(
-    n: Annotated[int, typer.Option("-n", metavar="N", help="Orders.")] = 100,
+    n: Annotated[int, typer.Option("-n", metavar="N", help="Drawn orders; 0: none.")] = 100,
     seed: Annotated[int, typer.Option(metavar="SEED", help="Of drawn orders.")] = 11,
-    orders: Annotated[Path | None, typer.Option(metavar="FILE", help="BED-BPP orders instead of drawn ones.")] = None,
+    orders: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="A set more: orders of BED-BPP, one of RoboBPP's sets, or a table."),
+    ] = None,
     worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors of each plan.")] = 8,
+    judged: Annotated[int, typer.Option(metavar="N", help="Orders of each set whose plans are simulated.")] = 100,
+    physical: Annotated[int, typer.Option(metavar="N", help="Orders of each set that physical packs.")] = 100,
+    shaken: Annotated[int, typer.Option(metavar="N", help="Orders of each set whose plans are shaken.")] = 100,
+    only: Annotated[list[str] | None, typer.Option(metavar="NAME", help="A packer; all if none is named.")] = None,
+    other: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=FILE", help="Plans of another packer, for some of the orders.")
+    ] = None,
+    weights: Annotated[Path | None, typer.Option(metavar="FILE", help="Of learned, instead of the published.")] = None,
+    workers: Annotated[int | None, typer.Option(metavar="N", help="Processes that pack.")] = None,
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
-    """How dense, sure and firm the plans of our packers are, on the same orders (docs/packers.md)."""
-    from itertools import islice
-
-    from benchmarks.packer_study import study
+    """How dense, sure and firm the plans of packers are, on the same orders (docs/packers.md)."""
+    from benchmarks.packer_study import Asked, study
     from benchmarks.record import append_line
+    from benchmarks.robobpp import read_set
+    from petmjx.machine import cpu_threads
     from petmjx.packing.pack import orders_of
+    from petmjx.plans.samples.online.learned import Policy
 
-    found = list(islice(orders_of(orders, None if orders else n, seed), n))
-    line = study(found, worlds, options.get("engine", "auto"), options.get("threads"))
-    line["source"] = str(orders.name) if orders else f"seed {seed}"
-    append_line(out, line)
-    for name, row in line["packers"].items():
-        print(name, row)
-    for name, row in line["against_balanced"].items():
-        print(f"{name} against balanced", row)
+    sets = {f"seed {seed}": list(orders_of(None, n, seed))} if n else {}
+    for path in orders or ():
+        sets[path.name] = list(read_set(path) if path.suffix in (".xlsx", ".txt", ".csv") else orders_of(path, None, 0))
+    asked = Asked(
+        judged=judged,
+        physical=physical,
+        worlds=worlds,
+        shaken=shaken,
+        only=only or None,
+        others={name: Path(path) for name, _, path in (each.partition("=") for each in other or ())},
+        policy=None if weights is None else Policy.load(weights),
+        workers=workers or cpu_threads(),
+        engine=options.get("engine", "auto"),
+        threads=options.get("threads"),
+    )
+    for line in study(sets, asked):
+        append_line(out, line)
+        for part in ("packers", "differences"):
+            for name, row in line[part].items():
+                print(f"{line['source']}: {name}: {row}")
+        print(line["from_best_to_worst"], line["as_many_boxes_as_balanced"])

@@ -1,0 +1,141 @@
+"""The packers of the study, by name: those that see the whole order, and those that see the next boxes only."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.packing.pack import pack_each
+from petmjx.plans.samples.balanced import TASTES
+from petmjx.plans.samples.online.learned import Policy, pack_learned
+from petmjx.plans.samples.online.stream import Stream, by_taste, pack_stream
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.samples.packer import PackRules, Placed, pack
+from petmjx.plans.samples.packers import BALANCED, BASELINE, packer_named
+from petmjx.plans.samples.packing import Packing
+from petmjx.plans.samples.parallel import in_order
+
+CLEARANCE_MM: Final = 6.0
+LOOK_AHEAD: Final = 5
+
+PHYSICAL: Final = "physical"
+ONLINE: Final = "learned, online"
+
+Placements = Sequence[Placed]
+Numbered = tuple[str, Order]
+
+
+def _named(order: Order, *, name: str) -> Placements:
+    return packer_named(name)(order.items, TARGET_EXTENT_MM[order.target], None, np.random.default_rng(0))
+
+
+def _apart(order: Order) -> Placements:
+    """``balanced`` with free space: what physical has from its clearances alone."""
+    best: Placements = ()
+    for taste in TASTES:
+        packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste, CLEARANCE_MM)
+        packing.fill()
+        best = max(best, packing.placed, key=len)
+        if len(best) == len(order.items):
+            break
+    return best
+
+
+def _baseline_online(order: Order) -> Placements:
+    rng = np.random.default_rng(0)
+    return pack(order.items, TARGET_EXTENT_MM[order.target], PackRules(), rng, as_they_come=True)
+
+
+def _balanced_online(order: Order, *, clearance_mm: float = 0.0, look_ahead: int = 1) -> Placements:
+    return pack_stream(Stream(order.items, TARGET_EXTENT_MM[order.target], clearance_mm, look_ahead), by_taste)
+
+
+def _learned(order: Order, *, look_ahead: int, policy: Policy | None = None) -> Placements:
+    return pack_learned(order.items, TARGET_EXTENT_MM[order.target], look_ahead, policy)
+
+
+def packers(policy: Policy | None = None) -> dict[str, Callable[[Order], Placements]]:
+    """Name → packer, without ``physical``, which asks an engine.
+
+    Args:
+        policy: of ``learned``; None: the published one.
+    """
+    apart, ahead = f"{CLEARANCE_MM:g} mm apart", f"{LOOK_AHEAD} seen"
+    return {
+        BASELINE: partial(_named, name=BASELINE),
+        BALANCED: partial(_named, name=BALANCED),
+        f"balanced, {apart}": _apart,
+        "baseline, online": _baseline_online,
+        "balanced, online": _balanced_online,
+        f"balanced, {apart}, online": partial(_balanced_online, clearance_mm=CLEARANCE_MM),
+        ONLINE: partial(_learned, look_ahead=1, policy=policy),
+        f"balanced, {apart}, {ahead}": partial(_balanced_online, clearance_mm=CLEARANCE_MM, look_ahead=LOOK_AHEAD),
+        f"learned, {ahead}": partial(_learned, look_ahead=LOOK_AHEAD, policy=policy),
+    }
+
+
+RULES_ONLINE: Final = ("baseline, online", "balanced, online", f"balanced, {CLEARANCE_MM:g} mm apart, online")
+"""What ``learned`` is to be better than."""
+
+
+class Packings(dict[str, Placements]):
+    """Order id → boxes; and ``cpu_s``, CPU time an order."""
+
+    cpu_s: float = float("nan")
+
+
+def packed(
+    orders: Sequence[Numbered], by: Mapping[str, Callable[[Order], Placements]], workers: int
+) -> dict[str, Packings]:
+    """All orders packed by each packer."""
+    found: dict[str, Packings] = {name: Packings() for name in by}
+    seconds = dict.fromkeys(by, 0.0)
+    each = in_order(partial(_timed, by=by), orders, workers, alone=64, chunk=8)
+    for (order_id, _), told in zip(orders, each, strict=True):
+        for name, (placed, cpu_s) in told.items():
+            found[name][order_id] = placed
+            seconds[name] += cpu_s
+    for name, packings in found.items():
+        packings.cpu_s = seconds[name] / max(len(orders), 1)
+    return found
+
+
+def packed_already(path: Path) -> Packings:
+    """The plans of a file of BED-BPP's JSON, by another packer."""
+    found = Packings()
+    for order_id, placements in json.loads(path.read_text(encoding="utf-8")).items():
+        boxes = []
+        for each in placements:
+            x, y, z = map(float, each["flb_coordinates"])
+            boxes.append(Placed(_item(each["item"]), each["orientation"], (x, y, z)))
+        found[order_id] = boxes
+    return found
+
+
+def _item(given: Mapping[str, Any]) -> Item:
+    names = (given["article"], given["id"], given["product_group"])
+    return Item(*names, *(float(given[name]) for name in ("length/mm", "width/mm", "height/mm", "weight/kg")))
+
+
+def packed_physically(orders: Sequence[Numbered], workers: int, how: Mapping[str, Any]) -> Packings:
+    """The same by ``physical``, whose CPU time is that of all threads of this process."""
+    begin, found = time.process_time(), Packings()
+    each: Iterator[Any] = pack_each(iter(orders), workers=workers, **how)
+    for packing in each:
+        found[packing.order_id] = packing.taken.finalist.placed if packing.taken else ()
+    found.cpu_s = (time.process_time() - begin) / len(orders) if workers == 1 else float("nan")
+    return found
+
+
+def _timed(numbered: Numbered, by: Mapping[str, Callable[[Order], Placements]]) -> dict[str, tuple[Placements, float]]:
+    told = {}
+    for name, packs in by.items():
+        begin = time.process_time()
+        told[name] = (packs(numbered[1]), time.process_time() - begin)
+    return told
