@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from petmjx.arguments import whole_of
 from petmjx.cli import options as opt
 from petmjx.cli.physical import write_physical
 from petmjx.errors import InputError
@@ -71,7 +72,6 @@ def samples(
             "--lookahead",
             metavar="K",
             min=1,
-            max=MOST_LOOK_AHEAD,
             help="Boxes that the packer learned sees of those that come next; it may place any of them.  [default: 1]",
             show_default=False,
         ),
@@ -112,8 +112,10 @@ def samples(
     if is_csv(out) or is_parquet_name(out):
         raise InputError(f"{out}: samples are written as JSON; use petmjx convert to make a table")
     check_free(out, overwrite, [orders] if orders is not None else ())
-    if look_ahead is not None and packer != LEARNED:
-        raise InputError(f"--lookahead needs the packer {LEARNED}")
+    if look_ahead is not None:
+        if packer != LEARNED:
+            raise InputError(f"--lookahead needs the packer {LEARNED}")
+        whole_of(look_ahead, "--lookahead", 1, MOST_LOOK_AHEAD)
     drawn = {"-n": n, "--loose-share": loose_share}
     if orders is not None and (given := next((name for name, value in drawn.items() if value is not None), None)):
         raise InputError(f"{given} is for drawn orders, and --orders names a file of orders")

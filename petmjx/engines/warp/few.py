@@ -40,7 +40,7 @@ def fleet_for_few(fleet: Fleet, worlds: int, lanes: int | None = None) -> Fleet 
 
 def with_few_first(
     few: Fleet, order: Int[Array, "queue world"], n_boxes: Int[Array, " world"], running: Bool[Array, " world"]
-) -> Int[Array, "queue_and_one world"]:
+) -> Int[Array, "queue+1 world"]:
     """Queues with one more, the first: of the worlds of the last queue that have few boxes, while they are enough.
 
     All keep their order. For jitted programs.
