@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
-from petmjx.physics import Physics
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Physics
 from petmjx.plans.plan import Plan
 from petmjx.results.reader import RunResults
 from petmjx.statics.touching import find_touching
 from petmjx.statics.wrenches import WRENCH, wrenches
-from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Verdict
 from petmjx.world.scene import Scene, build_scene
 

@@ -8,9 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from petmjx.config import Schedule, Simulation
-from petmjx.errors import InputError
-from petmjx.physics import PHYSICS
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Schedule, Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.plans.samples import bundled_path
 
 SEED = 0

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from benchmarks.record import environment
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.choose import make_engine
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import pandas as pd
 
+from petmjx.basics.text import counted, shown, three_digits
 from petmjx.metrics.spec import DIMENSIONLESS
 from petmjx.results.reader import RunResults
 from petmjx.statics.judged import with_physics
 from petmjx.statics.named import Criterion
 from petmjx.statics.record import CriteriaResults
-from petmjx.text import counted, shown, three_digits
 
 BEGIN: Final = "<!-- study: begin (made by python -m benchmarks criteria) -->"
 END: Final = "<!-- study: end -->"

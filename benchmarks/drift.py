@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from petmjx.config import LONGEST_S, Check, Simulation
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
+from petmjx.basics.units import FloatArray, seconds_to_steps
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.settled import SettledState
-from petmjx.errors import InputError
 from petmjx.metrics.force_np import VERTICAL_COSINE, contact_normal_and_tangents
 from petmjx.metrics.motion_np import tilt_deg
-from petmjx.physics import PHYSICS, Cone
+from petmjx.options.config import LONGEST_S, Check, Simulation
+from petmjx.options.physics import PHYSICS, Cone
 from petmjx.plans.plan import Plan
-from petmjx.text import counted
-from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene

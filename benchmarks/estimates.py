@@ -7,12 +7,12 @@ from functools import partial
 from typing import Any, Final
 
 from benchmarks.record import environment, timed
-from petmjx.config import Simulation
 from petmjx.engines.cost import MEASURED, Work
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import generate_one
 from petmjx.plans.validate import parse_plan
-from petmjx.run_options import RunOptions
 from petmjx.simulate import simulate
 from petmjx.study import Nominal, Study
 from petmjx.sweeps.confidence import confidence_sweep

@@ -17,10 +17,10 @@ import mujoco
 import numpy as np
 
 from benchmarks.record import environment
-from petmjx.config import Simulation
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.units import STANDARD_GRAVITY
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene

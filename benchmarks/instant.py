@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Progress
 from petmjx.metrics.spec import BoxMetrics
-from petmjx.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 

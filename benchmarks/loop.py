@@ -15,10 +15,10 @@ import numpy as np
 
 import petmjx
 from benchmarks.record import Result, peak_device_bytes, timed
+from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Engine
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, generate
-from petmjx.units import FloatArray
 
 BOXES: Final = 30
 """Boxes of a pallet before the candidate."""

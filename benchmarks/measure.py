@@ -21,11 +21,11 @@ from benchmarks.agreement import agreement, joint_run
 from benchmarks.cases import MUJOCO, PLAIN_LOOP, SEED, STACK_PLAN, Case, Way, oracle_case
 from benchmarks.plain import fixed_steps, plain_loop
 from benchmarks.record import Clock, Result, environment, peak_device_bytes, timed
-from petmjx.config import SOFT_START_STEPS, Schedule
+from petmjx.basics.errors import InputError
+from petmjx.basics.machine import device_name
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import make_engine
-from petmjx.errors import InputError
-from petmjx.machine import device_name
+from petmjx.options.config import SOFT_START_STEPS, Schedule
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one, write_plans, write_samples

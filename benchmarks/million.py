@@ -17,10 +17,10 @@ from typing import Any, Final
 
 from benchmarks.instant import Instant
 from benchmarks.record import Result, timed
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import generate_one
 from petmjx.plans.validate import parse_plan
-from petmjx.run_options import RunOptions
 from petmjx.simulate import RunStart, simulate
 from petmjx.study import FinishedWorld
 from petmjx.sweeps.file import load_sweep

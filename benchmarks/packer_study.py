@@ -29,6 +29,7 @@ from benchmarks.packers_compared import (
     packers,
 )
 from benchmarks.record import environment
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.packers.paired import PairedCounts, mcnemar_p
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import as_placements
@@ -37,7 +38,6 @@ from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
 from petmjx.plans.samples.packers import BALANCED
 from petmjx.plans.validate import parse_plan
 from petmjx.sweeps.ready import find_sweep
-from petmjx.units import MM_PER_M, FloatArray
 
 LEVELS_G: Final = (0.3, 0.5)
 DIRECTIONS: Final = ("+x", "+y")

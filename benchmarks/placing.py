@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 import petmjx
-from petmjx.placing import Way
+from petmjx.options.placing import Way
 from petmjx.plans.plan import Plan
 
 WAYS = (Way.EXACT, Way.HAND)

@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import SOFT_START_STEPS
 from petmjx.metrics.force_np import top_forces
 from petmjx.metrics.motion_np import tilt_deg
-from petmjx.physics import Cone, Physics
+from petmjx.options.config import SOFT_START_STEPS
+from petmjx.options.physics import Cone, Physics
 from petmjx.world.model import build_spec, geom_bodies
 from petmjx.world.scene import Scene
 

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.state import Status
 from petmjx.engines.choose import make_engine
 from petmjx.engines.retry import World, score_worlds
 from petmjx.engines.warp.rollout import Rollout
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.gather import usable_plans
-from petmjx.run_options import RunOptions
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

@@ -18,9 +18,9 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.config import Thresholds
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Thresholds
 from petmjx.plans.plan import Plan
-from petmjx.units import FloatArray
 from petmjx.verdict import Flag
 
 LEAST_EDGE_MM = 0.5

@@ -15,9 +15,9 @@ import numpy as np
 import petmjx
 from benchmarks.referees.base import Referee
 from benchmarks.referees.stand import stand
-from petmjx.config import Check, Simulation
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Check, Simulation
 from petmjx.plans.plan import Plan
-from petmjx.units import FloatArray
 from petmjx.world.bearing import bearing_of
 from petmjx.world.scene import Scene, build_scene
 

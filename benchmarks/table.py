@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from benchmarks.record import Result
-from petmjx.errors import InputError
-from petmjx.text import counted
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
 from petmjx.verdict import Verdict
 
 BEGIN = "<!-- tables: begin (made by python -m benchmarks table) -->"

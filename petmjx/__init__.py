@@ -12,20 +12,21 @@ from petmjx.version import __version__
 
 if TYPE_CHECKING:
     from petmjx.api import score, sweep
-    from petmjx.carrier import Carrier
-    from petmjx.config import Check, Quiet, Schedule, Simulation, Solver, Thresholds
-    from petmjx.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
+    from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
     from petmjx.figures.save import figure
     from petmjx.history import History
     from petmjx.loop.pallets import Pallets
     from petmjx.loop.scorer import Scored, Scorer
     from petmjx.loop.told import Told
+    from petmjx.options.carrier import Carrier
+    from petmjx.options.config import Check, Quiet, Schedule, Simulation, Solver, Thresholds
+    from petmjx.options.physics import PHYSICS, Cone, Physics
+    from petmjx.options.run_options import RunOptions
     from petmjx.packers.compare import compare_packers
     from petmjx.packing.pack import Packed, pack
     from petmjx.pages.leaderboard.make import leaderboard
     from petmjx.pages.report.make import report
     from petmjx.pages.told import tell
-    from petmjx.physics import PHYSICS, Cone, Physics
     from petmjx.pictures.save import draw
     from petmjx.plans.plan import Plan
     from petmjx.plans.plan_set import PlanSet
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from petmjx.results.compare import compare_runs
     from petmjx.results.loads import loads
     from petmjx.results.reader import RunResults, load_run
-    from petmjx.run_options import RunOptions
     from petmjx.statics.record import CriteriaResults
     from petmjx.statics.run import criteria
     from petmjx.story.tell import Story
@@ -47,21 +47,21 @@ _HOME = {
     "sweep": "petmjx.api",
     "criteria": "petmjx.statics.run",
     "CriteriaResults": "petmjx.statics.record",
-    "Carrier": "petmjx.carrier",
-    "Check": "petmjx.config",
-    "Cone": "petmjx.physics",
-    "PHYSICS": "petmjx.physics",
-    "Physics": "petmjx.physics",
-    "Quiet": "petmjx.config",
-    "RunOptions": "petmjx.run_options",
-    "Schedule": "petmjx.config",
-    "Simulation": "petmjx.config",
-    "Solver": "petmjx.config",
-    "Thresholds": "petmjx.config",
-    "EngineUnavailable": "petmjx.errors",
-    "InputError": "petmjx.errors",
-    "PetmjxError": "petmjx.errors",
-    "PlanWarning": "petmjx.errors",
+    "Carrier": "petmjx.options.carrier",
+    "Check": "petmjx.options.config",
+    "Cone": "petmjx.options.physics",
+    "PHYSICS": "petmjx.options.physics",
+    "Physics": "petmjx.options.physics",
+    "Quiet": "petmjx.options.config",
+    "RunOptions": "petmjx.options.run_options",
+    "Schedule": "petmjx.options.config",
+    "Simulation": "petmjx.options.config",
+    "Solver": "petmjx.options.config",
+    "Thresholds": "petmjx.options.config",
+    "EngineUnavailable": "petmjx.basics.errors",
+    "InputError": "petmjx.basics.errors",
+    "PetmjxError": "petmjx.basics.errors",
+    "PlanWarning": "petmjx.basics.errors",
     "History": "petmjx.history",
     "figure": "petmjx.figures.save",
     "Pallets": "petmjx.loop.pallets",

@@ -11,15 +11,15 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
-from petmjx.arguments import instance_of, path_of
-from petmjx.checked import Checked, got
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.arguments import instance_of, path_of
+from petmjx.basics.checked import Checked, got
+from petmjx.basics.errors import InputError
 from petmjx.notebook import notebook_bar
 from petmjx.option_types import ScoreOptions, SweepOptions
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import Confidence, RunOptions, sorted_options
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.results.reader import RunResults
-from petmjx.run_options import Confidence, RunOptions, sorted_options
 from petmjx.simulate import Intervals, RunStart, Watcher, simulate
 from petmjx.study import Nominal
 

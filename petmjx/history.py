@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.text import counted
-from petmjx.units import FloatArray
+from petmjx.basics.text import counted
+from petmjx.basics.units import FloatArray
 
 CARRIER = -1
 FLOOR = -2

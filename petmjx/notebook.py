@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
+from petmjx.basics.text import counted, three_digits, time_left
 from petmjx.simulate import RunStart
 from petmjx.study import FinishedWorld
-from petmjx.text import counted, three_digits, time_left
 
 REFRESH_S: Final = 0.25
 """Least time between two drawings of the bar, s. Each goes to the browser."""

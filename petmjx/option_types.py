@@ -1,7 +1,7 @@
 """The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
 
-Written by ``make options`` (tools/option_types.py) from the records in petmjx/config.py and petmjx/run_options.py,
-which check the values and say what they mean. Do not edit.
+Written by ``make options`` (tools/option_types.py) from the records in petmjx/options, which check the values and
+say what they mean. Do not edit.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 from os import PathLike
 from typing import Literal, TypedDict
 
-from petmjx.carrier import Board, Carrier, OwnCarrier
-from petmjx.config import Attempts, Check, Quiet, Schedule, Solver, Thresholds
 from petmjx.engines.base import Simulates
-from petmjx.materials import FrictionPair
-from petmjx.physics import Cone, Physics
-from petmjx.placing import Placing, Way
-from petmjx.wrap import Wrap
+from petmjx.options.carrier import Board, Carrier, OwnCarrier
+from petmjx.options.config import Attempts, Check, Quiet, Schedule, Solver, Thresholds
+from petmjx.options.materials import FrictionPair
+from petmjx.options.physics import Cone, Physics
+from petmjx.options.placing import Placing, Way
+from petmjx.options.wrap import Wrap
 
 EngineName = Literal[
     "auto",
@@ -67,7 +67,7 @@ WayName = Literal[
 
 
 class PhysicsTable(TypedDict, total=False):
-    """Fields of ``petmjx.physics.Physics``."""
+    """Fields of ``petmjx.options.physics.Physics``."""
 
     name: PhysicsName | Literal["custom"]
     cone: Cone | ConeName
@@ -88,7 +88,7 @@ class PhysicsTable(TypedDict, total=False):
 
 
 class ThresholdsTable(TypedDict, total=False):
-    """Fields of ``petmjx.config.Thresholds``."""
+    """Fields of ``petmjx.options.config.Thresholds``."""
 
     shift_m: float
     shift_floor_m: float
@@ -99,7 +99,7 @@ class ThresholdsTable(TypedDict, total=False):
 
 
 class QuietTable(TypedDict, total=False):
-    """Fields of ``petmjx.config.Quiet``."""
+    """Fields of ``petmjx.options.config.Quiet``."""
 
     quiet_m_s: float
     slow_m_s: float
@@ -112,7 +112,7 @@ class QuietTable(TypedDict, total=False):
 
 
 class PlacingTable(TypedDict, total=False):
-    """Fields of ``petmjx.placing.Placing``."""
+    """Fields of ``petmjx.options.placing.Placing``."""
 
     name: Way | WayName
     height_mm: float
@@ -123,7 +123,7 @@ class PlacingTable(TypedDict, total=False):
 
 
 class WrapTable(TypedDict, total=False):
-    """Fields of ``petmjx.wrap.Wrap``."""
+    """Fields of ``petmjx.options.wrap.Wrap``."""
 
     turns: float
     force_n: float
@@ -133,7 +133,7 @@ class WrapTable(TypedDict, total=False):
 
 
 class OwnCarrierTable(TypedDict, total=False):
-    """Fields of ``petmjx.carrier.OwnCarrier``."""
+    """Fields of ``petmjx.options.carrier.OwnCarrier``."""
 
     name: str
     mass_kg: float | None
@@ -143,7 +143,7 @@ class OwnCarrierTable(TypedDict, total=False):
 
 
 class BoardTable(TypedDict, total=False):
-    """Fields of ``petmjx.carrier.Board``."""
+    """Fields of ``petmjx.options.carrier.Board``."""
 
     name: str
     corner_mm: tuple[float, float, float] | list[float]
@@ -154,14 +154,14 @@ class BoardTable(TypedDict, total=False):
 
 
 class FrictionPairTable(TypedDict, total=False):
-    """Fields of ``petmjx.materials.FrictionPair``."""
+    """Fields of ``petmjx.options.materials.FrictionPair``."""
 
     between: tuple[str, str] | list[str]
     friction: float
 
 
 class SimulationOptions(TypedDict, total=False):
-    """Fields of ``petmjx.config.Simulation``."""
+    """Fields of ``petmjx.options.config.Simulation``."""
 
     check: Check | CheckName
     schedule: Schedule | ScheduleName
@@ -191,14 +191,14 @@ class SimulationOptions(TypedDict, total=False):
 
 
 class ConfidenceOptions(TypedDict, total=False):
-    """Fields of ``petmjx.run_options.Confidence``."""
+    """Fields of ``petmjx.options.run_options.Confidence``."""
 
     confidence: int | None
     errors: str | PathLike[str] | None
 
 
 class RunOptionsGiven(TypedDict, total=False):
-    """Fields of ``petmjx.run_options.RunOptions``."""
+    """Fields of ``petmjx.options.run_options.RunOptions``."""
 
     engine: EngineName | Simulates
     threads: int | None

@@ -10,13 +10,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from petmjx.config import Simulation
+from petmjx.basics.machine import package_versions
+from petmjx.basics.text import counted, shown
+from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.choose import Choice
 from petmjx.engines.resolve import engine_for, starting
-from petmjx.machine import package_versions
 from petmjx.metrics.spec import BoxMetrics
-from petmjx.physics import Physics
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Physics
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.gather import PlanSource, are_files, usable_plans
 from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
@@ -26,10 +29,7 @@ from petmjx.results.manifest import Manifest
 from petmjx.results.reader import RunResults
 from petmjx.results.recording import Recording, recording_of
 from petmjx.results.writer import RunWriter
-from petmjx.run_options import RunOptions
 from petmjx.study import FinishedWorld, Study
-from petmjx.text import counted, shown
-from petmjx.units import FloatArray
 from petmjx.world.idle import notes_about
 from petmjx.world.scene import Scene
 

@@ -10,19 +10,19 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, duration, rounded
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cost import Work
 from petmjx.engines.retry import World, score_worlds
-from petmjx.errors import InputError
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.recorded import Recorded
 from petmjx.results.recording import Recording
 from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter
-from petmjx.run_options import RunOptions
-from petmjx.text import counted, duration, rounded
 from petmjx.verdict import Attempt, Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene

@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
 from petmjx.history import History
 from petmjx.metrics.motion_np import excess
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Thresholds
 from petmjx.world.job import EngineState, KeptState
 
 

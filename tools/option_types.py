@@ -2,8 +2,8 @@
 
     python -m tools.option_types
 
-An option is written once, as a field of a record in ``petmjx/config.py`` or ``petmjx/run_options.py``. Type checkers do
-not run code, so they need its name and type once more. This program writes them, and a test says when to run it again.
+An option is written once, as a field of a record in ``petmjx/options``. Type checkers do not run code, so they need
+its name and type once more. This program writes them, and a test says when to run it again.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from petmjx.carrier import Board, OwnCarrier
-from petmjx.checked import Checked
-from petmjx.config import Quiet, Simulation, Thresholds
+from petmjx.basics.checked import Checked
 from petmjx.engines.choose import ENGINES
-from petmjx.materials import FrictionPair
-from petmjx.physics import CUSTOM, PHYSICS, Physics
-from petmjx.placing import Placing
-from petmjx.run_options import AUTO, Confidence, RunOptions
-from petmjx.wrap import Wrap
+from petmjx.options.carrier import Board, OwnCarrier
+from petmjx.options.config import Quiet, Simulation, Thresholds
+from petmjx.options.materials import FrictionPair
+from petmjx.options.physics import CUSTOM, PHYSICS, Physics
+from petmjx.options.placing import Placing
+from petmjx.options.run_options import AUTO, Confidence, RunOptions
+from petmjx.options.wrap import Wrap
 
 TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "option_types.py"
 
 HEAD = '''\
 """The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
 
-Written by ``make options`` (tools/option_types.py) from the records in petmjx/config.py and petmjx/run_options.py,
-which check the values and say what they mean. Do not edit.
+Written by ``make options`` (tools/option_types.py) from the records in petmjx/options, which check the values and
+say what they mean. Do not edit.
 """
 
 from __future__ import annotations

@@ -7,14 +7,14 @@ from typing import Any
 
 import typer
 
-from petmjx.checked import Checked, CliFlag
+from petmjx.basics.checked import Checked, CliFlag
 from petmjx.cli.help import WIDTH
 from petmjx.cli.main import app
-from petmjx.config import Quiet, Simulation, Thresholds
-from petmjx.physics import Physics
-from petmjx.placing import Placing
-from petmjx.run_options import Confidence, RunOptions
-from petmjx.wrap import Wrap
+from petmjx.options.config import Quiet, Simulation, Thresholds
+from petmjx.options.physics import Physics
+from petmjx.options.placing import Placing
+from petmjx.options.run_options import Confidence, RunOptions
+from petmjx.options.wrap import Wrap
 
 RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
     ("What is simulated", "", Simulation),

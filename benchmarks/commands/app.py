@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from petmjx.errors import InputError
-from petmjx.text import counted
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
 
 if TYPE_CHECKING:
+    from petmjx.options.run_options import RunOptions
     from petmjx.plans.plan import Plan
-    from petmjx.run_options import RunOptions
 
 app = typer.Typer(
     help="Measures speed and agreement; benchmarks/README.md says what and how.",
@@ -33,7 +33,7 @@ def usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
     Raises:
         InputError: no usable plan.
     """
-    from petmjx.config import Simulation
+    from petmjx.options.config import Simulation
     from petmjx.plans.gather import usable_plans
 
     found = usable_plans(list(files), Simulation(), options)

@@ -10,7 +10,7 @@ import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, usable, words
 from petmjx.cli import options as opt
-from petmjx.config import Check
+from petmjx.options.config import Check
 
 
 @app.command()
@@ -33,9 +33,9 @@ def crossengine(
     from benchmarks.crossengine import Court, by_softness, summaries
     from benchmarks.record import append_line, environment
     from benchmarks.referees.base import REFEREES, referee
-    from petmjx.config import Simulation
+    from petmjx.options.config import Simulation
+    from petmjx.options.run_options import RunOptions
     from petmjx.plans.samples import bundled_path
-    from petmjx.run_options import RunOptions
 
     asked = [referee(each) for each in words(referees) or REFEREES]
     found = usable(plans or [bundled_path()], RunOptions(**options))

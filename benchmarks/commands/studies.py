@@ -23,8 +23,8 @@ def drift(
 ) -> None:
     """How fast the boxes of resting pallets drift, and why."""
     from benchmarks.drift import VARIANTS, Window, describe, summaries
-    from petmjx.machine import cpu_threads
-    from petmjx.run_options import RunOptions
+    from petmjx.basics.machine import cpu_threads
+    from petmjx.options.run_options import RunOptions
 
     limits, window = RunOptions(**options), Window(begin, end)
     chosen = known(variant or list(VARIANTS), VARIANTS, "variant")
@@ -48,7 +48,7 @@ def sensitivity(
     """How many verdicts change with timestep, tolerance, friction, sizes, masses, …"""
     from benchmarks.sensitivity import CHANGES, describe
     from benchmarks.sensitivity import sensitivity as runs
-    from petmjx.run_options import RunOptions
+    from petmjx.options.run_options import RunOptions
 
     chosen = known(change or list(CHANGES), CHANGES, "change")
     found = usable(plans, RunOptions(**options))
@@ -74,7 +74,7 @@ def criteria(
     """Which closed-form criterion of stability tells what physics tells (docs/criteria.md)."""
     from benchmarks.criteria_study import BEGIN, END, study
     from benchmarks.table import write_between_markers
-    from petmjx.machine import cpu_threads
+    from petmjx.basics.machine import cpu_threads
     from petmjx.results.reader import load_run
     from petmjx.statics.run import criteria as ask
 
@@ -121,9 +121,9 @@ def balance(
     """Whether the worlds that a run calls stable balance where they have come to rest."""
     from benchmarks.balance import balances, summary
     from benchmarks.record import append_line, environment, timed
-    from petmjx.config import Simulation
+    from petmjx.options.config import Simulation
+    from petmjx.options.run_options import RunOptions
     from petmjx.results.reader import load_run
-    from petmjx.run_options import RunOptions
 
     run = load_run(of)
     with timed() as clock:
@@ -162,7 +162,7 @@ def packers(
     from benchmarks.packer_study import Asked, study
     from benchmarks.record import append_line
     from benchmarks.robobpp import read_set
-    from petmjx.machine import cpu_threads
+    from petmjx.basics.machine import cpu_threads
     from petmjx.packing.pack import orders_of
     from petmjx.plans.samples.online.learned import Policy
 

@@ -9,7 +9,7 @@ import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, usable
 from petmjx.cli import options as opt
-from petmjx.placing import Way
+from petmjx.options.placing import Way
 
 
 @app.command()
@@ -23,7 +23,7 @@ def placing(
 ) -> None:
     """What worlds with errors cost, and how many stand, if boxes appear at their places and if a hand carries them."""
     from benchmarks.placing import WAYS, placings
-    from petmjx.run_options import RunOptions
+    from petmjx.options.run_options import RunOptions
 
     limit = {"limit": options.pop("limit")} if "limit" in options else {}
     found = usable(plans, RunOptions(**limit))
@@ -44,7 +44,7 @@ def real_boxes(
     """Plans of boxes of three materials on epal-1, set down by tines: do two engines agree?"""
     from benchmarks.real_boxes import compared
     from benchmarks.record import append_line
-    from petmjx.run_options import RunOptions
+    from petmjx.options.run_options import RunOptions
 
     limit = {"limit": options.pop("limit")} if "limit" in options else {}
     found = usable(plans, RunOptions(**limit))
@@ -66,7 +66,7 @@ def cpu_engines(
     """C MuJoCo against the kernels of mjx-warp on CPU threads: time and verdicts."""
     from benchmarks.cpu_engines import compared
     from benchmarks.record import append_line
-    from petmjx.run_options import RunOptions
+    from petmjx.options.run_options import RunOptions
 
     limit = RunOptions(**options).limit
     found = [plan for plan in usable(plans, RunOptions()) if plan.n_boxes >= least][:limit]
@@ -104,7 +104,7 @@ def loop(
     from benchmarks.loop import CASES, Loop, measured
     from benchmarks.record import append_line, environment
     from petmjx.engines.choose import make_engine
-    from petmjx.run_options import RunOptions
+    from petmjx.options.run_options import RunOptions
 
     chosen = known(names or list(CASES), CASES, "case")
     found = None if plans is None else usable([plans], RunOptions())
@@ -128,7 +128,7 @@ def estimates(
     """What petmjx estimates for runs of many kinds and sizes, and what they take."""
     from benchmarks.estimates import compared
     from benchmarks.record import append_line
-    from petmjx.run_options import RunOptions
+    from petmjx.options.run_options import RunOptions
 
     given = usable(plans, RunOptions(**options)) if plans else ()
     for line in compared(engine, threads, given):

@@ -8,10 +8,10 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import FloatArray
 from petmjx.metrics.force_np import pressed_box
-from petmjx.physics import Physics
-from petmjx.units import FloatArray
+from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 
 

@@ -21,8 +21,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, slab, top_forces
-from petmjx.physics import Physics
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 
 MODULUS_PA: Final = 1e8

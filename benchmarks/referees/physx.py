@@ -10,8 +10,8 @@ import sapien
 from sapien import physx
 
 from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, slab, top_forces
-from petmjx.physics import Physics
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 
 VELOCITY_ITERATIONS: Final = 1

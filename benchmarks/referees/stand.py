@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.referees.base import RefereeWorld
-from petmjx.config import Check, Simulation
+from petmjx.basics.units import FloatArray, seconds_to_steps
 from petmjx.engines.cpu.quiet import QuietRule
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics.spec import BoxMetrics
-from petmjx.units import FloatArray, seconds_to_steps
+from petmjx.options.config import Check, Simulation
 from petmjx.verdict import Flag, Reason, Verdict, judge, margin_of
 from petmjx.world.scene import Scene
 

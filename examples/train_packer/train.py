@@ -35,7 +35,7 @@ from labeller import Labeller
 from rollouts import Outcome, outcomes, validated
 from search import Search
 
-from petmjx.machine import cpu_threads
+from petmjx.basics.machine import cpu_threads
 from petmjx.plans.samples.online.learned import Policy
 from petmjx.plans.samples.online.network import Network
 from petmjx.plans.samples.orders import stream

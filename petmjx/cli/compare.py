@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
+from petmjx.basics.errors import InputError
+from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
 from petmjx.cli.names import named_paths
-from petmjx.errors import InputError
-from petmjx.whole import check_free
 
 
 def compare(

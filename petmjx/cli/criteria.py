@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
+from petmjx.basics.errors import InputError
+from petmjx.basics.machine import cpu_threads
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
-from petmjx.errors import InputError
-from petmjx.machine import cpu_threads
 from petmjx.statics.options import CriteriaOptions
 
 ASKED = "What is asked"

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable
+from petmjx.basics.whole import check_free, whole_file
 from petmjx.cli import options as opt
-from petmjx.errors import InputError
-from petmjx.text import counted, printable
-from petmjx.whole import check_free, whole_file
 
 if TYPE_CHECKING:
-    from petmjx.physics import Physics
+    from petmjx.options.physics import Physics
     from petmjx.world.scene import Scene
 
 
@@ -48,10 +48,10 @@ def export(
 
 
 def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[str, Any]) -> tuple[Scene, Physics]:
-    from petmjx.config import Simulation
+    from petmjx.options.config import Simulation
+    from petmjx.options.run_options import RunOptions
     from petmjx.plans.gather import find_plan, usable_plans
     from petmjx.results.files import RUN_FILE
-    from petmjx.run_options import RunOptions
     from petmjx.world.scene import build_scene
 
     if source and (source[0] / RUN_FILE).is_file():

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
-from petmjx.errors import InputError
-from petmjx.text import printable
-from petmjx.whole import check_free
 
 PANEL = "A figure for a paper"
 

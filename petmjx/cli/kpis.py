@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from petmjx.basics.text import printable
+from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
-from petmjx.text import printable
-from petmjx.whole import check_free
 
 
 def kpis(
@@ -56,8 +56,8 @@ def kpis(
     Stability comes from a run of petmjx. BED-BPP lets all boxes stand at once and calls a plan unstable if one moves by
     more than 10 mm along z: that is kpi_6, of a run with --check static. The verdict stands beside it.
     """
+    from petmjx.basics.errors import InputError
     from petmjx.cli.convert import print_skipped
-    from petmjx.errors import InputError
     from petmjx.rating.files import write_kpis
     from petmjx.rating.kpis import kpis as rate
     from petmjx.rating.submission import parse_name, write_submission

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from petmjx.basics.text import shown
 from petmjx.cli import options as opt
 from petmjx.cli.names import named_paths
-from petmjx.text import shown
 
 if TYPE_CHECKING:
     from petmjx.simulate import Watcher

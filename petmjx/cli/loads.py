@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from petmjx.basics.text import printable
+from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
-from petmjx.text import printable
-from petmjx.whole import check_free
 
 
 def loads(

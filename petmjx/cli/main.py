@@ -14,6 +14,8 @@ from typing import Annotated
 
 import typer
 
+from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.basics.text import one_line, printable
 from petmjx.cli import (
     compare,
     convert,
@@ -34,8 +36,6 @@ from petmjx.cli import (
 from petmjx.cli.console import as_notes, prepare_streams
 from petmjx.cli.help import WIDTH, SectionedCommand
 from petmjx.cli.runs import Interrupted
-from petmjx.errors import EngineUnavailable, InputError, PetmjxError
-from petmjx.text import one_line, printable
 from petmjx.version import __version__
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from petmjx.errors import InputError
-from petmjx.text import shown
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
 
 
 def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:

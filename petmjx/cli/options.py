@@ -1,4 +1,4 @@
-"""Options of commands, made from the records in ``petmjx.config``."""
+"""Options of commands, made from the records in ``petmjx.options.config``."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 import typer
 from pydantic.fields import FieldInfo
 
-from petmjx.checked import Checked, CliFlag
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.run_options import RunOptions
-from petmjx.text import printable
+from petmjx.basics.checked import Checked, CliFlag
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 
 Command = TypeVar("Command", bound=Callable[..., None])
 

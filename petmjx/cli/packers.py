@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
 from petmjx.cli.console import results_console
 from petmjx.cli.runs import brief, default_folder, remove_empty, run_watched
-from petmjx.errors import InputError
-from petmjx.text import printable
 
 if TYPE_CHECKING:
     from petmjx.results.reader import RunResults

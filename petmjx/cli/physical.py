@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import typer
 
-from petmjx.errors import InputError
-from petmjx.text import counted, printable, shown
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shown
 
 MOST_NAMED: Final = 10
 """Orders of a kind that get a line of their own, or are named in one."""

@@ -15,9 +15,9 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
 from petmjx.cli.console import results_console
-from petmjx.errors import InputError
-from petmjx.text import counted
 
 if TYPE_CHECKING:
     from petmjx.results.reader import RunResults

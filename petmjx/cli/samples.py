@@ -7,18 +7,18 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from petmjx.arguments import whole_of
+from petmjx.basics.arguments import whole_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable
+from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.physical import write_physical
-from petmjx.errors import InputError
+from petmjx.options.run_options import Confidence
 from petmjx.packing.options import PHYSICAL, PhysicalOptions
 from petmjx.plans.samples import DEFAULT_LOOSE_SHARE, LeftOut
 from petmjx.plans.samples.online.learned import LEARNED
 from petmjx.plans.samples.online.stream import MOST_LOOK_AHEAD
 from petmjx.plans.samples.packers import BASELINE
-from petmjx.run_options import Confidence
-from petmjx.text import counted, printable
-from petmjx.whole import check_free
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
@@ -104,7 +104,7 @@ def samples(
     With --orders it packs the orders of a file instead. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
-    from petmjx.machine import cpu_threads
+    from petmjx.basics.machine import cpu_threads
     from petmjx.plans.forms import is_csv, is_parquet_name
     from petmjx.plans.samples import loose_share_of, pack_orders, write_plans, write_samples
     from petmjx.show.progress import progress

@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
+from petmjx.basics.errors import InputError
 from petmjx.cli import options as opt
 from petmjx.cli.names import named_paths
 from petmjx.cli.packers import score_named
 from petmjx.cli.runs import run_and_show
-from petmjx.errors import InputError
-from petmjx.run_options import Confidence
+from petmjx.options.run_options import Confidence
 
 Names = Annotated[
     list[str] | None,

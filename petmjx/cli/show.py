@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.runs import Interrupted, stoppable
-from petmjx.errors import InputError
 from petmjx.pictures.options import PictureOptions
-from petmjx.text import printable
-from petmjx.whole import check_free
 
 if TYPE_CHECKING:
     from petmjx.story.tell import Story

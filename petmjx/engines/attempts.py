@@ -26,13 +26,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.config import Attempts, Simulation, Solver
+from petmjx.basics.text import counted
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.beside.host import Beside, InProcess
 from petmjx.engines.choose import make_engine
 from petmjx.engines.sinking import stiffened
-from petmjx.physics import Cone
-from petmjx.text import counted
+from petmjx.options.config import Attempts, Simulation, Solver
+from petmjx.options.physics import Cone
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Excitation, Job, KeptState
 

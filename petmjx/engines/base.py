@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
+from petmjx.basics.machine import device_name
 from petmjx.engines.open import MOST_BOXES, OpenWorlds
-from petmjx.errors import InputError
-from petmjx.machine import device_name
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene

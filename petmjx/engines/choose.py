@@ -8,11 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from petmjx.basics.errors import EngineUnavailable, InputError
+from petmjx.basics.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.basics.text import counted
 from petmjx.engines.base import Engine
-from petmjx.errors import EngineUnavailable, InputError
-from petmjx.machine import why_no_warp, why_no_warp_on_cpu
-from petmjx.run_options import AUTO, RunOptions
-from petmjx.text import counted
+from petmjx.options.run_options import AUTO, RunOptions
 
 ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mujoco": ("petmjx.engines.cpu.engine", "MujocoEngine", ("threads", "world_timeout_s")),

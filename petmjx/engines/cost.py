@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
-from petmjx.units import FloatArray, seconds_to_steps
+from petmjx.basics.units import FloatArray, seconds_to_steps
+from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.world.job import Job
 
 STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.16}

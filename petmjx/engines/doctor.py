@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable
+from petmjx.basics.machine import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
+from petmjx.basics.text import counted
 from petmjx.engines.choose import ENGINES, make_engine
-from petmjx.errors import EngineUnavailable
-from petmjx.machine import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.text import counted
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from petmjx.config import Simulation
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, judge
 from petmjx.world.job import Job
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import History
-from petmjx.units import FloatArray
 from petmjx.world.job import Job
 
 

@@ -21,10 +21,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
-from petmjx.physics import Physics
-from petmjx.units import FloatArray
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Physics
 from petmjx.verdict import Outcome
 from petmjx.world.bearing import Bearing, bearings_of, together
 from petmjx.world.contact import MOST_IMPEDANCE, depth_m

@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Schedule, Simulation
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Schedule, Simulation
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.growing import GrowingScenes
 from petmjx.world.job import Drive

@@ -10,14 +10,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Final
 
-from petmjx.checked import got
-from petmjx.config import Simulation
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.machine import cpu_threads, cuda_devices, device_name
 from petmjx.engines.base import Engine, Progress, Simulates
 from petmjx.engines.choose import Choice, choose, make_engine, options_of
 from petmjx.engines.cost import MEASURED, Costs, Work
-from petmjx.errors import InputError
-from petmjx.machine import cpu_threads, cuda_devices, device_name
-from petmjx.run_options import AUTO, RunOptions
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

@@ -12,17 +12,17 @@ from dataclasses import dataclass, field, replace
 from itertools import count, islice
 from typing import Final, Generic, TypeVar
 
-from petmjx.config import Simulation, Solver
+from petmjx.basics.errors import InputError, PetmjxError
+from petmjx.basics.text import counted, one_line
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import Engine, GrowingJobs, Progress
 from petmjx.engines.beside.process import READY, Answer, Task
 from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.sinking import note_softness
-from petmjx.errors import InputError, PetmjxError
-from petmjx.physics import Cone
+from petmjx.options.config import Simulation, Solver
+from petmjx.options.physics import Cone
 from petmjx.plans.plan import Plan
-from petmjx.text import counted, one_line
 from petmjx.verdict import Attempt, Flag, Outcome, margin_of
 from petmjx.world.job import Job, KeptState
 

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.leaning import BOUND_SHARE, leaning
-from petmjx.physics import Cone, Physics
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Cone, Physics
 from petmjx.plans.overlap import shared
-from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.contact import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
 from petmjx.world.scene import Scene

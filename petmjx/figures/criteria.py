@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
 from petmjx.figures.paper import POINTS, WIDTH_IN
 from petmjx.pages.palette import OKABE_ITO
 from petmjx.results.shares import DEFAULT_CONFIDENCE
 from petmjx.statics.record import CriteriaResults
-from petmjx.text import counted
 
 ROW_IN: Final = 0.19
 

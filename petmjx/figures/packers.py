@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shortened, shown
 from petmjx.figures.paper import POINTS, WIDTH_IN, wrapped
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
 from petmjx.pages.palette import OKABE_ITO
-from petmjx.text import counted, shortened, shown
 
 ROW_IN: Final = 0.26
 """Height of a packer or pair, inches."""

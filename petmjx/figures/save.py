@@ -7,9 +7,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.arguments import path_of
-from petmjx.checked import got
-from petmjx.errors import InputError
+from petmjx.basics.arguments import path_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.whole import check_writable, whole_file
 from petmjx.figures.criteria import draw_criteria
 from petmjx.figures.packers import draw_packers
 from petmjx.figures.paper import paper_style, write
@@ -17,8 +19,6 @@ from petmjx.figures.sweeps import draw_answers
 from petmjx.packers.compare import PackerComparison
 from petmjx.results.reader import RunResults
 from petmjx.statics.record import CriteriaResults
-from petmjx.text import printable
-from petmjx.whole import check_writable, whole_file
 
 KINDS: Final = ("pdf", "svg", "png")
 """Endings of files."""

@@ -7,12 +7,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shown
 from petmjx.figures.paper import POINTS, WIDTH_IN
 from petmjx.pages.palette import category
 from petmjx.results.reader import RunResults
 from petmjx.results.shares import ALL_PLANS, ONE_PLAN
-from petmjx.text import counted, printable, shown
 
 PANEL_IN: Final = (3.1, 2.4)
 """Width and height of a panel, inches."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from petmjx.errors import EngineUnavailable
+from petmjx.basics.errors import EngineUnavailable
 
 ENVIRONMENT = "Palletizing-v0"
 

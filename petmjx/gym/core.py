@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import FloatArray
 from petmjx.gym.actions import FEATURES, Actions, Table
 from petmjx.gym.options import PalletizingOptions
 from petmjx.gym.queues import Queues
@@ -18,7 +19,6 @@ from petmjx.loop.pallets import Pallets
 from petmjx.loop.rewards import TERMS, Placement
 from petmjx.loop.told import Told
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM
-from petmjx.units import FloatArray
 
 _MOST_ORDERS: Final = 100
 """So many orders are drawn at most until one has a box that fits on the empty carrier."""

@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from petmjx.checked import got
-from petmjx.errors import InputError
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
 from petmjx.gym.core import Episodes, Observation
 
 _FIRST: Final = np.zeros(1, np.int64)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, Final, Self
 
-from petmjx.arguments import number_of, whole_of
-from petmjx.checked import got, hint
-from petmjx.errors import InputError
+from petmjx.basics.arguments import number_of, whole_of
+from petmjx.basics.checked import got, hint
+from petmjx.basics.errors import InputError
 from petmjx.loop.orders import ENDLESS, Orders
 from petmjx.loop.rewards import weights_of
 from petmjx.statics.named import SUPPORT_SHARES

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.loop.orders import Boxes
-from petmjx.units import FloatArray
 
 
 class Queues:

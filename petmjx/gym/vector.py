@@ -10,8 +10,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from petmjx.arguments import whole_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import whole_of
+from petmjx.basics.errors import InputError
 from petmjx.gym.core import Episodes, Observation
 from petmjx.gym.env import PalletizingEnv, check_render_mode, spaces_of
 from petmjx.loop.opening import MOST_PALLETS

@@ -11,17 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import MICROMETRES_PER_M, MM_PER_M
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.state import Status, take_rows
 from petmjx.engines.warp.next_box import NewBox
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.simulator import Open, Simulator
-from petmjx.errors import InputError
 from petmjx.history import CARRIER
 from petmjx.jax.told import ENDED, REASONS, Told
 from petmjx.metrics import motion_jax as motion
-from petmjx.units import MICROMETRES_PER_M, MM_PER_M
+from petmjx.options.config import Simulation
 from petmjx.verdict import DROPPED_EXCESS, INVALID_FLAGS, Reason, failures
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE, DEPTHS_M, cone_factor, pulls_m_s2
@@ -209,5 +209,5 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
 
 
 def _rounded(metres: jax.Array) -> jax.Array:
-    """As ``petmjx.units.round_to_micrometre``."""
+    """As ``petmjx.basics.units.round_to_micrometre``."""
     return jnp.floor(jnp.round(metres * MICROMETRES_PER_M, 2) + 0.5) / MICROMETRES_PER_M

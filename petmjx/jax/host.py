@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.jax.told import Told, nothing, put, shapes
 from petmjx.loop.asked import Asked
 from petmjx.loop.pallets import Pallets
+from petmjx.options.config import Simulation
 
 KEPT_PER_PALLET: Final = 4
 """Settled worlds that are kept, for each pallet of a state."""

@@ -9,11 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.arguments import number_of, text_of, whole_of
-from petmjx.carrier import AnyCarrier, extent_m
-from petmjx.checked import hint
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.arguments import number_of, text_of, whole_of
+from petmjx.basics.checked import hint
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY
 from petmjx.jax.cells import Cells
 from petmjx.jax.program import State as Pallet
 from petmjx.jax.program import empty, place
@@ -22,9 +21,10 @@ from petmjx.jax.told import Told
 from petmjx.loop.heights import cells_of
 from petmjx.loop.orders import ENDLESS, Boxes, Orders
 from petmjx.loop.rewards import weights_of
-from petmjx.run_options import AUTO
+from petmjx.options.carrier import AnyCarrier, extent_m
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import AUTO
 from petmjx.statics.named import SUPPORT_SHARES
-from petmjx.units import MM_PER_M, STANDARD_GRAVITY
 
 GEOMETRY: Final = "geometry"
 MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}

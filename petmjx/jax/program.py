@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.arguments import whole_of
-from petmjx.carrier import AnyCarrier
-from petmjx.checked import got
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.arguments import whole_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
 from petmjx.jax.host import empty_host
 from petmjx.jax.told import Told
 from petmjx.loop.asked import check_limits
 from petmjx.loop.opening import MOST_PALLETS, check_open, open_engine
-from petmjx.run_options import AUTO
+from petmjx.options.carrier import AnyCarrier
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import AUTO
 
 State = Any
 """A pytree: ``petmjx.jax.host.HostState`` or ``petmjx.jax.device.DeviceState``."""

@@ -8,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.arguments import array_of
-from petmjx.checked import got
-from petmjx.errors import InputError
+from petmjx.basics.arguments import array_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
+from petmjx.basics.units import FloatArray
 from petmjx.plans.fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
-from petmjx.text import counted
-from petmjx.units import FloatArray
 
 _LIMITS: Final = {
     "size_mm": (SMALLEST_MM, LARGEST_MM, "millimetres"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 
 
 class Closable:

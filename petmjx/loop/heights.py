@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.arguments import number_of
+from petmjx.basics.arguments import number_of
+from petmjx.basics.units import FloatArray
 from petmjx.loop.stock import Stock
-from petmjx.units import FloatArray
 
 _EDGE: float = 1e-6
 """Share of a cell: a box that ends this near to a cell's edge ends there."""

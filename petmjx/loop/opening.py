@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from petmjx.carrier import extent_m
-from petmjx.checked import got
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.machine import why_no_warp
 from petmjx.engines.base import Engine, Simulates
 from petmjx.engines.choose import ENGINES, make_engine, options_of
 from petmjx.engines.resolve import Lent
-from petmjx.errors import InputError
-from petmjx.machine import why_no_warp
-from petmjx.run_options import AUTO, RunOptions
+from petmjx.options.carrier import extent_m
+from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.options.run_options import AUTO, RunOptions
 
 MANY_PALLETS: Final = 64
 """From so many on ``auto`` takes a GPU where there is one: with fewer it is not busy."""

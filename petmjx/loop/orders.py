@@ -11,15 +11,15 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.arguments import list_of, path_of
-from petmjx.checked import got, reason
-from petmjx.errors import InputError
+from petmjx.basics.arguments import list_of, path_of
+from petmjx.basics.checked import got, reason
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.units import FloatArray
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Item, Order, draw_order
-from petmjx.text import printable
-from petmjx.units import FloatArray
 
 ENDLESS: Final = "endless"
 """The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new one."""

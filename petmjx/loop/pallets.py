@@ -11,12 +11,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.arguments import flag_of, number_of, text_of, whole_of
-from petmjx.carrier import AnyCarrier, extent_m
-from petmjx.checked import got
-from petmjx.config import Simulation
+from petmjx.basics.arguments import flag_of, number_of, text_of, whole_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.engines.base import Engine
-from petmjx.errors import InputError
 from petmjx.loop.asked import Asked, asked_of, boxes_of, grid_of, once_each, pallets_of
 from petmjx.loop.closing import Closable
 from petmjx.loop.heights import height_maps
@@ -26,12 +25,13 @@ from petmjx.loop.settled import SettledEngine, scene_key
 from petmjx.loop.stock import Stock
 from petmjx.loop.told import Told
 from petmjx.loop.trials import Errors, drive_of, shares, told_driven
+from petmjx.options.carrier import AnyCarrier, extent_m
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import AUTO, RunOptions, sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.results.reader import RunResults
-from petmjx.run_options import AUTO, RunOptions, sorted_options
 from petmjx.simulate import simulate
 from petmjx.study import Nominal
-from petmjx.units import MM_PER_M, FloatArray
 from petmjx.world.job import Job
 from petmjx.world.next_boxes import Blank, NextBoxes
 from petmjx.world.scene import build_scene

@@ -7,11 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.engines.open import Reading
-from petmjx.errors import InputError
 from petmjx.history import History
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Simulation
 from petmjx.pictures.camera import Margins, framing, view_of
 from petmjx.pictures.colours import colouring
 from petmjx.pictures.draw import Painter
@@ -20,7 +21,6 @@ from petmjx.pictures.poses import poses_of_frame
 from petmjx.pictures.save import why_nothing_is_drawn
 from petmjx.plans.plan import Plan
 from petmjx.story.tell import Story
-from petmjx.units import MM_PER_M, FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.next_boxes import Blank, NextBoxes
 from petmjx.world.scene import IDENTITY_QUAT, Scene

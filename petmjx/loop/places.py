@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.machine import cpu_threads
+from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
 from petmjx.loop.stock import Stock
-from petmjx.machine import cpu_threads
-from petmjx.units import FloatArray
 
 TOUCH_MM: Final = 1e-6
 """Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""

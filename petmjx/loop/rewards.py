@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.arguments import number_of
-from petmjx.checked import got, hint
-from petmjx.errors import InputError
+from petmjx.basics.arguments import number_of
+from petmjx.basics.checked import got, hint
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.loop.told import Told
-from petmjx.units import STANDARD_GRAVITY, FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,24 +12,24 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from petmjx.arguments import array_of, list_of
-from petmjx.checked import got
-from petmjx.config import Simulation
+from petmjx.basics.arguments import array_of, list_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError, PlanWarning
+from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Engine
 from petmjx.engines.retry import World, WorldResult, score_worlds
-from petmjx.errors import InputError, PlanWarning
 from petmjx.loop.closing import Closable
 from petmjx.loop.opening import OF_RUN, ready_engine
 from petmjx.loop.told import Told
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import AUTO, RunOptions, sorted_options
 from petmjx.plans.forms import SupportsArrow
 from petmjx.plans.gather import PlanSource, usable_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.parts import Part, Row
 from petmjx.results.schema import schemas
-from petmjx.run_options import AUTO, RunOptions, sorted_options
 from petmjx.study import NOMINAL
-from petmjx.units import FloatArray
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 from petmjx.world.surfaces import check_surfaces

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.open import OpenWorlds
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

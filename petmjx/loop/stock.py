@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
 from petmjx.plans.plan import Plan
-from petmjx.units import FloatArray
 
 _FIRST_ROOM = 16
 

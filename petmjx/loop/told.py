@@ -9,11 +9,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.engines.open import Readings, joined, widened
 from petmjx.metrics.motion_np import has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
-from petmjx.units import MM_PER_M, FloatArray
+from petmjx.options.config import Thresholds
 from petmjx.verdict import DROPPED_EXCESS, Flag, Outcome, Verdict, judge_all, margin_of
 
 

@@ -8,15 +8,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.arguments import number_of, text_of
-from petmjx.checked import got
-from petmjx.config import Simulation, Thresholds
+from petmjx.basics.arguments import number_of, text_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import FloatArray, deg_to_rad
 from petmjx.engines.open import OpenWorlds
-from petmjx.errors import InputError
 from petmjx.loop.told import Told
+from petmjx.options.config import Simulation, Thresholds
 from petmjx.sweeps.confidence import confidence_sweep
 from petmjx.sweeps.design import Design
-from petmjx.units import FloatArray, deg_to_rad
 from petmjx.verdict import Verdict
 from petmjx.world.apply import apply
 from petmjx.world.job import Drive

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 VERTICAL_COSINE = math.cos(math.radians(45.0))
 """A contact is vertical if its normal is within 45° of z."""

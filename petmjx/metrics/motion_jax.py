@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from petmjx.config import Thresholds
+from petmjx.options.config import Thresholds
 
 
 def shift(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Thresholds
 
 
 def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArray | None = None) -> FloatArray:

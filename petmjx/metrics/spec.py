@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""

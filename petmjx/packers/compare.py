@@ -17,7 +17,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
 from petmjx.packers.kpis import KPIS, kpis_of_runs
 from petmjx.packers.load import MEASURES, MISSING, Run, doubts, opened, plans_of
 from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
@@ -25,7 +26,6 @@ from petmjx.packers.words import pair_in_words
 from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plain import plain
 from petmjx.results.shares import DEFAULT_CONFIDENCE, wilson_interval
-from petmjx.text import counted
 from petmjx.verdict import Verdict
 
 SIZE_BINS: Final = (0, 20, 40, 60, 80)

@@ -8,13 +8,13 @@ from typing import Final
 
 import pandas as pd
 
+from petmjx.basics.text import counted, printable, shown
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Order
 from petmjx.rating.kpis import kpis_of
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults
-from petmjx.text import counted, printable, shown
 
 KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
 """Columns of which means are shown. kpi_3 is the height, which is there without orders; kpi_6 is for a static check."""

@@ -9,12 +9,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.arguments import list_of, text_of
-from petmjx.carrier import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
-from petmjx.errors import InputError
+from petmjx.basics.arguments import list_of, text_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shown
+from petmjx.basics.units import FloatArray
+from petmjx.options.carrier import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.results.reader import RunResults, load_run
-from petmjx.text import counted, shown
-from petmjx.units import FloatArray
 
 LONGEST_NAME: Final = 200
 """Bytes of a packer's name: file systems take 255 for a folder's."""

@@ -8,9 +8,9 @@ from math import sqrt
 
 import numpy as np
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import FloatArray
 from petmjx.results.shares import DEFAULT_CONFIDENCE, wilson_interval
-from petmjx.units import FloatArray
 
 
 @dataclass(frozen=True)

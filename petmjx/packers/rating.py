@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from petmjx.basics.units import FloatArray
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
 from petmjx.results.shares import wilson_interval
-from petmjx.units import FloatArray
 from petmjx.verdict import Verdict
 
 

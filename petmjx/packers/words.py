@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from petmjx.text import counted, shown
+from petmjx.basics.text import counted, shown
 
 LEAST_P: Final = 1e-4
 """Smaller p-values are shown as smaller than this."""

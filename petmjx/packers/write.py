@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from petmjx.basics.whole import writing
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.packers.compare import PackerComparison
 from petmjx.rating.columns import COLUMNS
 from petmjx.results.described import Described, write_described
-from petmjx.whole import writing
 
 _COUNTS: Final = {
     "n": "compared orders; in reasons those that are lost",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from petmjx.basics.units import MM_PER_M
 from petmjx.packing.options import PhysicalOptions
 from petmjx.plans.samples.beam import Found, search
 from petmjx.plans.samples.online.learned import CLEARANCE_MM, pack_learned
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
 from petmjx.plans.samples.packer import Placed
-from petmjx.units import MM_PER_M
 
 
 @dataclass(frozen=True)

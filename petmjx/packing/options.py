@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from petmjx.checked import Checked, CliFlag, got, within
+from petmjx.basics.checked import Checked, CliFlag, got, within
 
 PHYSICAL: Final = "physical"
 """The packer's name."""
@@ -15,7 +15,7 @@ MOST_CLEARANCE_MM: Final = 200.0
 MOST_CLEARANCES: Final = 16
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""As of ``petmjx.run_options.Confidence``."""
+"""As of ``petmjx.options.run_options.Confidence``."""
 
 
 def _split(values: Any) -> Any:

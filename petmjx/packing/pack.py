@@ -8,10 +8,12 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.arguments import path_of, whole_of
-from petmjx.checked import got
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.arguments import path_of, whole_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import MOST_WORKERS, Confidence, RunOptions, sorted_options
 from petmjx.packing.options import PHYSICAL, PhysicalOptions
 from petmjx.packing.packed import PackedOrder
 from petmjx.packing.physical import pack_physical
@@ -25,8 +27,6 @@ from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Order, draw_order
 from petmjx.plans.write import save_plans
 from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
-from petmjx.run_options import MOST_WORKERS, Confidence, RunOptions, sorted_options
-from petmjx.text import counted
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Of ``RunOptions``, those that say how packings are simulated."""

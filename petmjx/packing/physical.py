@@ -12,14 +12,14 @@ from functools import partial
 from itertools import islice
 from typing import Any, Final
 
-from petmjx.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.basics.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.options.run_options import AUTO
 from petmjx.packing.finalists import Finalist, finalists, learned_finalists
 from petmjx.packing.judged import Judged, judge
 from petmjx.packing.options import PhysicalOptions
 from petmjx.packing.packed import PackedOrder
 from petmjx.plans.samples.orders import Order
 from petmjx.plans.samples.parallel import in_order
-from petmjx.run_options import AUTO
 
 AT_ONCE_CPU: Final = 16
 AT_ONCE_GPU: Final = 512

@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 from string import Template
 from typing import Any, Final
 
+from petmjx.basics.text import printable
 from petmjx.pages.modules import joined_modules, joined_styles, static_text
 from petmjx.results.plain import plain
-from petmjx.text import printable
 
 _BLOCK_NAME: Final = re.compile(r"[a-z][a-z0-9-]*")
 

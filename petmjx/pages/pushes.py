@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import FLOOR, Contacts
-from petmjx.units import FloatArray
 
 
 class Pushes(NamedTuple):

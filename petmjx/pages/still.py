@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.pages.page import escaped
 from petmjx.pages.palette import article_colours, hex_of, look, rgb_of
 from petmjx.pages.story_data import framed
 from petmjx.story.tell import Story
-from petmjx.units import FloatArray
 from petmjx.world.scene import IDENTITY_QUAT
 from petmjx.world.turned import corners, rotations
 

@@ -7,16 +7,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
+from petmjx.basics.text import printable
+from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.history import Contacts, History
 from petmjx.metrics import motion_np
+from petmjx.options.config import Thresholds
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.palette import article_colours, ramp
 from petmjx.pages.pushes import pushes
 from petmjx.story.tell import Story
 from petmjx.story.words import first_box_in_words, sinks_of, thresholds_of
-from petmjx.text import printable
-from petmjx.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8

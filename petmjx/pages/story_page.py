@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.basics.text import counted, shortened
 from petmjx.pages.page import escaped, filled, page
 from petmjx.pages.still import still_svg
 from petmjx.pages.story_data import story_blocks, story_info
 from petmjx.story.tell import Story
 from petmjx.story.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
-from petmjx.text import counted, shortened
 from petmjx.version import __version__
 
 

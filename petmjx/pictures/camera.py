@@ -9,10 +9,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.checked import hint
-from petmjx.errors import InputError
-from petmjx.text import shown
-from petmjx.units import FloatArray, deg_to_rad
+from petmjx.basics.checked import hint
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
+from petmjx.basics.units import FloatArray, deg_to_rad
 
 FIELD_OF_VIEW_DEG: Final = 24.0
 """Vertical angle that a picture spans, as of a lens of 56 mm on 24 × 36 mm film: upright edges look nearly parallel."""

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.text import counted
+from petmjx.basics.units import FloatArray
 from petmjx.pages.palette import RAMP_COLOURS, Rgb, article_colours, ramp, rgb_of
 from petmjx.pictures.options import Colour
 from petmjx.pictures.poses import Poses, shift_mm, tilts_deg
 from petmjx.story.tell import Story
 from petmjx.story.words import thresholds_of
-from petmjx.text import counted
-from petmjx.units import FloatArray
 
 FIRST: Final[Rgb] = (0.80, 0.0, 0.0)
 """The outline of the first box to fail."""

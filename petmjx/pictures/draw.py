@@ -9,7 +9,9 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
+from petmjx.basics.units import FloatArray
 from petmjx.history import Contacts
 from petmjx.pages.palette import Rgb
 from petmjx.pages.pushes import pushes
@@ -20,8 +22,6 @@ from petmjx.pictures.options import Colour
 from petmjx.pictures.poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
 from petmjx.story.tell import Story
 from petmjx.story.words import thresholds_of
-from petmjx.text import shown
-from petmjx.units import FloatArray
 from petmjx.world.scene import IDENTITY_QUAT
 from petmjx.world.turned import corners, rotations
 

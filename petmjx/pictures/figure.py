@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from petmjx.basics.text import counted, printable, shown
 from petmjx.figures.paper import paper_style, write
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
@@ -16,7 +17,6 @@ from petmjx.pictures.poses import Moment, poses_of_frame
 from petmjx.pictures.still import Look, draw_frames, frame_camera
 from petmjx.story.events import headline
 from petmjx.story.tell import Story
-from petmjx.text import counted, printable, shown
 
 PANEL_IN: Final = 2.25
 """Width of one picture, inches: three of them are as wide as a page's text."""

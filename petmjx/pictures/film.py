@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import one_line
 from petmjx.pictures.camera import framing
 from petmjx.pictures.draw import Painter, framed_points
 from petmjx.pictures.encoder import h264_encoder
@@ -18,7 +19,6 @@ from petmjx.pictures.overlay import Overlay
 from petmjx.pictures.poses import poses_at
 from petmjx.pictures.still import Look
 from petmjx.story.tell import Story
-from petmjx.text import one_line
 
 if TYPE_CHECKING:
     from PIL.Image import Image

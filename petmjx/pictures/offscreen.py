@@ -18,11 +18,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import one_line
+from petmjx.basics.units import FloatArray
 from petmjx.pages.palette import Rgb
 from petmjx.pictures.camera import Camera
-from petmjx.text import one_line
-from petmjx.units import FloatArray
 
 CONTEXTS: Final = ("egl", "osmesa", "glfw")
 """What ``MUJOCO_GL`` may name on Linux."""

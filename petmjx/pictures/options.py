@@ -10,10 +10,10 @@ from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field
 
-from petmjx.checked import Checked, CliFlag, got, hint, within
-from petmjx.errors import InputError
+from petmjx.basics.checked import Checked, CliFlag, got, hint, within
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
 from petmjx.pictures.camera import VIEWS, view_of
-from petmjx.text import shown
 
 START: Final = "start"
 BEFORE: Final = "before"

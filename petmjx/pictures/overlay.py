@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.hull import convex_hull
+from petmjx.basics.hull import convex_hull
+from petmjx.basics.text import counted, printable, three_digits
+from petmjx.basics.units import FloatArray
 from petmjx.pages.palette import Rgb
 from petmjx.pictures.camera import Camera, Margins
 from petmjx.pictures.colours import FIRST, Colouring, Scale, ramp_colours
@@ -17,8 +19,6 @@ from petmjx.pictures.draw import LEAST_LEVEL_G
 from petmjx.pictures.poses import Poses, shaking_g
 from petmjx.story.events import headline
 from petmjx.story.tell import Story
-from petmjx.text import counted, printable, three_digits
-from petmjx.units import FloatArray
 from petmjx.world.turned import corners, rotations
 
 if TYPE_CHECKING:

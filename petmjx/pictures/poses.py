@@ -8,13 +8,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.history import History
 from petmjx.metrics.motion_np import shift, tilt_deg
 from petmjx.pictures.options import BEFORE, END, FIRST_SIGN, START, moment_of
 from petmjx.story.tell import Story
-from petmjx.text import shown
-from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import FORCE
 
 LOST_M: Final = 1000.0

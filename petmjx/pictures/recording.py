@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from petmjx.basics.text import printable
 from petmjx.history import History
 from petmjx.pictures.colours import CARRIER, FIRST, Colouring
 from petmjx.pictures.draw import forces_of_pairs, newtons_per_m
 from petmjx.pictures.poses import Poses, poses_of_frame, shift_mm, tilts_deg
 from petmjx.story.events import box_name, events
 from petmjx.story.tell import Story
-from petmjx.text import printable
 
 TIMELINE: Final = "time"
 

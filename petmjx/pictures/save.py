@@ -9,15 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.arguments import path_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import path_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import one_line, printable
+from petmjx.basics.whole import check_writable, whole_file
 from petmjx.pictures.camera import view_of
 from petmjx.pictures.colours import colouring
 from petmjx.pictures.options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.pictures.poses import moments
 from petmjx.story.tell import Story
-from petmjx.text import one_line, printable
-from petmjx.whole import check_writable, whole_file
 
 Progress = Callable[[int, int], None]
 """Called with the frames of a film that are done, and all of them."""

@@ -11,12 +11,12 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import one_line
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.pictures.poses import Poses, poses_at
 from petmjx.story.tell import Story
-from petmjx.text import one_line
-from petmjx.units import FloatArray
 from petmjx.world.model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0

@@ -21,14 +21,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from petmjx.bounded import open_regular
-from petmjx.checked import read_toml, reason
-from petmjx.errors import InputError
+from petmjx.basics.bounded import open_regular
+from petmjx.basics.checked import read_toml, reason
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import number_in, printable, shown
 from petmjx.plans.fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, kind, listed
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
 from petmjx.plans.plan import Plan
 from petmjx.plans.unpack import read_text_bytes
-from petmjx.text import number_in, printable, shown
 
 MCKEE: Final = 5.87
 """Of McKee's formula in its simple form; it has no unit."""
@@ -86,7 +86,7 @@ class Article:
 
     Attributes:
         strength: what boxes bear; None: not given.
-        material: what they are made of, for friction (petmjx.materials); None: not given.
+        material: what they are made of, for friction (petmjx.options.materials); None: not given.
         com_mm: centre of mass, seen from the box's middle along its length, width and height, mm; None: not given.
         stiffness_n_mm: as in ``Plan``; None: not given.
     """

@@ -8,14 +8,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.arguments import list_of, text_of
-from petmjx.checked import got
-from petmjx.errors import InputError
+from petmjx.basics.arguments import list_of, text_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
 from petmjx.plans.columns import as_column
 from petmjx.plans.fields import plan_id_fault
 from petmjx.plans.given import Given
 from petmjx.plans.table import PlanFields, Refused, Table, sorted_columns, table_plans
-from petmjx.text import shown
 
 SOURCE: Final = "python"
 

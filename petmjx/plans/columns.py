@@ -16,9 +16,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from petmjx.basics.text import is_text, number_in
+from petmjx.basics.units import FloatArray
 from petmjx.plans.fields import LONGEST_NAME
-from petmjx.text import is_text, number_in
-from petmjx.units import FloatArray
 
 _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"

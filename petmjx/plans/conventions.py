@@ -16,13 +16,13 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.errors import PlanWarning
+from petmjx.basics.errors import PlanWarning
+from petmjx.basics.text import counted, shown, three_digits
+from petmjx.basics.units import LENGTHS_MM, MASSES_KG, FloatArray
 from petmjx.plans.given import ANCHORS
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, PlanWarnings, check_layout, gaps_mm
-from petmjx.text import counted, shown, three_digits
-from petmjx.units import LENGTHS_MM, MASSES_KG, FloatArray
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50

@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.text import counted, is_text, shortened, shown
-from petmjx.units import FloatArray
+from petmjx.basics.text import counted, is_text, shortened, shown
+from petmjx.basics.units import FloatArray
 
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0

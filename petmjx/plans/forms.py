@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
-from petmjx.bounded import open_regular
+from petmjx.basics.bounded import open_regular
 
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIX: Final = ".parquet"

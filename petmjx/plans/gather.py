@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from petmjx.arguments import list_of, path_of
-from petmjx.carrier import extent_m
-from petmjx.checked import similar
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.arguments import list_of, path_of
+from petmjx.basics.checked import similar
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, first_names, printable, shown
+from petmjx.basics.units import MM_PER_M
+from petmjx.options.carrier import extent_m
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.forms import SupportsArrow
 from petmjx.plans.given import USUAL, Given
@@ -24,9 +27,6 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.read import read_plans
 from petmjx.plans.samples import bundled_path
-from petmjx.run_options import RunOptions
-from petmjx.text import counted, first_names, printable, shown
-from petmjx.units import MM_PER_M
 
 if TYPE_CHECKING:
     from petmjx.plans.articles import Articles

@@ -8,12 +8,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from petmjx.arguments import text_of
-from petmjx.checked import got
-from petmjx.errors import InputError
+from petmjx.basics.arguments import text_of
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import LENGTHS_MM, MASSES_KG, PLAN_UNITS, FloatArray, plan_units
+from petmjx.options.run_options import Anchor
 from petmjx.plans.fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
-from petmjx.run_options import Anchor
-from petmjx.units import LENGTHS_MM, MASSES_KG, PLAN_UNITS, FloatArray, plan_units
 
 ANCHORS: Final[Mapping[Anchor, tuple[float, float, float]]] = {
     "corner": (0.0, 0.0, 0.0),

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shown
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples.order_files import read_orders
-from petmjx.text import counted, printable, shown
 
 MOST_LISTED: Final = 10_000
 """Plans, orders or errors that are named one by one; all are counted."""

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.arguments import array_of, list_of, text_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import array_of, list_of, text_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shown
+from petmjx.basics.units import PLAN_UNITS
+from petmjx.options.run_options import Anchor
 from petmjx.plans.fields import KINDS, SHEET, SPARSE
 from petmjx.plans.given import Given
-from petmjx.run_options import Anchor
-from petmjx.text import counted, shown
-from petmjx.units import PLAN_UNITS
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -33,10 +33,11 @@ class Plan:
         orientation: (n,) 0 or 1: whether the item's own length lies along x or along y; None: not given, and the
             extents are taken as the item's own sizes.
         product_groups: n names, "" where an item has none; empty: no item has one.
-        materials: n names, by which friction is known (petmjx.materials), "" where not given; empty: given for no box.
+        materials: n names, by which friction is known (petmjx.options.materials), "" where not given; empty: given for
+            no box.
         mass_center_mm: (n, 3) centres of mass, seen from the boxes' middles along x, y and z; None: in the middles.
         approach_deg: (n,) level direction in which each box goes to its place, from +x to +y; NaN where not given;
-            None: given for no box. Used where boxes are carried (``petmjx.placing``).
+            None: given for no box. Used where boxes are carried (``petmjx.options.placing``).
         stiffness_n_mm: (n,) force on each box's top per compression, as in a press; NaN: it is rigid; None: all are.
         strength_n: (n,) what each box bears on its top, N; NaN where not given; None: given for no box.
         kinds: n times "box" or "sheet", an interlayer sheet; empty: all are boxes.

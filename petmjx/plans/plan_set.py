@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from petmjx.arguments import instance_of, list_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import instance_of, list_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shown
 from petmjx.plans.plan import Plan
 from petmjx.plans.warnings import PlanWarnings
-from petmjx.text import counted, shown
 
 if TYPE_CHECKING:
     import pandas as pd

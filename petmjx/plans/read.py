@@ -12,9 +12,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from petmjx.arguments import flag_of, list_of, number_of, path_of, whole_of
-from petmjx.checked import got, reason
-from petmjx.errors import InputError
+from petmjx.basics.arguments import flag_of, list_of, number_of, path_of, whole_of
+from petmjx.basics.checked import got, reason
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shown
+from petmjx.basics.units import PLAN_UNITS
+from petmjx.options.run_options import Anchor
 from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.fields import LONGEST_NAME, Unread
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
@@ -24,9 +27,6 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.scan import NotPlans, scan_plans
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.plans.validate import PlanError, parse_plan
-from petmjx.run_options import Anchor
-from petmjx.text import counted, printable, shown
-from petmjx.units import PLAN_UNITS
 
 if TYPE_CHECKING:
     from petmjx.plans.table import Table

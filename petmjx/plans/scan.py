@@ -11,9 +11,9 @@ import re
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
-from petmjx.bounded import size
-from petmjx.errors import InputError
-from petmjx.text import shown
+from petmjx.basics.bounded import size
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
 
 # JSON's white space is less than \s. Possessive quantifiers keep every match linear, also in malicious text.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")

@@ -15,7 +15,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, first_names, shown
+from petmjx.basics.units import FloatArray
 from petmjx.plans.columns import InputColumn
 from petmjx.plans.fields import (
     COM_FIELDS,
@@ -35,8 +37,6 @@ from petmjx.plans.fields import (
     whole_fault,
 )
 from petmjx.plans.given import USUAL, Given, Limits
-from petmjx.text import counted, first_names, shown
-from petmjx.units import FloatArray
 
 _SIZE: Final = ("length_mm", "width_mm", "height_mm")
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")

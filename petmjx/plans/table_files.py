@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from petmjx.bounded import open_regular, size
-from petmjx.checked import reason
+from petmjx.basics.bounded import open_regular, size
+from petmjx.basics.checked import reason
+from petmjx.basics.text import counted
 from petmjx.plans.columns import as_column
 from petmjx.plans.table import LostRow, Table, TableError, sorted_columns
 from petmjx.plans.unpack import MOST_BYTES
-from petmjx.text import counted
 
 _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
 _LINE_ENDS: Final = (b"\n", b"\r")

@@ -6,7 +6,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from petmjx.bounded import read_regular, size
+from petmjx.basics.bounded import read_regular, size
 
 MOST_BYTES: Final = 4 << 30
 """Largest file, packed or plain: 100 times BED-BPP's 10,003 plans, which take some 40 MB."""

@@ -7,7 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import is_text, shown
 from petmjx.plans.fields import (
     COM_FIELDS_JSON,
     FARTHEST_MM,
@@ -36,7 +37,6 @@ from petmjx.plans.fields import (
 from petmjx.plans.given import USUAL, Given
 from petmjx.plans.plan import Plan
 from petmjx.plans.scan import Repeating
-from petmjx.text import is_text, shown
 
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _NUMBERS_OF_ITEM: Final = (*_SIZES, "weight/kg")

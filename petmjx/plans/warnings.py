@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.text import counted, shown, three_digits
+from petmjx.basics.units import FloatArray
 from petmjx.plans.overlap import shared
-from petmjx.text import counted, shown, three_digits
-from petmjx.units import FloatArray
 
 DEFAULT_TOLERANCE_MM: Final = 0.5
 """Gaps and overlaps up to this count as touching. Plans are written in whole millimetres, in which neighbours touch:

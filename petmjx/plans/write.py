@@ -14,14 +14,14 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from petmjx.arguments import list_of, path_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import list_of, path_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable, shown
+from petmjx.basics.units import FloatArray
+from petmjx.basics.whole import gzipped, whole_file
 from petmjx.plans.fields import COM_FIELDS, COM_FIELDS_JSON, SPARSE
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
-from petmjx.text import printable, shown
-from petmjx.units import FloatArray
-from petmjx.whole import gzipped, whole_file
 
 _PLANS_AT_A_TIME: Final = 1_000
 """Plans whose rows are in memory at a time: about 43,000 rows."""

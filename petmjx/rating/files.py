@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.whole import writing
 from petmjx.rating.columns import COLUMNS, MEANS
 from petmjx.rating.kpis import Kpis
 from petmjx.results.files import csv, parquet, text, write_together
-from petmjx.text import printable
-from petmjx.whole import writing
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
 _SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdict", "rating_if_all_stood")

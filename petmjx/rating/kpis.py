@@ -15,9 +15,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.arguments import flag_of, path_of
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.arguments import flag_of, path_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, first_names
+from petmjx.basics.units import MM_PER_M
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
@@ -26,9 +29,6 @@ from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
 from petmjx.rating.columns import COLUMNS, MEANS
 from petmjx.rating.stability import Stability, read_stability
 from petmjx.rating.support import direct_support
-from petmjx.run_options import RunOptions
-from petmjx.text import counted, first_names
-from petmjx.units import MM_PER_M
 
 SCORED_HEIGHT_MM: Final = 2_000.0
 """Boxes that begin above this height do not count for the leaderboard."""

@@ -11,14 +11,14 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from petmjx.config import Check
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
+from petmjx.options.config import Check
 from petmjx.plans.articles import read_articles, with_articles
 from petmjx.plans.plan import Plan
 from petmjx.results.manifest import plan_digest
 from petmjx.results.plans_again import how_read
 from petmjx.results.reader import RunResults, load_run
-from petmjx.text import shown
 from petmjx.verdict import Verdict
 
 MOST_SHIFT_Z_M: Final = 0.01

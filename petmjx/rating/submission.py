@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shown
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.write import as_placements
-from petmjx.text import counted, printable, shown
 
 _PART: Final = re.compile(r"[^\W_][^\W_.+-]*(?:[.+-][^\W_.+-]+)*")
 _TASK: Final = re.compile(r"offline-?3dbp|o3dbp(?:-(\d{1,4})-(\d{1,4}))?", re.IGNORECASE)

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 HEIGHT_TOLERANCE_MM: Final = 5.0
 """Tops that are lower by up to this still support."""

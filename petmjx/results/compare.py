@@ -15,13 +15,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
 from petmjx.metrics.spec import DIMENSIONLESS, Column, box_columns, box_metrics, world_columns
+from petmjx.options.config import Thresholds
 from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults, load_run
-from petmjx.text import counted
 from petmjx.verdict import Verdict
 
 FORCE_FLOOR_N: Final = 10.0

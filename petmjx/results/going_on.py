@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.results.listed import Parts
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import read_info, told_apart

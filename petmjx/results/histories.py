@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
+from petmjx.basics.units import FloatArray
 from petmjx.history import Contacts, History
 from petmjx.results.reader import RunResults
 from petmjx.results.worlds import rows_of
-from petmjx.text import shown
-from petmjx.units import FloatArray
 from petmjx.world.job import ACCELERATION, FORCE
 
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))

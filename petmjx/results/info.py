@@ -14,7 +14,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from petmjx.errors import PetmjxError
+from petmjx.basics.errors import PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.counts import WorldCounts

@@ -11,8 +11,8 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from petmjx.bounded import open_regular
-from petmjx.errors import InputError
+from petmjx.basics.bounded import open_regular
+from petmjx.basics.errors import InputError
 from petmjx.results.files import OF_WORLDS, digest_of, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
 

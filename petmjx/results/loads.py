@@ -11,8 +11,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.arguments import path_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import path_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, first_names, printable, shown
+from petmjx.basics.whole import writing
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
@@ -20,8 +22,6 @@ from petmjx.results.described import write_described
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
-from petmjx.text import counted, first_names, printable, shown
-from petmjx.whole import writing
 
 _MOST_NAMED: Final = 8
 """Articles that a note names."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 
 LOCK_FILE: Final = ".lock"
 """In the run's folder while a run is on. The file of a killed run is no longer locked, and is taken over."""

@@ -9,7 +9,10 @@ from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shortened, shown
+from petmjx.basics.units import mm_to_m
+from petmjx.options.run_options import ALL
 from petmjx.plans.fields import SPARSE
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
@@ -18,9 +21,6 @@ from petmjx.results.listed import Parts
 from petmjx.results.plain import plain
 from petmjx.results.run_file import check_whole
 from petmjx.results.schema import plans_schema
-from petmjx.run_options import ALL
-from petmjx.text import counted, printable, shortened, shown
-from petmjx.units import mm_to_m
 
 DIGEST_BYTES: Final = 8
 """Of one plan's digest; 2^64 values make two of a million plans equal by chance once in 30 million such runs."""

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.text import counted
-from petmjx.units import MM_PER_M
+from petmjx.basics.text import counted
+from petmjx.basics.units import MM_PER_M
 
 MOST_ROWS: Final = 20
 """A table shows so many rows at most."""

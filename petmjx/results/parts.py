@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.metrics.spec import FORCE_INTERVAL, Column, box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.plans.plan import Plan
 from petmjx.results import histories
 from petmjx.results.counts import COUNTED, WorldCounts
-from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
 
 _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")

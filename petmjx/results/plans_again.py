@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from petmjx.config import Simulation
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import bundled_path
 from petmjx.results.manifest import PlanRecord, plan_digest
-from petmjx.run_options import RunOptions
 
 
 @dataclass(frozen=True, eq=False)

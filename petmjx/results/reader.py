@@ -14,11 +14,13 @@ from typing import Any, Final
 import pandas as pd
 import pyarrow as pa
 
-from petmjx.arguments import path_of
-from petmjx.bounded import read_regular
-from petmjx.carrier import Carrier, OwnCarrier
-from petmjx.config import Simulation
-from petmjx.errors import InputError, PetmjxError
+from petmjx.basics.arguments import path_of
+from petmjx.basics.bounded import read_regular
+from petmjx.basics.errors import InputError, PetmjxError
+from petmjx.basics.text import counted, one_line
+from petmjx.options.carrier import Carrier, OwnCarrier
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import WORLDS
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
@@ -28,8 +30,6 @@ from petmjx.results.memory import MemoryParts
 from petmjx.results.notebook import worlds_as_html
 from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.schema import check_version, plans_schema, schemas
-from petmjx.run_options import WORLDS
-from petmjx.text import counted, one_line
 from petmjx.verdict import Verdict
 
 MOST_RUN_FILE_BYTES: Final = 1 << 30

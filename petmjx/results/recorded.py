@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.listed import Parts
 

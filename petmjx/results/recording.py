@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, first_names
 from petmjx.history import Record
+from petmjx.options.run_options import ALL, FAILED, RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.results.listed import Parts
-from petmjx.run_options import ALL, FAILED, RunOptions
-from petmjx.text import counted, first_names
 from petmjx.verdict import Outcome, Verdict
 
 _KEY = ("plan_id", "variant")

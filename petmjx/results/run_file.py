@@ -10,8 +10,8 @@ from typing import Annotated, Any, Final, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from petmjx.checked import describe
-from petmjx.errors import InputError
+from petmjx.basics.checked import describe
+from petmjx.basics.errors import InputError
 from petmjx.plans.ordered import OrderCounts
 from petmjx.results.files import DIGEST_BYTES, RUN_FILE, TABLES, write_text
 from petmjx.results.plain import plain

@@ -20,10 +20,10 @@ from typing import Any, Final
 import pandas as pd
 import pyarrow as pa
 
-from petmjx.config import Schedule
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.metrics import spec
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
+from petmjx.options.config import Schedule
 from petmjx.verdict import Flag, Verdict
 
 SCHEMA_VERSION: Final = 2

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 from petmjx.verdict import Verdict
 
 DEFAULT_CONFIDENCE = 0.95

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.results.files import OF_WORLDS, appear, copy_file, drop_parts, part_name, part_number, write_table
 from petmjx.results.listed import Parts
 from petmjx.results.sorting import SORTED, Sorted

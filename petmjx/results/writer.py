@@ -12,7 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from petmjx.errors import InputError, PetmjxError
+from petmjx.basics.errors import InputError, PetmjxError
+from petmjx.basics.text import one_line
+from petmjx.basics.units import FloatArray
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.by_place import ByPlace, Places
@@ -34,8 +36,6 @@ from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
 from petmjx.results.tables import Tables
-from petmjx.text import one_line
-from petmjx.units import FloatArray
 from petmjx.verdict import Attempt, Outcome
 
 WORLDS_PER_PART: Final = 1_000

@@ -9,9 +9,9 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
+from petmjx.basics.text import counted, three_digits
 from petmjx.results.compare import BOX_KEY, FORCE_FLOOR_N, Comparison
 from petmjx.show.layout import FittedTable, TableColumn, line, number
-from petmjx.text import counted, three_digits
 from petmjx.verdict import Verdict
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
+from petmjx.basics.text import counted, shown, three_digits
 from petmjx.metrics.spec import DIMENSIONLESS
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.statics.record import CriteriaResults
-from petmjx.text import counted, shown, three_digits
 
 SHOWN_SKIPPED = 10
 """Most skipped plans that are shown; ``criteria.json`` has all of them."""

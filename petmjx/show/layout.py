@@ -13,7 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.text import printable, three_digits
+from petmjx.basics.text import printable, three_digits
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
+from petmjx.basics.text import counted
 from petmjx.results.loads import Loads
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS
-from petmjx.text import counted
 
 
 def load_tables(found: Loads, out: str | None = None) -> Iterator[RenderableType]:

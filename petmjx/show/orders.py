@@ -7,8 +7,8 @@ from typing import Any
 
 from rich.text import Text
 
+from petmjx.basics.text import counted
 from petmjx.show.layout import line
-from petmjx.text import counted
 
 
 def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:

@@ -9,12 +9,12 @@ import pandas as pd
 from rich.console import RenderableType
 from rich.padding import Padding
 
+from petmjx.basics.text import counted, shown
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
 from petmjx.packers.kpis import KPIS
 from petmjx.packers.load import MISSING
 from petmjx.packers.words import LEAST_P
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
-from petmjx.text import counted, shown
 
 
 def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:

@@ -16,9 +16,9 @@ from rich.progress import BarColumn, ProgressColumn, Task, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
+from petmjx.basics.text import counted, printable, three_digits, time_left
 from petmjx.simulate import RunStart
 from petmjx.study import FinishedWorld
-from petmjx.text import counted, printable, three_digits, time_left
 
 REFRESH_S: Final = 0.5
 """Time after which the bar is drawn again while no world finishes, s: its message may have changed."""

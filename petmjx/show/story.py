@@ -10,11 +10,11 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from petmjx.basics.text import counted
 from petmjx.show.layout import FittedTable, TableColumn, line, number
 from petmjx.story.events import events
 from petmjx.story.tell import Story
 from petmjx.story.words import how_it_was_simulated, notes_in_words, reason_in_words
-from petmjx.text import counted
 from petmjx.verdict import Verdict
 
 MOST_PRESSED: Final = 5

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from petmjx.basics.units import FloatArray
 from petmjx.results.shares import ALL_PLANS
 from petmjx.show.layout import FittedTable, TableColumn, number, percent
-from petmjx.units import FloatArray
 
 FEW_ROWS: Final = 40
 """Most worlds or searches for which a table with one row each is shown."""

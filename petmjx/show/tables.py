@@ -10,13 +10,13 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from petmjx.basics.text import counted, shown, three_digits
 from petmjx.results.reader import RunResults, told_apart
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.orders import order_lines
 from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.sweeps.confidence import contradicted
 from petmjx.sweeps.search import MODES
-from petmjx.text import counted, shown, three_digits
 from petmjx.verdict import Verdict
 
 SHOWN_PLANS: Final = 10

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.plans.plan import Plan
 from petmjx.statics.asked import Asked
 from petmjx.statics.balance import NO_SLACK
@@ -16,7 +17,6 @@ from petmjx.statics.contacts import IntArray, find_contacts
 from petmjx.statics.friction import Friction
 from petmjx.statics.hulls import ON_EDGE_MM
 from petmjx.statics.named import LEANING, Criterion
-from petmjx.units import FloatArray
 
 YES: Final = 1
 NO: Final = 0

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+from petmjx.basics.units import FloatArray
 from petmjx.statics.balance import balance_slack
 from petmjx.statics.base import corners_supported, support_share
 from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.statics.friction import Friction
 from petmjx.statics.hulls import Hulls, contact_hulls
-from petmjx.units import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

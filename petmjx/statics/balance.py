@@ -33,12 +33,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import IntArray, PlanContacts, Sides, find_sides
 from petmjx.statics.friction import Friction, friction_slack
 from petmjx.statics.hulls import Hulls
 from petmjx.statics.largest import Entries, even_share, largest_slack
-from petmjx.units import MM_PER_M, FloatArray
 
 NO_SLACK: Final = -1e-6
 """Slacks from here on are balanced: the solver's own tolerance is 1e-7 of the mean weight."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.statics.contacts import N_CORNERS, IntArray, PlanContacts
-from petmjx.units import FloatArray
 
 
 def support_share(contacts: PlanContacts) -> FloatArray:

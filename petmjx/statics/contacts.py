@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
 from petmjx.plans.overlap import meets, shared
 from petmjx.plans.plan import Plan
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
-from petmjx.units import FloatArray
 
 IntArray = NDArray[np.int64]
 

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import IntArray, PlanContacts, Sides
 from petmjx.statics.largest import Entries, even_share, largest_slack
 from petmjx.statics.wrenches import WRENCH, wrenches
-from petmjx.units import MM_PER_M, FloatArray
 
 _DIRECTIONS = 5
 """Forces at a point: pressure, and friction both ways along the two other axes."""

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.statics.contacts import IntArray, PlanContacts
-from petmjx.units import FloatArray
 
 ON_EDGE_MM: Final = 1e-6
 """A point this far outside lies on the edge: rounding errors of float64 sums of millimetres."""

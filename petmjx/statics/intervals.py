@@ -15,15 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.errors import InputError, PetmjxError
+from petmjx.basics.errors import InputError, PetmjxError
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
 from petmjx.metrics.spec import BoxMetrics
-from petmjx.physics import Physics
+from petmjx.options.physics import Physics
 from petmjx.statics.contacts import IntArray
 from petmjx.statics.largest import least_and_most
 from petmjx.statics.touching import Touching, find_touching
 from petmjx.statics.wrenches import WRENCH, wrenches
-from petmjx.units import FloatArray
 from petmjx.world.scene import Scene
 
 _EDGES: Final = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])

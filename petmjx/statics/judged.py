@@ -16,9 +16,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.results.shares import DEFAULT_CONFIDENCE
 from petmjx.statics.named import Criterion
-from petmjx.units import FloatArray
 from petmjx.verdict import Verdict
 
 N_BOOTSTRAP: Final = 4000

@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.errors import PetmjxError
+from petmjx.basics.errors import PetmjxError
+from petmjx.basics.units import FloatArray
 from petmjx.statics.contacts import IntArray, PlanContacts
-from petmjx.units import FloatArray
 
 _INFEASIBLE: Final = 2
 """SciPy's status of a programme without a solution."""

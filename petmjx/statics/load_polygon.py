@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.statics.hulls import hulls_of
-from petmjx.units import FloatArray
 
 
 def load_polygon_slack(contacts: PlanContacts) -> FloatArray:

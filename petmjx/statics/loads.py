@@ -23,10 +23,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.statics.hulls import Hulls
-from petmjx.units import STANDARD_GRAVITY, FloatArray
 
 Sharing = Callable[[PlanContacts], FloatArray]
 """From contacts to (c, 3, 3) matrices: load of the upper box (mass, mass × x, mass × y) → that on the lower body, kg

@@ -11,15 +11,15 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.checked import hint
-from petmjx.errors import InputError
+from petmjx.basics.checked import hint
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
+from petmjx.basics.units import FloatArray
 from petmjx.metrics.spec import DIMENSIONLESS
 from petmjx.statics.asked import Asked
 from petmjx.statics.base import corner_and_area_slack
 from petmjx.statics.load_polygon import load_polygon_slack
 from petmjx.statics.loads import even_bedding, lever_rule, load_slack, strength_slack
-from petmjx.text import shown
-from petmjx.units import FloatArray
 
 SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
 """Shares of the base that are asked for: full support, and those of Bortfeldt & Wäscher's survey and the ADAMS

@@ -6,9 +6,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from petmjx.carrier import AnyCarrier, Carrier
-from petmjx.checked import Checked, CliFlag, within
-from petmjx.physics import PHYSICS
+from petmjx.basics.checked import Checked, CliFlag, within
+from petmjx.options.carrier import AnyCarrier, Carrier
+from petmjx.options.physics import PHYSICS
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.statics.named import Criterion, chosen_criteria
 

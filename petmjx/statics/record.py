@@ -10,7 +10,9 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted
+from petmjx.basics.whole import writing
 from petmjx.results.described import Described, write_described
 from petmjx.results.files import text
 from petmjx.results.plain import plain
@@ -21,8 +23,6 @@ from petmjx.statics.tables import (
     described_plans,
     described_thresholds,
 )
-from petmjx.text import counted
-from petmjx.whole import writing
 
 INFO_FILE: Final = "criteria.json"
 

@@ -10,24 +10,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.arguments import flag_of, path_of
-from petmjx.carrier import Carrier, OwnCarrier
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.arguments import flag_of, path_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shown
+from petmjx.basics.units import PLAN_UNITS
+from petmjx.options.carrier import Carrier, OwnCarrier
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.plans_again import how_read
 from petmjx.results.reader import RunResults, load_run
-from petmjx.run_options import Anchor, RunOptions
 from petmjx.statics.answers import Answers, answer
 from petmjx.statics.friction import Friction
 from petmjx.statics.judged import best_thresholds, judge
 from petmjx.statics.options import CriteriaOptions
 from petmjx.statics.record import CriteriaResults, check_folder_free
 from petmjx.statics.tables import boxes_frame, plans_frame
-from petmjx.text import counted, shown
-from petmjx.units import PLAN_UNITS
 from petmjx.world.carriers import pallet
 
 CHUNK: Final = 16

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
-from petmjx.physics import Physics
+from petmjx.options.physics import Physics
 from petmjx.statics.contacts import IntArray
-from petmjx.units import FloatArray
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.scene import Scene
 

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.statics.contacts import IntArray
 from petmjx.statics.largest import Entries
-from petmjx.units import FloatArray
 
 WRENCH: Final = 6
 """Rows of a body: its force and its moment about its centre."""

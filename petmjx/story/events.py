@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from petmjx.basics.text import counted, shown
+from petmjx.basics.units import MM_PER_M
 from petmjx.story.tell import Story
 from petmjx.story.words import first_box_in_words
-from petmjx.text import counted, shown
-from petmjx.units import MM_PER_M
 from petmjx.verdict import Flag, Verdict
 from petmjx.world.job import FORCE
 

@@ -8,13 +8,15 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar
 
-from petmjx.arguments import flag_of, number_of, text_of, whole_of
-from petmjx.config import Simulation
+from petmjx.basics.arguments import flag_of, number_of, text_of, whole_of
+from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.basics.text import shown
 from petmjx.engines.base import Engine
 from petmjx.engines.choose import ENGINES, has_option, make_engine
 from petmjx.engines.resolve import engine_for
-from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.history import History, Record
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
 from petmjx.plans.gather import PlanSource, find_plan, usable_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
@@ -22,13 +24,11 @@ from petmjx.results.histories import read_history
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.recording import Recording
 from petmjx.results.worlds import read_outcome, world_row
-from petmjx.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
 from petmjx.sweeps.again import worlds_of_run
 from petmjx.sweeps.file import nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.run import SweepRun
 from petmjx.sweeps.summary import SweepColumns
-from petmjx.text import shown
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive
 from petmjx.world.scene import Scene

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.config import Check, Thresholds
+from petmjx.basics.text import shown
+from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.metrics import motion_np
+from petmjx.options.config import Check, Thresholds
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.story.tell import Story
-from petmjx.text import shown
-from petmjx.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.verdict import Flag, Reason, Verdict
 from petmjx.world.give import sinks_m
 

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from petmjx.checked import similar
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.checked import similar
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shown
+from petmjx.options.config import Simulation
 from petmjx.plans.gather import PlanSource, find_plan, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
@@ -20,7 +21,6 @@ from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
 from petmjx.sweeps.ready import find_sweep
-from petmjx.text import counted, printable, shown
 
 
 def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) -> Plan:

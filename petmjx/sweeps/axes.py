@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from petmjx.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, got, shape, within
+from petmjx.basics.checked import LIST, TABLE, VALUE, Checked, by_entry, complaint, got, shape, within
 from petmjx.world.random import WorldKey
 from petmjx.world.variants import Distribution, DistributionShape
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import pandas as pd
 import pyarrow as pa
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.metrics.spec import DIMENSIONLESS
 from petmjx.results.listed import Parts
 from petmjx.results.schema import summary_table

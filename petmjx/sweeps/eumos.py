@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT, BoxMetrics
 from petmjx.results.schema import Param
-from petmjx.units import FloatArray
 
 EUMOS_PROFILE = "eumos-40509"
 """Worlds with this profile are also compared with the limits of the standard."""

@@ -23,12 +23,12 @@ from pydantic import (
     model_validator,
 )
 
-from petmjx.checked import LIST, VALUE, Checked, complaint, read_toml, shape
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.checked import LIST, VALUE, Checked, complaint, read_toml, shape
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.sweeps.axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
-from petmjx.text import printable
-from petmjx.units import FloatArray
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.profiles.registry import resolve
 from petmjx.world.profiles.tables import MAX_NAME, FileName, define_profiles

@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from petmjx.config import Check, Schedule
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shown
+from petmjx.basics.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.engines.cost import Work
-from petmjx.errors import InputError
+from petmjx.options.config import Check, Schedule
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.study import MAX_WORLDS
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
-from petmjx.text import counted, shown
-from petmjx.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.world.apply import apply_all
 from petmjx.world.job import Drive
 from petmjx.world.profiles.base import Profile, Strength

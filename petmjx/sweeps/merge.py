@@ -10,8 +10,9 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from petmjx.arguments import list_of, path_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import list_of, path_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, first_names, shown
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.manifest import Manifest
@@ -21,7 +22,6 @@ from petmjx.results.schema import Param, summary_table
 from petmjx.results.writer import RunWriter
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.summary import ShareColumns, summarise_shares
-from petmjx.text import counted, first_names, shown
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
 """What makes a row of a search's summary unique, and sorts it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from petmjx.config import Simulation
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import DEFAULT_CHUNK_WORLDS, AnyWorld, World, WorldResult, score_worlds
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.results.recorded import Recorded
 from petmjx.results.recording import NO_RECORDING, Recording

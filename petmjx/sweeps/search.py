@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from petmjx.config import Thresholds
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Thresholds
 from petmjx.verdict import Outcome, Reason, Verdict
 
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)

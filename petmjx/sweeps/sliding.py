@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
+from petmjx.options.config import Simulation
 from petmjx.sweeps.file import Sweep
-from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.apply import MIN_FRICTION_FRACTION
 from petmjx.world.carriers import carrier_friction
 from petmjx.world.job import ACCELERATION

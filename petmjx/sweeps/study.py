@@ -7,12 +7,12 @@ from dataclasses import asdict
 from typing import Any
 
 from petmjx.engines.base import Engine, Progress
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.results.recorded import Recorded
 from petmjx.results.recording import Recording
 from petmjx.results.schema import summary_table
 from petmjx.results.writer import RunWriter
-from petmjx.run_options import RunOptions
 from petmjx.study import FinishedWorld, Study
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep

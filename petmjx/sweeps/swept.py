@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from petmjx.config import Thresholds
+from petmjx.options.config import Thresholds
 from petmjx.study import FinishedWorld
 from petmjx.sweeps.design import SearchItem
 from petmjx.sweeps.grid import PlacementGroup

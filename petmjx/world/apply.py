@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.units import FloatArray, mm_to_m
+from petmjx.basics.units import FloatArray, mm_to_m
 from petmjx.world.pairs import scaled_pairs
 from petmjx.world.random import WorldKey, rngs
 from petmjx.world.scene import Scene

@@ -16,10 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.history import CARRIER
 from petmjx.plans.overlap import meets
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
-from petmjx.units import MM_PER_M, FloatArray
 from petmjx.world.alike import groups, stacked
 from petmjx.world.body import Body
 from petmjx.world.hull import Edge, hull_edges

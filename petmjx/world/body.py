@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.physics import Triple
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.physics import Triple
 from petmjx.world.turned import rotations
 
 

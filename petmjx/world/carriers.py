@@ -13,12 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.carrier import TOUCH_MM, Carrier, OwnCarrier
-from petmjx.config import Simulation
-from petmjx.materials import STEEL
-from petmjx.physics import Physics, Triple
-from petmjx.text import shown
-from petmjx.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.basics.text import shown
+from petmjx.basics.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.options.carrier import TOUCH_MM, Carrier, OwnCarrier
+from petmjx.options.config import Simulation
+from petmjx.options.materials import STEEL
+from petmjx.options.physics import Physics, Triple
 from petmjx.world.body import Body
 
 Board = tuple[Triple, Triple]

@@ -16,8 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from petmjx.physics import Cone, Physics, Triple
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.physics import Cone, Physics, Triple
 
 CONTACTS_PER_FACE = 4
 """Contacts that MuJoCo makes between two faces: the corners of their common rectangle."""

@@ -19,9 +19,9 @@ from typing import Final
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
-from petmjx.physics import Physics, Triple
-from petmjx.units import FloatArray
+from petmjx.options.physics import Physics, Triple
 from petmjx.world.bearing import TOUCH_M, bearing_of
 from petmjx.world.contact import CONTACTS_PER_FACE
 from petmjx.world.scene import Scene

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 from petmjx.world.next_boxes import Blank, NextBoxes, Stacks
 from petmjx.world.scene import Scene
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
-from petmjx.hull import convex_hull
+from petmjx.basics.hull import convex_hull
 
 Edge = tuple[float, float, float]
 """A hull's edge: its normal along x and y, which points inwards, and the normal's product with points of the edge."""

@@ -7,18 +7,18 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.config import Attempts, Simulation
-from petmjx.errors import InputError
-from petmjx.placing import Placing, Way
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shown
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Attempts, Simulation
+from petmjx.options.placing import Placing, Way
+from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
-from petmjx.text import counted, shown
-from petmjx.units import FloatArray
 from petmjx.world.bearing import bearing_of
 from petmjx.world.carriers import carrier_notes, pallet
 from petmjx.world.scene import build_scene
 from petmjx.world.surfaces import check_surfaces
-from petmjx.wrap import Wrap
 
 _USES: Final = {
     Way.EXACT: (),

@@ -7,8 +7,8 @@ from typing import Final, Protocol, SupportsInt
 
 import numpy as np
 
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.history import Record
-from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.scene import Scene
 
 FORCE: Final = "force"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from petmjx.physics import Physics
+from petmjx.options.physics import Physics
 from petmjx.world.model import BOX_COLOURS, HeldCarrier, add_boxes, build_spec
 from petmjx.world.scene import Scene
 from petmjx.world.soft import add_soft_box, check_soft, set_for_soft, soft_friction

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER, FLOOR
-from petmjx.physics import Cone, Physics, Triple
-from petmjx.units import FloatArray
+from petmjx.options.physics import Cone, Physics, Triple
 from petmjx.world.give import Face, gives, law_between
 from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import IDENTITY_QUAT, Scene

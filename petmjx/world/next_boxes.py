@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.units import FloatArray
 from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
 
 _ONE_MM: Final = np.full((1, 3), 100.0)

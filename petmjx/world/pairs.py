@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 MOST_SURFACES: Final = 16
 """Rows of a world's table on devices, surface 0 included."""

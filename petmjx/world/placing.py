@@ -13,9 +13,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Check, Simulation
-from petmjx.placing import Placing, Way
-from petmjx.units import MM_PER_M, FloatArray
+from petmjx.basics.units import MM_PER_M, FloatArray
+from petmjx.options.config import Check, Simulation
+from petmjx.options.placing import Placing, Way
 from petmjx.world.alike import stacked
 from petmjx.world.scene import Scene
 from petmjx.world.turned import rotations

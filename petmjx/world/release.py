@@ -14,10 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Check, Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
+from petmjx.options.config import Check, Simulation
 from petmjx.plans.overlap import meets, shared
-from petmjx.units import FloatArray
 from petmjx.world.alike import stacked
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE, cone_factor, depth_m

@@ -13,19 +13,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.carrier import extent_m
-from petmjx.config import Simulation
+from petmjx.basics.units import MM_PER_M, mm_to_m, round_to_micrometre
 from petmjx.history import CARRIER
-from petmjx.physics import Triple
-from petmjx.placing import EXACT, Placing
+from petmjx.options.carrier import extent_m
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Triple
+from petmjx.options.placing import EXACT, Placing
+from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
-from petmjx.units import MM_PER_M, mm_to_m, round_to_micrometre
 from petmjx.world.body import Body, Pieces, Shapes
 from petmjx.world.carriers import body_of, floor_z_m, pallet
 from petmjx.world.sheets import pieces_of
 from petmjx.world.surfaces import find_surfaces
 from petmjx.world.turned import turned
-from petmjx.wrap import Wrap
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 

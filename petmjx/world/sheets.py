@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
-from petmjx.units import MM_PER_M, FloatArray
 from petmjx.world.body import Body, Pieces
 
 _TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M

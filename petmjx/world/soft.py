@@ -26,10 +26,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
-from petmjx.physics import Physics, Triple
-from petmjx.units import FloatArray
+from petmjx.options.physics import Physics, Triple
 from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.turned import rotations

@@ -8,12 +8,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.materials import WOOD, check_pairs, friction_between
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Simulation
+from petmjx.options.materials import WOOD, check_pairs, friction_between
 from petmjx.plans.plan import Plan
-from petmjx.text import shown
-from petmjx.units import FloatArray
 from petmjx.world.carriers import pallet
 from petmjx.world.pairs import LARGER, MOST_SURFACES, no_pairs
 

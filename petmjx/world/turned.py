@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 
 def rotations(quat: FloatArray) -> FloatArray:

@@ -14,8 +14,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from petmjx.placing import Placing
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.placing import Placing
 
 
 class DistributionShape(StrEnum):
@@ -88,8 +88,8 @@ class PlacementChange:
         x_mm, y_mm, yaw_deg: placement error of each box.
         drop_height_mm: height above its place at which a box is released; negative draws count as 0.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: instead of those of
-            ``petmjx.placing.Placing``; None: those.
-        wrap_turns: of film, instead of those of ``petmjx.wrap.Wrap``; None: those.
+            ``petmjx.options.placing.Placing``; None: those.
+        wrap_turns: of film, instead of those of ``petmjx.options.wrap.Wrap``; None: those.
         shifts_from_release: shifts are measured from where a box was released instead of from the plan.
     """
 

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.units import MM_PER_M, FloatArray
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.world.scene import Scene
 
 MOST_BACK_M: Final = 0.02

@@ -16,10 +16,10 @@ from support.command_line import (
     run_process,
 )
 
-from petmjx.checked import Checked, CliFlag
-from petmjx.config import Simulation, Thresholds
+from petmjx.basics.checked import Checked, CliFlag
+from petmjx.options.config import Simulation, Thresholds
+from petmjx.options.run_options import Confidence
 from petmjx.plans.read import load_plans
-from petmjx.run_options import Confidence
 
 
 def test_compare(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,9 +22,9 @@ from support.command_line import (
     write,
 )
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
 from petmjx.results.reader import load_run
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job

@@ -11,8 +11,8 @@ import pytest
 from support.pictures import falling_story, needs_pictures, standing_story
 
 import petmjx
+from petmjx.basics.errors import InputError
 from petmjx.cli.main import main
-from petmjx.errors import InputError
 from petmjx.pictures.viewer import Player, play, show, viewer_model
 from petmjx.story.events import events, headline
 

@@ -10,11 +10,11 @@ import jax
 import numpy as np
 import pytest
 
-from petmjx.config import Simulation
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.history import Record
-from petmjx.units import STANDARD_GRAVITY
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.body import Body
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.reference import assert_matches, real_plans, reference_run
 
-from petmjx.config import Check
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Check
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.world.job import Job

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from support.reference import real_plans
 
-from petmjx.config import SOFT_START_STEPS, Schedule, Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.live import GROWTH_BLOCK
 from petmjx.history import History, Record
-from petmjx.units import FloatArray
+from petmjx.options.config import SOFT_START_STEPS, Schedule, Simulation
 from petmjx.world.job import Job
 from petmjx.world.model import add_boxes, build_spec
 from petmjx.world.scene import Scene, build_scene

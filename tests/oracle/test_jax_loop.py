@@ -11,7 +11,7 @@ import pytest
 
 import petmjx
 import petmjx.jax
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.jax.told import REASONS, Told
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import petmjx.jax
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.jax import REASONS, StepType
 
 TABLE = pd.DataFrame(

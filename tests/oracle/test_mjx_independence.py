@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.worlds import LANES, jax_engine, jax_outcomes, scenes, simulate
 
-from petmjx.config import Simulation
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome, Verdict
 
 pytestmark = pytest.mark.slow

@@ -13,13 +13,13 @@ import pytest
 from support.fake_stepper import FakeEngine, FakeStepper, assert_same, fake_scene, run_all
 from support.histories import assert_equal
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.mjx_jax import Program
 from petmjx.engines.batch.padded import PaddedModel, Stepped
 from petmjx.engines.batch.template import FIRST_BOX_BODY
 from petmjx.engines.batch.upload import Batch, is_out_of_memory
 from petmjx.history import Record
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 

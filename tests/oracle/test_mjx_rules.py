@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.fake_stepper import CARRIER_KG, CREEP_M, FALLS_KG, FakeEngine, assert_same, fake_scene, run_all
 
-from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.batch.mjx_jax import FEWEST_WORLDS, alike_jobs
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 import petmjx
-from petmjx.carrier import Carrier
-from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.carrier import Carrier
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one, write_plans
 from petmjx.verdict import Flag, Outcome, Reason, Verdict

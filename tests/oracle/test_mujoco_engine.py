@@ -16,8 +16,6 @@ import numpy as np
 import pytest
 from support.plans import make_scene, stack
 
-from petmjx.carrier import Carrier
-from petmjx.config import Schedule, Simulation, Thresholds
 from petmjx.engines.base import GrowingJobs, Progress
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu import live as mujoco_live
@@ -25,7 +23,9 @@ from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
-from petmjx.physics import PHYSICS, Cone
+from petmjx.options.carrier import Carrier
+from petmjx.options.config import Schedule, Simulation, Thresholds
+from petmjx.options.physics import PHYSICS, Cone
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mjcf import to_mjcf
@@ -296,7 +296,7 @@ def test_closing_the_run_stops_it_and_jobs_are_taken_as_needed() -> None:
 
 INTERRUPTED = """
 import sys
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.world.job import Job
 from support.plans import make_scene, stack

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.config import Schedule, Simulation
+from petmjx.basics.errors import InputError
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.open import OpenWorlds
-from petmjx.errors import InputError
+from petmjx.options.config import Schedule, Simulation
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import FORCE, Drive, Excitation, Job
 from petmjx.world.scene import Scene, build_scene

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 import petmjx
+from petmjx.basics.errors import InputError
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.errors import InputError
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.told import Told
 from petmjx.plans.samples.packer import PackRules, _Pile

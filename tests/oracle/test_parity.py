@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from support.reference import assert_matches, real_plans, reference_run
 
-from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.verdict import Outcome, Reason, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene

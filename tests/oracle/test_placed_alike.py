@@ -10,10 +10,10 @@ import pytest
 from support.plans import Box, make_scene
 from support.tiny_worlds import shared_engine
 
-from petmjx.config import Simulation
 from petmjx.engines.base import GrowingJobs
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.placing import EXACT
+from petmjx.options.config import Simulation
+from petmjx.options.placing import EXACT
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene

@@ -11,9 +11,9 @@ from support.fake_stepper import FakeEngine, assert_same, fake_scene, run_all
 from support.histories import assert_equal, history_of
 from support.plans import make_scene, stack
 
-from petmjx.config import Check, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.history import Record
+from petmjx.options.config import Check, Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.release import release_of

@@ -17,9 +17,9 @@ from support.plans import Box, make_scene, stack
 from support.traces import Seen, every_step
 from support.worlds import boxes_by_plan
 
-from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.verdict import Flag, Reason
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 

@@ -17,9 +17,9 @@ from support.tiny_worlds import SHORT, TINY, assert_equal_worlds, in_one_slice, 
 from support.worlds import simulate
 
 import petmjx
+from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.engines.choose import make_engine
 from petmjx.engines.warp.cpu import MjxWarpCpuEngine
-from petmjx.errors import EngineUnavailable, InputError
 from petmjx.history import Record
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job

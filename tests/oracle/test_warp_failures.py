@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
 from petmjx.engines.base import GrowingJobs
 from petmjx.engines.batch.upload import GRANULE
-from petmjx.errors import InputError
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 

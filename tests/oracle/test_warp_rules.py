@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import NEVER, State, Status, fresh_state
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.worlds import Worlds, upload_worlds
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
 

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from petmjx.config import Simulation
 from petmjx.metrics.force_np import top_forces
-from petmjx.physics import PHYSICS, Cone, Physics
+from petmjx.options.config import Simulation
+from petmjx.options.physics import PHYSICS, Cone, Physics
 from petmjx.world.model import build_spec, geom_bodies
 from petmjx.world.scene import Scene, build_scene
 

@@ -7,12 +7,12 @@ import pytest
 from support.plans import make_plan, make_world, stack
 from support.tiny_worlds import shared_engine
 
-from petmjx.config import Simulation
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import WorldResult, score_worlds
 from petmjx.engines.warp.cpu import MjxWarpCpuEngine
+from petmjx.options.config import Simulation
 from petmjx.verdict import Verdict
 
 SIM = Simulation()

@@ -11,9 +11,9 @@ from support.pictures import needs_pictures
 from support.plans import Box, make_plan
 
 import petmjx
-from petmjx.carrier import CARRIER_EXTENT_M, Carrier, OwnCarrier
-from petmjx.physics import PHYSICS
-from petmjx.units import MM_PER_M, STANDARD_GRAVITY
+from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY
+from petmjx.options.carrier import CARRIER_EXTENT_M, Carrier, OwnCarrier
+from petmjx.options.physics import PHYSICS
 from petmjx.verdict import Verdict
 from petmjx.world.carriers import PALLETS, body_of, pallet
 

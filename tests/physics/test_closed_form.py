@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from support.plans import Box, make_scene, stack
 
-from petmjx.carrier import Carrier
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.physics import PHYSICS
-from petmjx.units import FloatArray
+from petmjx.options.carrier import Carrier
+from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 

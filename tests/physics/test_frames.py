@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
-from petmjx.units import STANDARD_GRAVITY, FloatArray
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.profiles.registry import BUILT_IN

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan
 
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.materials import FrictionPair
+from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.options.materials import FrictionPair
 from petmjx.plans.plan import Plan
-from petmjx.units import STANDARD_GRAVITY
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene

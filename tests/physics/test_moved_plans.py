@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.plans import make_plan
 
-from petmjx.carrier import Carrier
-from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.carrier import Carrier
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path

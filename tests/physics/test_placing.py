@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from support.plans import Box, make_scene
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.errors import InputError
 from petmjx.history import History, Record
-from petmjx.units import STANDARD_GRAVITY
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.placing import FREE_M, course_of

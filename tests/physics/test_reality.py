@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.verdict import Outcome, Reason, Verdict

@@ -11,11 +11,11 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, make_world, stack
 
-from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import WorldResult, score_worlds
 from petmjx.engines.sinking import note_softness, sank, sinking_m, stiffened, surely_did_not_sink
-from petmjx.physics import PHYSICS
+from petmjx.options.config import Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from support.plans import make_scene
 
-from petmjx.physics import PHYSICS, Physics
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.physics import PHYSICS, Physics
 from petmjx.world.mjcf import to_mjcf
 from petmjx.world.model import build_spec
 

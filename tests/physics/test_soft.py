@@ -11,14 +11,14 @@ import pytest
 from support.plans import Box, make_plan
 
 import petmjx
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.soft import SoftWorld
 from petmjx.engines.retry import World, score_worlds
-from petmjx.errors import InputError
 from petmjx.history import CARRIER, Record
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job

@@ -11,12 +11,13 @@ from support.plans import Box, make_plan, make_scene
 from support.tiny_worlds import shared_engine
 
 import petmjx
-from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.give import laws
 from petmjx.engines.batch.template import padded_template
 from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
+from petmjx.options.wrap import Wrap
 from petmjx.plans.articles import Article, Articles, with_articles
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.bearing import find_bearing
@@ -25,7 +26,6 @@ from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.model import HeldCarrier, build_spec
 from petmjx.world.scene import IDENTITY_QUAT, Scene, build_scene
 from petmjx.world.surfaces import check_surfaces
-from petmjx.wrap import Wrap
 
 GRAVITY = 9.81
 WITHIN = 0.05

@@ -10,9 +10,9 @@ import pytest
 from support.plans import Box, make_plan, make_scene, make_world
 
 from benchmarks.small_stacks import CHECKS, cases, judge, summary
-from petmjx.config import Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import WorldResult, score_worlds
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 

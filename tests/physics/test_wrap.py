@@ -12,7 +12,7 @@ import pytest
 from support.plans import Box, make_plan
 from support.tiny_worlds import shared_engine
 
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.film import hold
 from petmjx.engines.batch.state import fresh_state
@@ -20,7 +20,7 @@ from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.film import ActingFilm
 from petmjx.history import Record
-from petmjx.units import STANDARD_GRAVITY
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import Scene, build_scene

@@ -29,8 +29,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import petmjx
+from petmjx.basics.errors import InputError
 from petmjx.cli import main as command_line
-from petmjx.errors import InputError
 from petmjx.results.files import OF_WORLDS, TABLES
 from petmjx.results.plain import plain
 from petmjx.results.writer import RunWriter

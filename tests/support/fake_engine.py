@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome, Reason, Verdict
 from petmjx.world.job import Job
 from support.outcomes import make_outcome

@@ -19,13 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.carrier import Carrier
-from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.batch.padded import PaddedModel, Stepped
 from petmjx.engines.batch.template import CARRIER_BODY, FIRST_BOX_BODY
-from petmjx.physics import PHYSICS
+from petmjx.options.carrier import Carrier
+from petmjx.options.config import Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.history import Contacts, History
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from petmjx.config import Check, Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
@@ -17,7 +17,7 @@ from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.units import FloatArray
+from petmjx.options.config import Check, Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.config import Thresholds
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, margin_of
 from support import plans

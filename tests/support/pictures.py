@@ -8,9 +8,9 @@ import importlib.util
 import numpy as np
 import pytest
 
-from petmjx.config import Simulation
 from petmjx.history import Contacts, History
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Simulation
 from petmjx.pictures.offscreen import why_no_pictures
 from petmjx.plans.plan import Plan
 from petmjx.story.tell import Story

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from petmjx.config import Simulation
 from petmjx.engines.retry import World
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.body import Body
 from petmjx.world.job import Job

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.config import Check
+from petmjx.basics.units import FloatArray
 from petmjx.metrics.motion_np import tilt_deg
+from petmjx.options.config import Check
 from petmjx.plans.plan import Plan
-from petmjx.units import FloatArray
 from petmjx.verdict import Outcome, Verdict
 from support.plans import make_plan
 

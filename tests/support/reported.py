@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.results.manifest import Manifest

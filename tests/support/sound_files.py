@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.carrier import read_carrier
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.options.carrier import read_carrier
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import generate_one

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER, Contacts, History
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Simulation
 from petmjx.results.plain import plain
 from petmjx.story.tell import Story
-from petmjx.units import FloatArray
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import ACCELERATION, Drive, Excitation
 from petmjx.world.scene import Scene, build_scene

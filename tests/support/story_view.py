@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.pages.story_data import framed
 from petmjx.pages.story_page import story_page
 from petmjx.story.tell import Story
-from petmjx.units import FloatArray
 from support.browser import Opened, OpenPage
 from support.stories import END_S
 

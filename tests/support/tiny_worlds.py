@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from petmjx.config import Simulation
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import launch
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -18,6 +17,7 @@ from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.records import most_panels
 from petmjx.engines.warp.rollout import Rollout
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same

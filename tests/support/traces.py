@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray, seconds_to_steps
 from petmjx.history import History, Record
 from petmjx.metrics import motion_np
-from petmjx.units import FloatArray, seconds_to_steps
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason
 from petmjx.world.job import Job
 from support.histories import history_of

@@ -6,10 +6,10 @@ import functools
 
 import jax
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Engine
 from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
 from petmjx.plans.samples.handmade import HANDMADE
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job

@@ -13,12 +13,12 @@ from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.config import Simulation, Thresholds
+from petmjx.basics.errors import InputError
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.errors import InputError
+from petmjx.options.config import Simulation, Thresholds
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.gather import find_plan, gather_plans, usable_plans
 from petmjx.plans.plan_set import PlanSet, Skipped
-from petmjx.run_options import RunOptions
 from petmjx.simulate import RunStart
 from petmjx.study import MAX_WORLDS, FinishedWorld, Nominal
 

@@ -10,9 +10,9 @@ import pytest
 from support.command_line import only_line, run, write
 
 import petmjx
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.physics import PHYSICS
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.plans.articles import Article, read_articles, with_articles
 from petmjx.plans.plan import Plan
 from petmjx.results.manifest import plan_digest

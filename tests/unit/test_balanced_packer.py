@@ -15,7 +15,7 @@ from support.command_line import only_line, run, write
 from support.packings import EPS, EURO, check_sound, corners, least_slack_mm, orders, targets
 from support.plan_files import order
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.plans.samples import LeftOut, as_placements, generate, generate_one, pack_orders
 from petmjx.plans.samples import parallel as parallel_module
 from petmjx.plans.samples.balance import MARGIN_M, Balance, hull_planes

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan, make_scene, stack
 
-from petmjx.config import Simulation
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.history import CARRIER
-from petmjx.physics import PHYSICS
+from petmjx.options.config import Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.world.bearing import bearing_of, bearings_of, find_bearing, find_bearings, plan_edges_m, together
 from petmjx.world.hull import hull_edges
 from petmjx.world.release import MOST_FOLLOWED_M, NOTHING, release_of

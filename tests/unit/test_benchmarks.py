@@ -18,10 +18,10 @@ from benchmarks.agreement import agreement
 from benchmarks.cases import CASES, GROUPS, STACK_PLAN, chosen_cases, oracle_case
 from benchmarks.measure import Bench, bricks, spread_over_sizes
 from benchmarks.record import COMMIT_VARIABLE, append_line, read_lines
-from petmjx.config import Schedule, Simulation
+from petmjx.basics.errors import InputError
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.errors import InputError
+from petmjx.options.config import Schedule, Simulation
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one
 from petmjx.plans.warnings import check_layout

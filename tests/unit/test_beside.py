@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from support.plans import make_plan, make_world, stack
 
-from petmjx.config import Simulation
 from petmjx.engines.beside import host
 from petmjx.engines.beside.host import InProcess
 from petmjx.engines.beside.process import Answer, Task
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
 
 SIM = Simulation()
 
@@ -101,7 +101,7 @@ def test_what_cannot_be_sent_and_what_cannot_start_is_told_of(
 RUN = """
 import sys, time
 from support.plans import make_plan, make_world, stack
-from petmjx.config import Simulation
+from petmjx.options.config import Simulation
 from petmjx.engines.beside.host import InProcess
 from petmjx.engines.beside.process import Task
 

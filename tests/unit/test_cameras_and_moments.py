@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.pictures import falling_story, standing_story
 
-from petmjx.errors import InputError
-from petmjx.hull import convex_hull
+from petmjx.basics.errors import InputError
+from petmjx.basics.hull import convex_hull
 from petmjx.pages.palette import article_colours, rgb_of
 from petmjx.pictures.camera import FIELD_OF_VIEW_DEG, VIEWS, Margins, View, framing, view_of
 from petmjx.pictures.colours import colouring, ramp_colours

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 import pytest
 from support.plans import make_scene
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.engines.base import Progress
 from petmjx.engines.choose import ENGINES, Choice, choose, make_engine
 from petmjx.engines.cost import COST_SHARE, MEASURED, Work
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.resolve import engine_for, resolve_engine
-from petmjx.errors import EngineUnavailable, InputError
-from petmjx.run_options import RunOptions
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 
-from petmjx.config import Simulation, Thresholds
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Simulation, Thresholds
 from petmjx.results.compare import FORCE_FLOOR_N, compare_runs, thresholds_of
 from petmjx.results.reader import load_run
 from petmjx.results.schema import Param

@@ -16,8 +16,8 @@ from support import plans
 from support.outcomes import dropped_outcome, make_outcome
 
 import petmjx
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Simulation
 from petmjx.packers.compare import ALL_SIZES, compare_packers, size_names
 from petmjx.packers.write import write_comparison
 from petmjx.plans.plan import Plan

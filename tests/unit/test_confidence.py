@@ -18,9 +18,9 @@ from support.outcomes import make_outcome
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.errors import InputError
+from petmjx.options.config import Simulation
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path
 from petmjx.plans.samples.handmade import HANDMADE

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from petmjx import PHYSICS, Check, Cone, Physics, Quiet, RunOptions, Schedule, Simulation, Thresholds
-from petmjx.checked import Checked
-from petmjx.errors import InputError
-from petmjx.run_options import sorted_options
+from petmjx.basics.checked import Checked
+from petmjx.basics.errors import InputError
+from petmjx.options.run_options import sorted_options
 
 
 @pytest.mark.parametrize(

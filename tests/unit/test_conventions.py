@@ -15,15 +15,15 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
-from petmjx.carrier import Carrier
+from petmjx.basics.errors import InputError, PlanWarning
+from petmjx.basics.units import FloatArray
 from petmjx.cli import main
-from petmjx.config import Simulation
-from petmjx.errors import InputError, PlanWarning
+from petmjx.options.carrier import Carrier
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.gather import gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import bundled_path, generate
-from petmjx.run_options import RunOptions
-from petmjx.units import FloatArray
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

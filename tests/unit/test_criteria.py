@@ -14,7 +14,7 @@ pytest.importorskip("shapely")
 
 from scipy.optimize import nnls
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.history import CARRIER
 from petmjx.statics.answers import NO, NOT_ASKED, YES, Answers, answer
 from petmjx.statics.balance import _slack_alone, _VerticalSystem, balance_slack

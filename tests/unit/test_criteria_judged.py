@@ -17,7 +17,7 @@ pytest.importorskip("shapely")
 
 import petmjx
 from benchmarks.criteria_study import study
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.plans.samples import bundled_path
 from petmjx.statics.judged import (
     CELLS,

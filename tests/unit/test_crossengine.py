@@ -13,8 +13,8 @@ from benchmarks.crossengine import sieve
 from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, top_forces
 from benchmarks.referees.stand import stand
 from benchmarks.stack_forces import PILES, by_statics
-from petmjx.config import Simulation
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.verdict import Reason, Verdict
 from petmjx.world.scene import Scene, build_scene
 

@@ -22,10 +22,10 @@ from support.damage import try_one
 from support.plan_files import order, placement, tower
 from support.sound_files import KINDS
 
-from petmjx.bounded import read_regular
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.physics import Physics
+from petmjx.basics.bounded import read_regular
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Physics
 from petmjx.plans import read as reading
 from petmjx.plans import unpack
 from petmjx.plans.read import load_plans

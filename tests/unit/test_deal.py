@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from support.fake_stepper import fake_scene
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable, InputError
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cost import MEASURED
 from petmjx.engines.workers.deal import MOST_JOBS, Chunk, Deal
 from petmjx.engines.workers.places import Node, Place, places
-from petmjx.errors import EngineUnavailable, InputError
-from petmjx.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.world.job import Drive, Excitation, Job
 
 

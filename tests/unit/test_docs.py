@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from petmjx.checked import Checked
-from petmjx.config import Simulation
+from petmjx.basics.checked import Checked
+from petmjx.options.config import Simulation
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCUMENTS = (

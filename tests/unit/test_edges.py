@@ -13,8 +13,8 @@ from support.plans import Box, make_plan, make_scene
 from test_stand_in import Scripted, never, scored
 
 import petmjx
-from petmjx.config import Simulation
 from petmjx.engines.edges import note_edges
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 

@@ -11,11 +11,11 @@ import pytest
 from support.plans import make_plan, make_scene, stack
 
 import petmjx
-from petmjx.config import Simulation
+from petmjx.basics.errors import InputError
 from petmjx.engines.choose import make_engine
 from petmjx.engines.cpu import world as cpu_world
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.errors import InputError
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job

@@ -12,8 +12,8 @@ from support.outcomes import make_outcome
 from unit.test_compare_packers import write
 
 import petmjx
+from petmjx.basics.errors import InputError
 from petmjx.cli import main
-from petmjx.errors import InputError
 from petmjx.figures.paper import WIDTH_IN
 from petmjx.figures.sweeps import survival_curve
 from petmjx.packers.words import pair_in_words

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.plans import heap, make_plan
 
-from petmjx.config import Simulation, Thresholds
 from petmjx.engines.cpu.models import MOST_SPARE, Templates, set_options
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Simulation, Thresholds
 from petmjx.verdict import Flag, judge, judge_all
 from petmjx.world.growing import GrowingScenes
 from petmjx.world.model import add_boxes, build_spec

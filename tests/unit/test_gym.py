@@ -22,8 +22,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import petmjx.gym
 from benchmarks.episodes import SETTINGS, episodes
+from petmjx.basics.errors import InputError
 from petmjx.engines.choose import make_engine
-from petmjx.errors import InputError
 from petmjx.gym.env import PalletizingEnv
 from petmjx.gym.vector import PalletizingVectorEnv
 from petmjx.loop.orders import KG_PER_M3, Orders

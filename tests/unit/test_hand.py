@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from support.plans import Box, make_scene
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.batch import hand
 from petmjx.engines.batch.state import NEVER, State, fresh_state
 from petmjx.engines.batch.worlds import Worlds, upload_worlds
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.live import LiveWorld
-from petmjx.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 from petmjx.world.placing import course_of, way_steps
 from petmjx.world.scene import Scene

@@ -19,12 +19,12 @@ from support.kills import assert_same, tables
 from support.plans import make_plan, make_scene, make_world, stack
 
 import petmjx
-from petmjx.config import Check, Schedule, Simulation, Solver
+from petmjx.basics.errors import InputError
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import score_worlds
-from petmjx.errors import InputError
 from petmjx.history import Record
+from petmjx.options.config import Check, Schedule, Simulation, Solver
 from petmjx.results import histories as history_tables
 from petmjx.results import writer
 from petmjx.results.histories import read_history

@@ -9,7 +9,7 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
-from petmjx.config import Simulation
+from petmjx.options.config import Simulation
 from petmjx.world.idle import notes_about
 
 ONE = make_plan(boxes=[((400.0, 300.0, 200.0), (0.0, 0.0, 0.0), 5.0)])

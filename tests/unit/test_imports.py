@@ -11,23 +11,8 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset(
-        {
-            "errors",
-            "text",
-            "units",
-            "_version",
-            "version",
-            "machine",
-            "bounded",
-            "checked",
-            "arguments",
-            "whole",
-            "hull",
-        }
-    ),
-    frozenset({"carrier", "materials", "placing", "wrap", "physics", "config"}),
-    frozenset({"run_options"}),
+    frozenset({"_version", "version", "basics"}),
+    frozenset({"options"}),
     frozenset({"plans", "history"}),
     frozenset({"world"}),
     frozenset({"metrics"}),

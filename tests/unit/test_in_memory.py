@@ -12,9 +12,9 @@ from support.command_line import write
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
 from petmjx.results.files import TABLES
 from petmjx.results.reader import RunResults
 from petmjx.results.writer import RunWriter

@@ -23,11 +23,11 @@ from support.plan_files import order_for, placement, tower
 from support.runs import leave_unfinished, relisted
 
 import petmjx
+from petmjx.basics.units import FloatArray
 from petmjx.plans.read import load_plans
 from petmjx.rating.columns import COLUMNS
 from petmjx.rating.files import write_kpis
 from petmjx.rating.support import direct_support
-from petmjx.units import FloatArray
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

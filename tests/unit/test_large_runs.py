@@ -14,8 +14,8 @@ from support.fake_engine import LargestFirst
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
+from petmjx.options.config import Simulation
 from petmjx.results import by_place, tables
 from petmjx.results.by_place import Places
 from petmjx.results.writer import RunWriter

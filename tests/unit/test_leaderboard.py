@@ -17,8 +17,8 @@ from support.outcomes import make_outcome
 from unit.test_compare_packers import write
 
 import petmjx
+from petmjx.basics.errors import InputError
 from petmjx.cli import main
-from petmjx.errors import InputError
 from petmjx.packers.rating import rate, rating_interval
 from petmjx.results.shares import wilson_interval
 from petmjx.verdict import Reason, Verdict

@@ -16,7 +16,7 @@ from support.plan_files import order
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.plans.samples import generate
 from petmjx.plans.samples.balanced import TASTES
 from petmjx.plans.samples.online import learned as learned_module

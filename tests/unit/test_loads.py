@@ -16,9 +16,9 @@ from support.plan_files import placement, tower
 from support.runs import leave_unfinished
 
 import petmjx
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.plans.articles import Article, Strength, read_articles
 from petmjx.show.load_tables import load_tables
-from petmjx.units import STANDARD_GRAVITY
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

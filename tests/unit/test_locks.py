@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from support.outcomes import make_outcome, make_plan
 
+from petmjx.basics.errors import InputError, PetmjxError
 from petmjx.cli.runs import default_folder
-from petmjx.errors import InputError, PetmjxError
 from petmjx.results import files, lock
 from petmjx.results.lock import LOCK_FILE, locked
 from petmjx.results.reader import load_run

@@ -13,8 +13,8 @@ from support.outcomes import make_boxes, make_outcome
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.config import Simulation, Thresholds
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Simulation, Thresholds
 from petmjx.results.compare import compare_runs
 from petmjx.sweeps.file import nominal_sweep
 from petmjx.sweeps.grid import SweepPlan

@@ -10,7 +10,6 @@ import pytest
 from support.outcomes import make_plan
 from support.plans import make_scene
 
-from petmjx.config import Simulation, Thresholds
 from petmjx.engines.batch.outcomes import reduce_metrics
 from petmjx.engines.batch.state import fresh_state
 from petmjx.engines.batch.worlds import upload_worlds
@@ -18,6 +17,7 @@ from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.metrics import force_jax as force
 from petmjx.metrics import force_np, motion_np
 from petmjx.metrics import motion_jax as motion
+from petmjx.options.config import Simulation, Thresholds
 from petmjx.world.job import Job
 from petmjx.world.model import geom_bodies
 from petmjx.world.scene import build_scene

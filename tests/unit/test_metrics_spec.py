@@ -10,14 +10,14 @@ import pyarrow.parquet as pq
 import pytest
 from support.outcomes import make_outcome, make_plan
 
-from petmjx.config import Thresholds
+from petmjx.basics.units import FloatArray
 from petmjx.metrics import spec
 from petmjx.metrics.spec import BoxMetric, BoxMetrics, OfWorld, Reduction, When, markdown, reduce_boxes
+from petmjx.options.config import Thresholds
 from petmjx.results.compare import compare_runs
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
 from petmjx.story.words import REASONS
-from petmjx.units import FloatArray
 from petmjx.verdict import INVALID_FLAGS, Flag, Outcome, Reason, Verdict, judge
 
 

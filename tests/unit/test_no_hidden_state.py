@@ -17,9 +17,9 @@ import pytest
 from support.fake_stepper import FakeEngine, assert_same, fake_scene, run_all
 
 import petmjx
-from petmjx.config import Simulation
+from petmjx.basics.machine import cpu_threads, jax_devices
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.machine import cpu_threads, jax_devices
+from petmjx.options.config import Simulation
 from petmjx.plans.samples import bundled_path
 from petmjx.world.job import Job
 

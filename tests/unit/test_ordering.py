@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from support.plans import CARTON_MM, Box, make_scene
 
-from petmjx.config import Simulation
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.ordering import body_order, minimum_degree
-from petmjx.physics import PHYSICS
+from petmjx.options.config import Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.world.scene import Scene
 
 NO_CONTACTS = np.zeros((0, 2), dtype=int)

@@ -15,10 +15,10 @@ from support.plans import make_plan
 from support.sound_files import own_carrier
 
 import petmjx
-from petmjx.carrier import MOST_BOARDS, OwnCarrier, read_carrier
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.physics import PHYSICS
+from petmjx.basics.errors import InputError
+from petmjx.options.carrier import MOST_BOARDS, OwnCarrier, read_carrier
+from petmjx.options.config import Simulation
+from petmjx.options.physics import PHYSICS
 from petmjx.world.carriers import carrier_notes, floor_z_m
 from petmjx.world.scene import build_scene
 

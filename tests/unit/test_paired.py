@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.multitest import multipletests
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
 from petmjx.results.shares import wilson_interval
 

@@ -15,7 +15,7 @@ from support.plan_files import order
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.packing import physical as physical_module
 from petmjx.packing.finalists import Finalist, finalists
 from petmjx.packing.judged import Judged, choose

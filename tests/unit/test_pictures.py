@@ -17,7 +17,7 @@ import pytest
 from support.pictures import falling_story, needs_pictures, standing_story
 
 import petmjx
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.history import History
 from petmjx.pictures.camera import VIEWS, framing, view_of
 from petmjx.pictures.colours import FIRST, colouring
@@ -218,7 +218,7 @@ def test_pictures_are_drawn_in_any_thread_and_leave_the_environment_alone(
 def test_512_boxes_with_arrows_fit_into_a_picture(tmp_path: Path) -> None:
     from support.pictures import cube_plan
 
-    from petmjx.config import Simulation
+    from petmjx.options.config import Simulation
     from petmjx.world.scene import build_scene
 
     places = [(200.0 * (i % 8), 200.0 * (i // 8 % 8), 200.0 * (i // 64)) for i in range(512)]

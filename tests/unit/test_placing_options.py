@@ -12,9 +12,9 @@ import pytest
 from support.plans import make_plan, make_scene
 
 import petmjx
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.placing import Placing, Way
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Simulation
+from petmjx.options.placing import Placing, Way
 from petmjx.plans.write import save_plans
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan

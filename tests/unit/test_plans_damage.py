@@ -15,7 +15,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support.plan_files import placement
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.read import load_plans

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from support.command_line import write
 from support.plan_files import placement, tower
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.plans.read import DEFAULT_MAX_BOXES, load_plans
 from petmjx.plans.validate import PlanError, find_fault, parse_plan
 

@@ -11,10 +11,10 @@ import pyarrow.parquet
 import pytest
 from support.plans import make_plan
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
-from petmjx.units import STANDARD_GRAVITY
 from petmjx.world.profiles.acceleration import Tilt
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.profiles.files import read_psd, read_windows

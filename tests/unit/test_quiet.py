@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from support.plans import Box, make_scene
 
-from petmjx.config import Simulation
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import NEVER, Status, fresh_state
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.quiet import QuietRule
+from petmjx.options.config import Simulation
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.sweeps import ready as readymade
 from petmjx.sweeps.ready import find_sweep, ready_sweeps
 

@@ -17,8 +17,8 @@ import pytest
 from support.reported import CONFIG, fallen, invalid, scored, standing, write_plans, write_run
 from test_pages import opened_block
 
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Simulation
 from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.columns import block
 from petmjx.pages.report import rows

@@ -15,8 +15,8 @@ import pytest
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.runs import edit_info
 
-from petmjx.config import Schedule
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Schedule
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.plain import plain
 from petmjx.results.reader import load_run

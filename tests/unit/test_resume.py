@@ -21,14 +21,14 @@ from support.plans import make_plan, stack
 from support.runs import edit_info, leave_unfinished, relisted
 
 import petmjx
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.world import WorldRun
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
-from petmjx.run_options import RunOptions
 from petmjx.sweeps.run import Batching
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job

@@ -10,12 +10,12 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
-from petmjx.config import Simulation, Solver
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import World, score_worlds
-from petmjx.physics import PHYSICS
+from petmjx.options.config import Simulation, Solver
+from petmjx.options.physics import PHYSICS
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 

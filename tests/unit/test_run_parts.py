@@ -14,7 +14,7 @@ import pytest
 from support.outcomes import make_outcome, make_plan
 from test_results import part_files, write_run
 
-from petmjx.errors import InputError, PetmjxError
+from petmjx.basics.errors import InputError, PetmjxError
 from petmjx.results import files
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter

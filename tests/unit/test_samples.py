@@ -13,7 +13,7 @@ import pytest
 from support.command_line import run, write
 from support.plan_files import order
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import (
     LOOSE_SUPPORT,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support.plans import heap, make_plan, make_scene, stack
 
-from petmjx.config import Simulation
 from petmjx.engines.batch import scene_rows
 from petmjx.engines.batch.scene_rows import rows_of
+from petmjx.options.config import Simulation
 from petmjx.world.alike import AT_A_TIME, groups
 from petmjx.world.apply import apply_all
 from petmjx.world.scene import Scene, build_scene

@@ -16,7 +16,6 @@ from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
 from support.fake_stepper import FakeEngine, FakeStepper, fake_scene, run_all
 
 import petmjx.engines.batch
-from petmjx.config import Simulation
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import started_states
 from petmjx.engines.batch.rules import Rules
@@ -25,6 +24,7 @@ from petmjx.engines.batch.template import parked_positions
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.engines.batch.worlds import Worlds, upload_worlds
 from petmjx.metrics import motion_jax as motion
+from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 from petmjx.world.pairs import MOST_SURFACES
 

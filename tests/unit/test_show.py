@@ -15,6 +15,7 @@ from rich.console import Console, RenderableType
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.stories import standing_story
 
+from petmjx.basics.text import counted, printable, three_digits, time_left
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.compare import compare_runs
 from petmjx.results.reader import load_run
@@ -25,7 +26,6 @@ from petmjx.show.progress import ProgressLines, progress
 from petmjx.show.story import story_tables
 from petmjx.show.sweep_tables import FEW_ROWS, MAX_VALUES, sweep_tables
 from petmjx.show.tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
-from petmjx.text import counted, printable, three_digits, time_left
 from petmjx.verdict import Outcome
 
 LONG = "x" * 80 + "end"

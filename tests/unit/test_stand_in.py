@@ -11,12 +11,12 @@ from support.fake_beside import AtOnce
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
-from petmjx.config import Simulation, Solver
+from petmjx.basics.errors import InputError
 from petmjx.engines import attempts, retry
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.retry import WorldResult, score_worlds
-from petmjx.errors import InputError
+from petmjx.options.config import Simulation, Solver
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 

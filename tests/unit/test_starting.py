@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from petmjx.basics.errors import InputError
 from petmjx.engines import resolve
 from petmjx.engines.resolve import starting
-from petmjx.errors import InputError
-from petmjx.run_options import RunOptions
+from petmjx.options.run_options import RunOptions
 
 
 @pytest.fixture

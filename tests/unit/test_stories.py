@@ -15,8 +15,8 @@ from support.plans import make_plan, stack
 from support.runs import edit_info, relisted
 
 import petmjx
+from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Verdict
 

@@ -10,10 +10,10 @@ from support.command_line import write
 from support.plans import make_plan
 
 import petmjx
-from petmjx.config import Check, Schedule
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.options.config import Check, Schedule
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan
-from petmjx.run_options import RunOptions
 from petmjx.study import MAX_WORLDS
 from petmjx.sweeps.file import MIN_TOLERANCE, Search, Sweep, load_sweep
 from petmjx.sweeps.grid import SweepPlan

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.command_line import write
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
 

@@ -16,10 +16,10 @@ from support.plan_files import placement
 from support.plans import make_plan, make_scene, stack
 
 import petmjx
-from petmjx.config import Simulation, Thresholds
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
+from petmjx.options.config import Simulation, Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan

@@ -12,10 +12,10 @@ from mujoco import mjx
 from support.fake_stepper import fake_scene
 from support.plans import on_boards
 
-from petmjx.config import Simulation, Solver
 from petmjx.engines.batch.template import override_fields, padded_template, parked_positions
 from petmjx.engines.batch.worlds import upload_worlds
-from petmjx.physics import PHYSICS, Physics
+from petmjx.options.config import Simulation, Solver
+from petmjx.options.physics import PHYSICS, Physics
 from petmjx.world.job import Job
 from petmjx.world.model import HeldCarrier, build_spec
 from petmjx.world.scene import Scene

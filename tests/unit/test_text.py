@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from petmjx.text import counted, duration, is_text, one_line, printable, rounded, shown
+from petmjx.basics.text import counted, duration, is_text, one_line, printable, rounded, shown
 
 
 def test_nouns_follow_their_number() -> None:

@@ -10,7 +10,7 @@ from support.command_line import write
 from support.plans import make_plan, make_scene, stack
 
 import petmjx
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.sliding import hopeless_profiles
 from petmjx.world.apply import MIN_FRICTION_FRACTION, MIN_MASS_FRACTION, apply

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from petmjx.config import Simulation
+from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.apply import apply, apply_all
 from petmjx.world.scene import Scene, build_scene

@@ -28,8 +28,8 @@ BESIDE = {"sweeps", "statics", "rating", "packers", "story", "show", "pages", "p
 """What hangs on the mission's way."""
 
 MANY_DOORS = {
-    "checked.py",  # the base of all records of options
-    "config.py",  # a record of options, which says what follows from them
+    "basics/checked.py",  # the base of all records of options
+    "options/config.py",  # a record of options, which says what follows from them
     "engines/cpu/engine.py",  # the protocol of engines: one makes it, one asks for its device, one runs it
     "plans/plan_set.py",  # a record, which checks what it is made of
     "world/scene.py",  # a record, of which whoever has a world reads sizes and masses

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.whole import whole_file
 from petmjx.plans.samples import write_samples
-from petmjx.whole import whole_file
 
 
 def half_written(file: Path) -> None:

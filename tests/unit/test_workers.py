@@ -21,7 +21,7 @@ from support.fake_stepper import fake_scene
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 
 import petmjx
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -31,7 +31,7 @@ from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
 from petmjx.engines.workers.cluster import Cluster
 from petmjx.engines.workers.places import Place
 from petmjx.engines.workers.pool import WorkerPool
-from petmjx.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome, Reason
 from petmjx.world.job import Job
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petmjx.engines.batch.worlds import Worlds
-from petmjx.physics import Physics
+from petmjx.options.physics import Physics
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.contact import CONTACTS_PER_FACE
 from petmjx.world.give import LEAST_IMPEDANCE, LEAST_SHARE

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.config import Simulation
 from petmjx.engines.batch.state import NEVER, State
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.metrics import motion_jax as motion
+from petmjx.options.config import Simulation
 from petmjx.world.placing import (
     AT_PLACE_M,
     CLEARANCE_M,

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from petmjx.config import SOFT_START_STEPS
 from petmjx.engines.batch import film, hand
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
@@ -17,6 +16,7 @@ from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State
 from petmjx.engines.batch.template import FIRST_BOX_BODY, override_fields
 from petmjx.engines.batch.worlds import Worlds
+from petmjx.options.config import SOFT_START_STEPS
 
 CHUNK_STEPS = 25
 """Steps of one call of a program. Between two calls the host looks whether any world still runs."""

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Engine, Progress, RunLock
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import outcomes, pick
@@ -23,6 +22,7 @@ from petmjx.engines.batch.state import State, Status
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import GRANULE, Batch, is_out_of_memory, load, round_up
 from petmjx.engines.batch.worlds import uploaded
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import ACCELERATION, Job
 

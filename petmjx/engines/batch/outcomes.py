@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.running import Measured, measured, of_boxes
 from petmjx.engines.batch.state import State, narrow, take_rows
 from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.metrics.spec import BoxMetrics
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
 

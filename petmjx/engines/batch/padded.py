@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
-from petmjx.config import Simulation
 from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
-from petmjx.physics import Cone
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Cone
 from petmjx.world.model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.units import seconds_to_steps
 from petmjx.engines.batch.state import NEVER, State, Status
 from petmjx.engines.frames import history_of
 from petmjx.history import History
-from petmjx.units import seconds_to_steps
+from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 
 

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.config import Schedule, Simulation
 from petmjx.engines.batch import hand
 from petmjx.engines.batch.running import Sample
 from petmjx.engines.batch.state import NEVER, State, Status
@@ -22,6 +21,7 @@ from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.history import CARRIER
 from petmjx.metrics import motion_jax as motion
+from petmjx.options.config import Schedule, Simulation
 from petmjx.verdict import Flag
 from petmjx.world.release import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.config import Thresholds
+from petmjx.basics.units import FloatArray
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.metrics import motion_jax as motion
-from petmjx.units import FloatArray
+from petmjx.options.config import Thresholds
 
 
 class Sample(NamedTuple):

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
 from petmjx.history import CARRIER
+from petmjx.options.config import Simulation
 from petmjx.world.alike import groups, stacked
 from petmjx.world.give import gives, sinks_m
 from petmjx.world.pairs import filled_up

@@ -18,7 +18,7 @@ from typing import Any
 
 import jax
 
-from petmjx.machine import cuda_devices, jax_devices
+from petmjx.basics.machine import cuda_devices, jax_devices
 
 MIN_COMPILE_S = 0.0
 """Programs that compile faster than this are not kept. A run has about a hundred small ones, together some seconds."""

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.config import SOFT_START_STEPS
 from petmjx.engines.batch.running import Metrics, no_metrics
 from petmjx.engines.batch.worlds import Worlds
+from petmjx.options.config import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max

@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from petmjx.config import Solver
 from petmjx.engines.batch.give import laws
 from petmjx.engines.batch.worlds import Worlds
-from petmjx.physics import Physics
+from petmjx.options.config import Solver
+from petmjx.options.physics import Physics
 from petmjx.world.body import Body
 from petmjx.world.model import HeldCarrier, build_spec
 from petmjx.world.pairs import LARGER

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from petmjx.config import Check, Simulation
-from petmjx.units import seconds_to_steps
+from petmjx.basics.units import seconds_to_steps
+from petmjx.options.config import Check, Simulation
 from petmjx.world.placing import MOST_STUCK_S, MOST_WAY_S
 
 KEPT: Final = 8

@@ -9,12 +9,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Check, Schedule, Simulation
 from petmjx.engines.batch.outcomes import started_states
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.state import NEVER, State, Status, fresh_state
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds, upload_worlds, uploaded
+from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
 

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.units import seconds_to_steps
 from petmjx.engines.batch.scene_rows import rows_of
-from petmjx.units import seconds_to_steps
+from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 
 

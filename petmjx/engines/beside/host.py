@@ -13,8 +13,8 @@ import threading
 from collections.abc import Iterator
 from typing import Final, Protocol
 
+from petmjx.basics.text import one_line
 from petmjx.engines.beside.process import READY, Answer, Task, next_of
-from petmjx.text import one_line
 
 LOOK_S: Final = 0.25
 """Longest wait for an answer, s: a signal is noticed after it."""

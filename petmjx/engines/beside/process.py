@@ -16,12 +16,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO, Any
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable
+from petmjx.basics.machine import cpu_threads
+from petmjx.basics.text import one_line
 from petmjx.engines.base import Engine
 from petmjx.engines.choose import make_engine
-from petmjx.errors import EngineUnavailable
-from petmjx.machine import cpu_threads
-from petmjx.text import one_line
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

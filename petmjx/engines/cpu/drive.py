@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.film import ActingFilm
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.waits import NEVER
-from petmjx.units import FloatArray
 from petmjx.world.job import FORCE, Drive
 from petmjx.world.scene import Scene
 

@@ -6,15 +6,15 @@ import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from petmjx.config import Simulation
+from petmjx.basics.machine import cpu_threads, device_name
+from petmjx.basics.text import one_line
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_worlds import MujocoWorlds
 from petmjx.engines.cpu.world import Cancelled, WorldRun
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.open import MOST_BOXES
-from petmjx.machine import cpu_threads, device_name
-from petmjx.text import one_line
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 from petmjx.world.scene import Scene
 from petmjx.world.wrap import SLACK_M, film_of, spring_rate_1_s
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.waits import NEVER
-from petmjx.units import FloatArray
 from petmjx.world.placing import AT_PLACE_M, LOWERING_STEPS, lowering_rate_1_s, progress, rate_1_s, stuck_steps
 from petmjx.world.scene import Scene
 from petmjx.world.turned import turned

@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
 from petmjx.engines.cpu.waiting import add_waiting, press_waiting
 from petmjx.metrics.force_np import top_forces
-from petmjx.physics import Cone
-from petmjx.units import FloatArray
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Cone
 from petmjx.verdict import Flag
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
 from petmjx.world.placing import Course, course_of, free_begin, most_aside_m, reach, way_steps

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation, Solver
-from petmjx.physics import Cone, Physics
+from petmjx.options.config import Simulation, Solver
+from petmjx.options.physics import Cone, Physics
 from petmjx.world.model import build_spec
 from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import Scene

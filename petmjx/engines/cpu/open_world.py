@@ -9,10 +9,10 @@ from typing import Self
 
 import numpy as np
 
-from petmjx.config import Simulation
 from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.world import WorldRun
 from petmjx.engines.open import Reading
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from petmjx.config import Simulation
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.open_world import OpenWorld
 from petmjx.engines.open import OpenWorlds, Reading, Readings
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive
 from petmjx.world.next_boxes import NextBoxes

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 from petmjx.world.scene import Scene
 
 NEAR_M = 0.005

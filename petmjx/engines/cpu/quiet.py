@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.metrics import motion_np
-from petmjx.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.world.scene import Scene
 
 
 class QuietRule:
-    """Counts the looks at a pallet and says whether it is quiet. Its numbers: ``petmjx.config.Quiet``.
+    """Counts the looks at a pallet and says whether it is quiet. Its numbers: ``petmjx.options.config.Quiet``.
 
     The caller looks every ``poll_steps``, and makes sure that ``min_steps`` have passed since it began to wait.
     """

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray, seconds_to_steps
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.frames import history_of
 from petmjx.history import Contacts, History, Record
 from petmjx.metrics.force_np import contact_normal_and_tangents
-from petmjx.units import FloatArray, seconds_to_steps
 from petmjx.world.job import Job
 
 

@@ -10,10 +10,10 @@ import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Thresholds
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
-from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.options.config import Thresholds
 from petmjx.world.give import sinks_m
 from petmjx.world.scene import Scene
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from petmjx.config import Simulation
 from petmjx.engines.cpu.live import BodyState, LiveWorld
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.soft import SoftState, SoftWorld
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.scene import Scene
 

@@ -13,13 +13,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.models import Filled, set_options
 from petmjx.history import CARRIER, FLOOR
 from petmjx.metrics.force_np import contact_force_z, contact_normal_and_tangents, pressed_box
+from petmjx.options.config import Simulation
 from petmjx.plans.overlap import shared
-from petmjx.units import FloatArray
 from petmjx.world.bearing import TOUCH_M
 from petmjx.world.mjcf import soft_spec
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, box_name

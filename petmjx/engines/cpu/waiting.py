@@ -13,7 +13,7 @@ from math import sqrt
 import mujoco
 import numpy as np
 
-from petmjx.physics import Physics
+from petmjx.options.physics import Physics
 
 _NAME = "waiting"
 _MASS_KG = 1.0

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from petmjx.config import Check, Schedule, Simulation
+from petmjx.basics.units import seconds_to_steps
 from petmjx.engines.clock import Clock
-from petmjx.units import seconds_to_steps
+from petmjx.options.config import Check, Schedule, Simulation
 
 NEVER = 2**62
 """A step that never comes."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from petmjx.config import SOFT_START_STEPS, Check, Simulation
+from petmjx.basics.units import seconds_to_steps
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu.drive import ActingDrive
 from petmjx.engines.cpu.explosion import Explosion
@@ -21,7 +21,7 @@ from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.settled import SettledState
 from petmjx.engines.cpu.soft import SoftWorld
 from petmjx.engines.cpu.waits import NEVER, Waits
-from petmjx.units import seconds_to_steps
+from petmjx.options.config import SOFT_START_STEPS, Check, Simulation
 from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Drive, Job
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import jax
 import warp as wp
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable
+from petmjx.basics.machine import cpu_threads, device_name, why_no_warp_on_cpu
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.open_worlds import WarpWorlds
-from petmjx.errors import EngineUnavailable
-from petmjx.machine import cpu_threads, device_name, why_no_warp_on_cpu
+from petmjx.options.config import Simulation
 from petmjx.world.scene import Scene
 
 GROUP_WORLDS = 4096

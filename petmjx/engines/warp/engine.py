@@ -10,7 +10,8 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable, InputError
+from petmjx.basics.machine import why_no_warp
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, RunLock
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.setup import set_up_jax, set_up_warp
@@ -27,9 +28,8 @@ from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
-from petmjx.errors import EngineUnavailable, InputError
-from petmjx.machine import why_no_warp
-from petmjx.physics import Cone
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Cone
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene

@@ -10,12 +10,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.state import State, Status, put_rows
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.upload import Batch
 from petmjx.engines.batch.worlds import Worlds, uploaded
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
 

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
+from petmjx.basics.units import FloatArray
 from petmjx.engines.batch.state import State, Status, take_rows
 from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import Readings
-from petmjx.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.world.next_boxes import Blank, NextBoxes, Stacks
 from petmjx.world.release import release_of_next
 from petmjx.world.scene import IDENTITY_QUAT

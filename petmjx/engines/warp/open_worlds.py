@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petmjx.config import Simulation
 from petmjx.engines.batch.outcomes import outcomes, pick
 from petmjx.engines.batch.state import State, Status, put_rows, take_rows
 from petmjx.engines.batch.timetable import build_timetable
@@ -25,6 +24,7 @@ from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.engines.warp.next_box import NewBox, new_box, readings_of, told_of
 from petmjx.engines.warp.simulator import Open, Simulator, Traits
+from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.next_boxes import NextBoxes, Stacks

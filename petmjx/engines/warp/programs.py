@@ -11,7 +11,6 @@ import jax
 import warp as wp
 from jaxtyping import Array, Int
 
-from petmjx.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import NEVER, State, of_flat
@@ -20,7 +19,8 @@ from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp.few import with_few_first
 from petmjx.engines.warp.march import Fleet, March
-from petmjx.physics import Cone, Physics
+from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.options.physics import Cone, Physics
 from petmjx.world.contact import MOST_IMPEDANCE
 from petmjx.world.placing import lowering_rate_1_s, rate_1_s, stuck_steps
 from petmjx.world.wrap import spring_rate_1_s

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from petmjx.config import Simulation
 from petmjx.engines.batch.worlds import uploaded
 from petmjx.engines.cost import MEASURED
+from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 
 

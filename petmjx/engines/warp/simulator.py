@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import warp as wp
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.config import Check, Simulation
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import NEVER, State, Status, fresh_state, of_flat, put_rows, take_rows
 from petmjx.engines.batch.timetable import Timetable
@@ -19,6 +18,7 @@ from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet, March
 from petmjx.engines.warp.next_box import NewBox, with_new_box
 from petmjx.engines.warp.programs import constants
+from petmjx.options.config import Check, Simulation
 from petmjx.verdict import Flag
 from petmjx.world.scene import Scene
 

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from petmjx.config import Simulation
+from petmjx.basics.machine import device_name, package_versions
+from petmjx.basics.text import one_line
 from petmjx.engines.base import Progress
 from petmjx.engines.choose import make_engine
-from petmjx.machine import device_name, package_versions
-from petmjx.text import one_line
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

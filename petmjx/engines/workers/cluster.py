@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.basics.machine import cpu_threads, cuda_devices
+from petmjx.basics.text import one_line
 from petmjx.engines.workers.places import Node
-from petmjx.errors import EngineUnavailable, InputError, PetmjxError
-from petmjx.machine import cpu_threads, cuda_devices
-from petmjx.run_options import AUTO
-from petmjx.text import one_line
+from petmjx.options.run_options import AUTO
 
 LONGEST_TEMPORARY = 24
 """Longest name of a folder for temporary files, bytes. Below it Ray makes sockets, whose names may have 107."""

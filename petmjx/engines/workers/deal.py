@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 PIECES = 4
 """A chunk is this part of a slot's share of what is left, so that slots end together although costs are guesses."""

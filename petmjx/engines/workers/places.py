@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from petmjx.errors import EngineUnavailable, InputError
-from petmjx.run_options import AUTO
-from petmjx.text import counted
+from petmjx.basics.errors import EngineUnavailable, InputError
+from petmjx.basics.text import counted
+from petmjx.options.run_options import AUTO
 
 
 @dataclass(frozen=True)

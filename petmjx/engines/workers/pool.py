@@ -11,7 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-from petmjx.config import Simulation
+from petmjx.basics.errors import EngineUnavailable
+from petmjx.basics.machine import package_versions
+from petmjx.basics.text import counted, one_line
 from petmjx.engines.base import GROUP_WORLDS, Engine, Progress, RunLock
 from petmjx.engines.cost import MEASURED
 from petmjx.engines.failing import failed_outcome
@@ -19,9 +21,7 @@ from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
 from petmjx.engines.workers.cluster import Cluster
 from petmjx.engines.workers.deal import Chunk, Deal
 from petmjx.engines.workers.places import Place
-from petmjx.errors import EngineUnavailable
-from petmjx.machine import package_versions
-from petmjx.text import counted, one_line
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from petmjx.basics.text import counted
 from petmjx.engines.choose import Choice, check_options, choose, options_of
 from petmjx.engines.cost import Costs, Work
 from petmjx.engines.workers.actor import Recipe
 from petmjx.engines.workers.cluster import Cluster
 from petmjx.engines.workers.places import places
 from petmjx.engines.workers.pool import WorkerPool
-from petmjx.run_options import AUTO, RunOptions
-from petmjx.text import counted
+from petmjx.options.run_options import AUTO, RunOptions
 
 
 def resolve_workers(options: RunOptions, work: Work, costs: Costs) -> tuple[WorkerPool, Choice]:

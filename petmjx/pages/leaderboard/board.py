@@ -10,7 +10,8 @@ from urllib.parse import quote
 
 import pandas as pd
 
-from petmjx.config import Simulation
+from petmjx.basics.text import counted, printable
+from petmjx.options.config import Simulation
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
 from petmjx.packers.kpis import KPIS
 from petmjx.packers.load import MISSING
@@ -19,7 +20,6 @@ from petmjx.pages.page import page
 from petmjx.pages.report.charts import between, intervals, percent
 from petmjx.pages.report.markup import Content, Markup, element, joined, table
 from petmjx.pages.report.svg import figure
-from petmjx.text import counted, printable
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200

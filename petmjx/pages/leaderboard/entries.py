@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.api import score
-from petmjx.arguments import path_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import path_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable, shown
 from petmjx.packers.load import check_names
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import pack_orders, write_plans
@@ -21,7 +22,6 @@ from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
 from petmjx.simulate import Watcher
-from petmjx.text import printable, shown
 
 PLANS: Final = "plans"
 RUNS: Final = "runs"

@@ -13,8 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.arguments import flag_of, list_of, path_of, whole_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import flag_of, list_of, path_of, whole_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable, shown
+from petmjx.basics.whole import check_free, whole_file, writing
 from petmjx.packers.compare import PackerComparison, compare_packers
 from petmjx.packers.rating import rate
 from petmjx.pages.leaderboard.board import Board, Told, board_page
@@ -23,9 +25,7 @@ from petmjx.pages.story_page import story_page
 from petmjx.plans.samples.packers import PACKERS
 from petmjx.results.plain import plain
 from petmjx.story.tell import tell
-from petmjx.text import printable, shown
 from petmjx.verdict import Verdict
-from petmjx.whole import check_free, whole_file, writing
 
 PAGE: Final = "index.html"
 DATA: Final = "leaderboard.json"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from petmjx.config import Simulation
+from petmjx.basics.text import counted, duration, shown, three_digits
+from petmjx.options.config import Simulation
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.results.reader import FINISHED, told_apart
-from petmjx.text import counted, duration, shown, three_digits
 
 MOST_LINES: Final = 20
 """Skipped plans, warnings or files that are listed; of more there is the number."""

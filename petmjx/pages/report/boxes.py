@@ -11,15 +11,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from petmjx.config import Simulation
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.pages.columns import Packed, block, quantised, whole
 from petmjx.pages.report.runs import ReportRun
 from petmjx.plans.plan import Plan
 from petmjx.results.compare import KEY
 from petmjx.results.worlds import rows_of_worlds
-from petmjx.text import printable
-from petmjx.units import FloatArray
 from petmjx.verdict import Verdict
 from petmjx.world.body import Body
 from petmjx.world.scene import build_scene

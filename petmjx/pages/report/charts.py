@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from petmjx.basics.text import three_digits
+from petmjx.basics.units import FloatArray
 from petmjx.pages.report.markup import Content, Markup, element
 from petmjx.pages.report.svg import WIDTH, Frame, Scale, drawing
-from petmjx.text import three_digits
-from petmjx.units import FloatArray
 
 BINS: Final = 24
 """Of a histogram: bars of 12 pixels."""

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from petmjx.config import Thresholds
+from petmjx.basics.units import MM_PER_M
+from petmjx.options.config import Thresholds
 from petmjx.pages.report.charts import (
     MOST_POINTS,
     equal_groups,
@@ -24,7 +25,6 @@ from petmjx.pages.report.svg import Frame, Scale, figure
 from petmjx.pages.report.verdicts import ORDER
 from petmjx.results.compare import thresholds_of
 from petmjx.results.shares import wilson_interval
-from petmjx.units import MM_PER_M
 from petmjx.verdict import Verdict
 
 

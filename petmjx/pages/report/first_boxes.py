@@ -7,12 +7,12 @@ from typing import Final
 
 import pandas as pd
 
+from petmjx.basics.text import counted
 from petmjx.pages.report.charts import Bar, bars, histogram
 from petmjx.pages.report.markup import NOTHING, Markup, element, joined
 from petmjx.pages.report.runs import ReportRun
 from petmjx.pages.report.svg import WIDTH, Frame, Scale, figure
 from petmjx.pages.report.verdicts import ORDER, link
-from petmjx.text import counted
 from petmjx.verdict import Verdict
 
 MOST_ARTICLES: Final = 12

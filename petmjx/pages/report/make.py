@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.arguments import list_of, path_of
+from petmjx.basics.arguments import list_of, path_of
+from petmjx.basics.text import counted, printable
+from petmjx.basics.units import MM_PER_M
+from petmjx.basics.whole import check_free, check_writable, whole_file
 from petmjx.pages.columns import block, whole
 from petmjx.pages.page import page
 from petmjx.pages.palette import category, ramp
@@ -24,9 +27,6 @@ from petmjx.pages.report.swept import sweep_answers
 from petmjx.pages.report.verdicts import headline, verdict_table
 from petmjx.results.compare import thresholds_of
 from petmjx.results.reader import RunResults
-from petmjx.text import counted, printable
-from petmjx.units import MM_PER_M
-from petmjx.whole import check_free, check_writable, whole_file
 from petmjx.world.carriers import floor_z_m
 
 N_CATEGORIES: Final = 21

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, first_names
 from petmjx.plans.plan import Plan
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import PlansAgain, find_plans
 from petmjx.results.reader import RunResults
-from petmjx.text import counted, first_names
 
 MOST_FILES_NAMED: Final = 2
 

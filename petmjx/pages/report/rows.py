@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from petmjx.basics.text import printable
+from petmjx.basics.units import MM_PER_M
 from petmjx.pages.columns import Packed, whole
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.results.compare import KEY
 from petmjx.results.shares import ONE_PLAN
 from petmjx.sweeps.axes import AXIS_KINDS
-from petmjx.text import printable
-from petmjx.units import MM_PER_M
 from petmjx.verdict import Verdict
 
 MOST_ROWS: Final = 200_000

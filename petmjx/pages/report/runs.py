@@ -13,15 +13,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from petmjx.errors import InputError
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
+from petmjx.basics.units import MM_PER_M
 from petmjx.pages.report.plans_again import FoundPlans, find_plans_again
 from petmjx.plans.plan import Plan
 from petmjx.results.compare import KEY
 from petmjx.results.reader import RunResults, load_run
 from petmjx.results.shares import ALL_PLANS, share_standing
 from petmjx.results.worlds import rows_of_worlds
-from petmjx.text import printable
-from petmjx.units import MM_PER_M
 
 
 class Kind(StrEnum):

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from petmjx.basics.units import FloatArray
 from petmjx.pages.report.markup import Content, Markup, element
-from petmjx.units import FloatArray
 
 WIDTH: Final = 300
 HEIGHT: Final = 190

@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from petmjx.basics.text import counted, three_digits
+from petmjx.basics.units import FloatArray
 from petmjx.pages.report.charts import ROSE_RINGS, Bar, bars, histogram, percent, rose, share_curve
 from petmjx.pages.report.markup import NOTHING, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import MOST_TICKS, Frame, Scale, figure, round_step
 from petmjx.pages.report.verdicts import link, plan_link
 from petmjx.results.shares import ALL_PLANS, share_standing
-from petmjx.text import counted, three_digits
-from petmjx.units import FloatArray
 from petmjx.verdict import Verdict
 
 DIRECTION: Final = "direction_deg"

@@ -8,11 +8,11 @@ from urllib.parse import urlencode
 
 import pandas as pd
 
+from petmjx.basics.text import counted, printable
 from petmjx.pages.report.charts import between, percent
 from petmjx.pages.report.markup import Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.results.shares import wilson_interval
-from petmjx.text import counted, printable
 from petmjx.verdict import Verdict
 
 ORDER: Final = [verdict.value for verdict in Verdict]

@@ -23,16 +23,16 @@ from typing import IO, Any
 
 import numpy as np
 
-from petmjx.arguments import number_of, path_of, whole_of
-from petmjx.errors import InputError
+from petmjx.basics.arguments import number_of, path_of, whole_of
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shown
+from petmjx.basics.whole import gzipped, whole_file
+from petmjx.options.run_options import MOST_WORKERS
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import PACKER_STREAM, TARGET_EXTENT_MM, Order, draw_order, stream
 from petmjx.plans.samples.packer import PackRules, Placed
 from petmjx.plans.samples.packers import BASELINE, WHY, packer_named
 from petmjx.plans.samples.parallel import in_order
-from petmjx.run_options import MOST_WORKERS
-from petmjx.text import counted, printable, shown
-from petmjx.whole import gzipped, whole_file
 
 Placement = dict[str, Any]
 """One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""

@@ -20,8 +20,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.hull import convex_hull
-from petmjx.units import MM_PER_M, FloatArray
+from petmjx.basics.hull import convex_hull
+from petmjx.basics.units import MM_PER_M, FloatArray
 
 TOUCH_MM: Final = 1e-6
 """Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM
-from petmjx.units import FloatArray
 
 _SLIDING = np.array([1, 0, 0, 1])
 _OTHER = 1 - _SLIDING

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.checked import got, reason
-from petmjx.errors import InputError
+from petmjx.basics.checked import got, reason
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import is_text, printable, shown
 from petmjx.plans.fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.scan import Entry, scan_plans
 from petmjx.plans.unpack import read_text_bytes
-from petmjx.text import is_text, printable, shown
 
 MOST_ITEMS: Final = 512
 """Items of one order: twice the boxes of the largest plan. The packer's time grows with their third power."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 TARGET_EXTENT_MM: dict[str, tuple[int, int]] = {"euro-pallet": (1200, 800), "rollcontainer": (800, 700)}
 """BED-BPP's two targets: extent along x and y."""

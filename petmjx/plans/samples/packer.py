@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.orders import Item
-from petmjx.units import FloatArray
 
 MAX_HEIGHT_MM = 2000.0
 

@@ -9,15 +9,15 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from petmjx.arguments import whole_of
-from petmjx.checked import got, hint
-from petmjx.errors import InputError
+from petmjx.basics.arguments import whole_of
+from petmjx.basics.checked import got, hint
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import shown
 from petmjx.plans.samples.balanced import pack_balanced
 from petmjx.plans.samples.online.learned import LEARNED, pack_learned
 from petmjx.plans.samples.online.stream import MOST_LOOK_AHEAD
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import PackRules, Placed, pack_best
-from petmjx.text import shown
 
 BASELINE: Final = "baseline"
 BALANCED: Final = "balanced"

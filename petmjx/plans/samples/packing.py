@@ -14,11 +14,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM, Balance, Rest
 from petmjx.plans.samples.candidates import Candidates
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
-from petmjx.units import FloatArray
 
 LEAST_SUPPORT: Final = 0.5
 """Least share of a base that rests on something. The balance is the rule that counts; this one keeps overhangs few."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from petmjx.errors import InputError
-from petmjx.units import STANDARD_GRAVITY, FloatArray
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.world.job import ACCELERATION, Excitation
 from petmjx.world.profiles.base import Profile, Strength, step_averages, steps_to_cover
 from petmjx.world.random import WorldKey

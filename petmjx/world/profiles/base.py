@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 from petmjx.world.job import Excitation
 from petmjx.world.random import WorldKey
 

@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field, StrictFloat, model_validator
 
-from petmjx.bounded import read_regular
-from petmjx.checked import Checked, got, read_toml, reason, within
-from petmjx.errors import InputError
-from petmjx.text import printable, shown
+from petmjx.basics.bounded import read_regular
+from petmjx.basics.checked import Checked, got, read_toml, reason, within
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable, shown
 from petmjx.world.profiles.base import MAX_PROFILE_S
 from petmjx.world.profiles.vibration import PsdTable, psd_rms_g
 from petmjx.world.profiles.windows import Window

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from petmjx.checked import hint
-from petmjx.errors import InputError
+from petmjx.basics.checked import hint
+from petmjx.basics.errors import InputError
 from petmjx.world.profiles.acceleration import BUILT_IN_ACCELERATIONS, en_12195_1
 from petmjx.world.profiles.base import Profile
 from petmjx.world.profiles.windows import BUILT_IN_FORCES

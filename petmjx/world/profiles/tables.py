@@ -9,8 +9,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, StrictFloat, Tag, TypeAdapter, model_validator
 
-from petmjx.checked import LIST, VALUE, Checked, by_entry, complaint, got, shape, within
-from petmjx.errors import InputError
+from petmjx.basics.checked import LIST, VALUE, Checked, by_entry, complaint, got, shape, within
+from petmjx.basics.errors import InputError
 from petmjx.world.profiles.acceleration import HalfSine, Tilt, Trapezoid, eumos_40509
 from petmjx.world.profiles.base import MAX_PROFILE_S, Profile
 from petmjx.world.profiles.files import (

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from petmjx.units import seconds_to_steps
+from petmjx.basics.units import seconds_to_steps
 from petmjx.world.job import FORCE, Excitation
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.random import WorldKey

@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM
 from petmjx.plans.samples.online.stream import Places, Stream
 from petmjx.plans.samples.online.surface import CELL_MM, Surface
-from petmjx.units import MM_PER_M, FloatArray
 
 NAMES: Final = (
     *("z", "top", "grows", "below_top", "above_lowest"),

@@ -16,6 +16,7 @@ from typing import IO, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import Rest
 from petmjx.plans.samples.online.features import features
 from petmjx.plans.samples.online.network import Network
@@ -24,7 +25,6 @@ from petmjx.plans.samples.online.stream import Places, Stream, pack_stream
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import Placed
 from petmjx.plans.samples.packing import Next
-from petmjx.units import FloatArray
 
 LEARNED: Final = "learned"
 """The packer's name."""

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

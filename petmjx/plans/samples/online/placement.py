@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from petmjx.arguments import instance_of
+from petmjx.basics.arguments import instance_of
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples.balance import Balance, Rest
 from petmjx.plans.samples.online.learned import published
 from petmjx.plans.samples.online.stability import likely, placing, stability_features
-from petmjx.units import MM_PER_M, FloatArray
 
 
 def placement_stability(plan: Plan) -> FloatArray:

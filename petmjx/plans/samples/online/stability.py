@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM, Balance, Margins, Rest
 from petmjx.plans.samples.online.network import Network
-from petmjx.units import MM_PER_M, FloatArray
 
 NAMES: Final = (
     *("own_margin", "own_share", "pile_margin", "support", "one_support", "n_supports", "floor"),

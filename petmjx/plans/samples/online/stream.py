@@ -8,12 +8,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM, Balance
 from petmjx.plans.samples.online.surface import Surface
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
 from petmjx.plans.samples.packing import LEAST_SUPPORT, Next, Packing, Taste
-from petmjx.units import FloatArray
 
 MOST_LOOK_AHEAD: Final = 200
 

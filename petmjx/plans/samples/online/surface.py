@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.units import FloatArray
+from petmjx.basics.units import FloatArray
 
 CELL_MM: Final = 25.0
 

@@ -9,9 +9,9 @@ from typing import Annotated, Final
 
 from pydantic import Field, StrictFloat
 
-from petmjx.checked import Checked
-from petmjx.errors import InputError
-from petmjx.text import counted, shown
+from petmjx.basics.checked import Checked
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, shown
 
 WOOD: Final = "wood"
 STEEL: Final = "steel"

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.checked import got
-from petmjx.errors import InputError
+from petmjx.basics.checked import got
+from petmjx.basics.errors import InputError
 
 Kind = TypeVar("Kind")
 

@@ -10,9 +10,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from petmjx.checked import reason
-from petmjx.errors import InputError
-from petmjx.text import printable
+from petmjx.basics.checked import reason
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable
 
 
 def check_free(file: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:

@@ -11,11 +11,11 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, StrictFloat, Tag, ValidationInfo, model_validator
 
-from petmjx.checked import TABLE, VALUE, Checked, complaint, got, read_toml, shape, similar
-from petmjx.errors import InputError
-from petmjx.materials import WOOD
-from petmjx.text import printable, shown
-from petmjx.units import MM_PER_M
+from petmjx.basics.checked import TABLE, VALUE, Checked, complaint, got, read_toml, shape, similar
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import printable, shown
+from petmjx.basics.units import MM_PER_M
+from petmjx.options.materials import WOOD
 
 
 class Carrier(StrEnum):

@@ -1,4 +1,4 @@
-"""Every option that results depend on (``Simulation``). How and where a run runs: petmjx/run_options.py.
+"""Every option that results depend on (``Simulation``). How and where a run runs: petmjx/options/run_options.py.
 
 Defaults, units, checks and descriptions are written only here. ``petmjx.score``, ``petmjx.sweep``, the command line
 and the ``[simulation]`` table of sweep files are made from these records. ``run.json`` has their values.
@@ -11,12 +11,12 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from petmjx.carrier import AnyCarrier, Carrier
-from petmjx.checked import Checked, CliFlag, complaint, within
-from petmjx.materials import FrictionPair
-from petmjx.physics import PHYSICS, Cone, Physics
-from petmjx.placing import Placing, Way
-from petmjx.wrap import Wrap
+from petmjx.basics.checked import Checked, CliFlag, complaint, within
+from petmjx.options.carrier import AnyCarrier, Carrier
+from petmjx.options.materials import FrictionPair
+from petmjx.options.physics import PHYSICS, Cone, Physics
+from petmjx.options.placing import Placing, Way
+from petmjx.options.wrap import Wrap
 
 # Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
 # an infinity, in an endless run, or in tables for steps that no run has.

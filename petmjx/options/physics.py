@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, Field, computed_field, model_validator
 
-from petmjx.checked import Checked, got, within
+from petmjx.basics.checked import Checked, got, within
 
 SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0

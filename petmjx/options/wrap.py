@@ -1,6 +1,6 @@
 """Stretch wrap around a finished pallet (``Wrap``): how much film, and how it pulls.
 
-As ``petmjx.config``: defaults, units, checks and descriptions are written only here. Users read about it in
+As ``petmjx.options.config``: defaults, units, checks and descriptions are written only here. Users read about it in
 docs/wrap.md.
 """
 
@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from petmjx.checked import Checked, CliFlag, within
+from petmjx.basics.checked import Checked, CliFlag, within
 
 
 class Wrap(Checked):

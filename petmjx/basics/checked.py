@@ -15,9 +15,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Valid
 from pydantic._internal._model_construction import ModelMetaclass  # has no public name
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from petmjx.bounded import read_regular
-from petmjx.errors import InputError
-from petmjx.text import counted, printable, shortened, shown
+from petmjx.basics.bounded import read_regular
+from petmjx.basics.errors import InputError
+from petmjx.basics.text import counted, printable, shortened, shown
 
 _TEXTS: Final = {
     "greater_than": "must be > {gt:g}",

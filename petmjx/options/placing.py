@@ -1,6 +1,6 @@
 """How a box is placed (``Placing``): where it begins, and what carries it to its place.
 
-As ``petmjx.config``: defaults, units, checks and descriptions are written only here. The rules, to the step:
+As ``petmjx.options.config``: defaults, units, checks and descriptions are written only here. The rules, to the step:
 docs/rules.md, section 4. Users read about it in docs/placing.md.
 """
 
@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, model_validator
 
-from petmjx.checked import Checked, CliFlag, within
+from petmjx.basics.checked import Checked, CliFlag, within
 
 
 class Way(StrEnum):

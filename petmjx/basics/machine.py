@@ -12,7 +12,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from petmjx.text import counted
+from petmjx.basics.text import counted
 from petmjx.version import __version__
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")

@@ -1,7 +1,7 @@
 """How and where a run runs (``RunOptions``), whether a score says how sure it is (``Confidence``), and which record an
 option given by name belongs to.
 
-As ``petmjx.config``: defaults, checks and descriptions are written only here.
+As ``petmjx.options.config``: defaults, checks and descriptions are written only here.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from petmjx.checked import Checked, CliFlag, complaint, got, hint, within
-from petmjx.config import Simulation
-from petmjx.errors import InputError
-from petmjx.units import PLAN_UNITS, plan_units
+from petmjx.basics.checked import Checked, CliFlag, complaint, got, hint, within
+from petmjx.basics.errors import InputError
+from petmjx.basics.units import PLAN_UNITS, plan_units
+from petmjx.options.config import Simulation
 
 AUTO: Final = "auto"
 

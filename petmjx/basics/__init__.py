@@ -1,0 +1,1 @@
+"""What all of petmjx stands on, and what knows nothing of it: errors, texts, units, files, checks."""
