@@ -1,6 +1,6 @@
 // One contact's part in the solver: its rows of J, and the force and curvature of its cone's cost.
 //
-// `contact` points to the contact's numbers as make_constraint (kernel/contacts.py) writes them: frame (9), moment arms of
+// `contact` points to the contact's numbers as make_constraint (kernel/constraint.py) writes them: frame (9), moment arms of
 // both bodies (9 + 9), reference accelerations (aref, 3), stiffness of the normal's row (D, 1), friction (1).
 
 #ifndef PETMJX_CONTACT_CUH

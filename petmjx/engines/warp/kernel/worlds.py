@@ -22,7 +22,8 @@ from petmjx.engines.warp.kernel.block import (
     times,
     wait_for_all,
 )
-from petmjx.engines.warp.kernel.contacts import APART, NEAR, collide, link_contacts, list_pairs, make_constraint
+from petmjx.engines.warp.kernel.collision import APART, NEAR, collide, list_pairs
+from petmjx.engines.warp.kernel.constraint import link_contacts, make_constraint
 from petmjx.engines.warp.kernel.film import hold
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.hand import carry

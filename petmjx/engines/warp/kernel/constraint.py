@@ -1,38 +1,17 @@
-"""Contacts of a world: pairs of geoms that are near, where they touch, their rows, and the contacts of each body.
+"""Constraints of a world: the rows of its contacts, and the contacts of each body.
 
-Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
-over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX. Contacts have
-the parameters that MuJoCo gives them (its documentation, "Modeling", "Solver parameters").
-
-A contact is described by its frame and three moment arms per body (27 numbers), since each of its two bodies is free or
-does not move.
+Contacts have the parameters that MuJoCo gives them (its documentation, "Modeling", "Solver parameters"). A contact is
+described by its frame and three moment arms per body (27 numbers), since each of its two bodies is free or does not
+move.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernel.block import (
-    any_of_all,
-    cross,
-    fused,
-    prefix_sums,
-    times,
-    wait_for_all,
-    warp_by_warp,
-)
+from petmjx.engines.warp.kernel.block import cross, fused, prefix_sums, times, wait_for_all
 from petmjx.engines.warp.kernel.give import spring_law, spring_of_pair
-from petmjx.engines.warp.kernel.motion import (
-    ROOM,
-    angular_velocity,
-    body_of,
-    center,
-    first_geom,
-    geom_half,
-    linear_velocity,
-    skin_of,
-)
-from petmjx.engines.warp.kernel.mujoco_warp import box_box, mat83f, plane_box, vec8f
+from petmjx.engines.warp.kernel.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.kernel.ordering import free_position
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 
@@ -41,165 +20,6 @@ MIN_VALUE = wp.constant(1e-15)
 MIN_IMPEDANCE = wp.constant(1e-4)
 MAX_IMPEDANCE = wp.constant(0.9999)
 MIN_FRICTION = wp.constant(1e-5)
-
-NEAR = wp.constant(1e-5)
-"""Boxes around geoms are larger by this, m, so that rounding loses no contact."""
-
-APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
-"""How far boxes around geoms may be apart, m, for their pair to be listed. The list is good until one of them has left
-its room, so that it need not be made in each step."""
-
-
-@wp.func
-def _first_partner(worlds: Worlds, at: Thread, geom: int) -> int:
-    """The first of the geoms behind this one that may touch it: of another body, and not held fast to the floor."""
-    body = wp.max(body_of(worlds, at.world, geom), wp.where(at.held != 0, 0, -1))
-    return first_geom(worlds, at.world, body + 1)
-
-
-@wp.func
-def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool:
-    """Whether the boxes around two geoms are no further apart than this along each axis, m."""
-    reach = work.geom_reach[at.block, two]
-    place = work.geom_xpos[at.block, two]
-    if one == 0:
-        return place[2] - reach[2] <= work.geom_xpos[at.block, 0][2] + apart
-    gap = wp.abs(place - work.geom_xpos[at.block, one]) - reach - work.geom_reach[at.block, one]
-    return wp.max(gap[0], wp.max(gap[1], gap[2])) <= apart
-
-
-@wp.func
-def list_pairs(
-    # Model:
-    model: Model,
-    worlds: Worlds,
-    # In:
-    at: Thread,
-    apart: float,
-    # Data out:
-    work: Workspace,
-) -> int:
-    """List pairs of geoms that are no further apart than this, m; returns their number, which may be more than fit.
-
-    ``geom1_pairadr`` says where the pairs of each lower geom begin. ``geom2_pair`` has the pairs of each higher geom,
-    from ``geom2_pairadr`` on, in order.
-    """
-    block = at.block
-    n = at.geoms
-    for one in range(at.thread, n, at.threads):
-        work.listed_xpos[block, one] = work.geom_xpos[block, one]
-        work.listed_reach[block, one] = work.geom_reach[block, one]
-        count = int(0)
-        for two in range(_first_partner(worlds, at, one), n):
-            count += wp.where(_near(work, at, one, two, apart), 1, 0)
-        work.geom1_pairadr[block, one] = count
-    wait_for_all()
-    prefix_sums(work.geom1_pairadr, block, n, at.thread)
-    wait_for_all()
-    npair = work.geom1_pairadr[block, n]
-    if npair > model.npairmax:
-        return npair
-    for one in range(at.thread, n, at.threads):
-        pair = work.geom1_pairadr[block, one]
-        for two in range(_first_partner(worlds, at, one), n):
-            if _near(work, at, one, two, apart):
-                work.pair_geom1[block, pair] = one
-                work.pair_geom2[block, pair] = two
-                pair += 1
-    wait_for_all()
-    for two in range(at.thread, n, at.threads):
-        count = int(0)
-        for pair in range(work.geom1_pairadr[block, two]):
-            count += wp.where(work.pair_geom2[block, pair] == two, 1, 0)
-        work.geom2_pairadr[block, two] = count
-    wait_for_all()
-    prefix_sums(work.geom2_pairadr, block, n, at.thread)
-    wait_for_all()
-    for two in range(at.thread, n, at.threads):
-        entry = work.geom2_pairadr[block, two]
-        for pair in range(work.geom1_pairadr[block, two]):
-            if work.pair_geom2[block, pair] == two:
-                work.geom2_pair[block, entry] = pair
-                entry += 1
-    wait_for_all()
-    return npair
-
-
-@wp.func
-def collide(
-    # Model:
-    model: Model,
-    worlds: Worlds,
-    # In:
-    at: Thread,
-    npair: int,
-    anew: bool,
-    # Data out:
-    work: Workspace,
-) -> bool:
-    """Find where pairs touch; returns whether contacts have other numbers than a step ago.
-
-    Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
-    petmjx/world/model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may be more than fit.
-    ``contact_pair`` is the pair of each contact that fits.
-
-    Args:
-        anew: pairs were listed for this step.
-    """
-    block = at.block
-    changed = bool(anew)
-    for pair in range(warp_by_warp(at), npair, at.threads):
-        one = work.pair_geom1[block, pair]
-        two = work.pair_geom2[block, pair]
-        if not _near(work, at, one, two, NEAR):
-            changed = changed or work.pair_ncon[block, pair] != 0
-            work.pair_ncon[block, pair] = 0
-            continue
-        found = int(8)
-        distances = vec8f()
-        places = mat83f()
-        normal = wp.vec3(0.0, 0.0, 1.0)
-        lower_skin = skin_of(model, worlds, at.world, one)
-        skin = skin_of(model, worlds, at.world, two)
-        half = geom_half(worlds, at.world, two) + wp.vec3(skin, skin, skin)
-        margin = -lower_skin - skin
-        if one == 0:
-            distances, places, normal = plane_box(
-                normal, work.geom_xpos[block, 0], work.geom_xpos[block, two], work.geom_xmat[block, two], half
-            )
-        else:
-            found, distances, places, normal = box_box(
-                work.geom_xpos[block, one],
-                work.geom_xmat[block, one],
-                geom_half(worlds, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
-                work.geom_xpos[block, two],
-                work.geom_xmat[block, two],
-                half,
-                margin,
-            )
-        count = int(0)
-        for i in range(found):
-            distance = distances[i] - margin
-            if distance < 0.0:
-                work.pair_points[block, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
-                count += 1
-        work.pair_normal[block, pair] = normal
-        changed = changed or work.pair_ncon[block, pair] != count
-        work.pair_ncon[block, pair] = count
-    if not any_of_all(changed):
-        return False
-    for pair in range(at.thread, npair, at.threads):
-        work.pair_conadr[block, pair] = work.pair_ncon[block, pair]
-    wait_for_all()
-    prefix_sums(work.pair_conadr, block, npair, at.thread)
-    wait_for_all()
-    for pair in range(at.thread, npair, at.threads):
-        begin = work.pair_conadr[block, pair]
-        end = wp.min(work.pair_conadr[block, pair + 1], model.nconmax)
-        for contact in range(begin, end):
-            work.contact_pair[block, contact] = pair
-    wait_for_all()
-    return True
 
 
 @wp.func

@@ -1,0 +1,178 @@
+// The Hessian of a world's constraint problem: code for the threads of a GPU's block, and for the vector units of a CPU.
+
+#ifndef PETMJX_HESSIAN_CUH
+#define PETMJX_HESSIAN_CUH
+
+#include "block.cuh"
+#include "contact.cuh"
+#include "system.cuh"
+#include "world.cuh"
+
+namespace petmjx {
+
+#if defined(__CUDA_ARCH__)
+// A body's own entries of the Hessian, 21 of its 6 × 6, summed over its contacts by SHARE threads.
+inline CUDA_CALLABLE void own_entries(const World& world, const System& system, int thread, int threads) {
+    #pragma unroll 1
+    for (int base = 0; base < world.nfree * SHARE; base += threads) {
+        const int b = (base + thread) / SHARE, share_of = thread % SHARE;
+        float own[21];
+        #pragma unroll
+        for (int e = 0; e < 21; ++e) own[e] = 0.0f;
+        if (b < world.nfree) {
+            #pragma unroll 1
+            for (int entry = world.body_conadr[b] + share_of; entry < world.body_conadr[b + 1]; entry += SHARE) {
+                const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
+                const float* s = world.curvature + 6 * k;
+                const float s0 = s[0], s1 = s[1], s2 = s[2], s3 = s[3], s4 = s[4], s5 = s[5];
+                float axes[9], arms[9], x[6], y[6], z[6];
+                load_axes(world.efc + EFC * k, axes);
+                load_arms(world.efc + EFC * k, side, arms);
+                #pragma unroll
+                for (int i = 0; i < 3; ++i) {
+                    x[i] = axes[i], y[i] = axes[3 + i], z[i] = axes[6 + i];
+                    x[3 + i] = arms[i], y[3 + i] = arms[3 + i], z[3 + i] = arms[6 + i];
+                }
+                int e = 0;
+                #pragma unroll
+                for (int q = 0; q < 6; ++q) {
+                    const float bx = s0 * x[q] + s1 * y[q] + s2 * z[q];
+                    const float by = s1 * x[q] + s3 * y[q] + s4 * z[q];
+                    const float bz = s2 * x[q] + s4 * y[q] + s5 * z[q];
+                    #pragma unroll
+                    for (int p = 0; p <= q; ++p) own[e++] += x[p] * bx + y[p] * by + z[p] * bz;
+                }
+            }
+        }
+        sum_over_share(own);
+        if (b >= world.nfree) continue;
+        const int place = world.position[b];
+        const Columns columns = system.columns(place);
+        int e = 0;
+        #pragma unroll
+        for (int q = 0; q < 6; ++q) {
+            #pragma unroll
+            for (int p = 0; p <= q; ++p) {
+                if (e % SHARE == share_of)
+                    columns.entry(6 * place + p, q) = own[e] + (p == q ? world.qM[6 * b + p] : 0.0f);
+                ++e;
+            }
+        }
+    }
+}
+
+// The 6 × 6 entries of two bodies that touch: one row per thread, summed over their contacts.
+inline CUDA_CALLABLE void pair_entries(const World& world, const System& system, int pairs, int thread, int threads) {
+    const int* body = world.body;
+    #pragma unroll 1
+    for (int item = thread; item < 6 * pairs; item += threads) {
+        const int p = item % 6;
+        int k = world.bodies_conadr[item / 6];
+        const int one = body[2 * k], two = body[2 * k + 1];
+        float shared[6] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+        do {
+            const float* c = world.efc + EFC * k;
+            const float* s = world.curvature + 6 * k;
+            float axes[9], arms[9];
+            load_axes(c, axes);
+            load_arms(c, 1, arms);
+            const float* mine = c + (p < 3 ? p : 6 + p);
+            const float x = mine[0], y = mine[3], z = mine[6];
+            const float bx = s[0] * x + s[1] * y + s[2] * z;
+            const float by = s[1] * x + s[3] * y + s[4] * z;
+            const float bz = s[2] * x + s[4] * y + s[5] * z;
+            #pragma unroll
+            for (int i = 0; i < 3; ++i) {
+                shared[i] -= axes[i] * bx + axes[3 + i] * by + axes[6 + i] * bz;
+                shared[3 + i] -= arms[i] * bx + arms[3 + i] * by + arms[6 + i] * bz;
+            }
+            ++k;
+        } while (k < world.ncon && body[2 * k] == one && body[2 * k + 1] == two);
+        const int upper = world.position[one], lower = world.position[two];
+        const bool ahead = upper < lower;
+        const Columns columns = system.columns(ahead ? lower : upper);
+        #pragma unroll
+        for (int i = 0; i < 6; ++i) {
+            if (ahead) columns.entry(6 * upper + p, i) = shared[i];
+            else columns.entry(6 * lower + i, p) = shared[i];
+        }
+    }
+}
+
+#else
+// The same as rows of six numbers, for the vector units of a CPU: a body's own entries,
+inline void own_entries(const World& world, const System& system, int, int) {
+    for (int b = 0; b < world.nfree; ++b) {
+        Six own[6] = {};
+        for (int entry = world.body_conadr[b]; entry < world.body_conadr[b + 1]; ++entry) {
+            const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
+            const float* c = world.efc + EFC * k;
+            const Six rows[3] = {load_six(c, side, 0), load_six(c, side, 1), load_six(c, side, 2)};
+            Six bent[3];
+            bend_six(world.curvature + 6 * k, rows, bent);
+            #pragma unroll
+            for (int q = 0; q < 6; ++q) own[q] += bent[0][q] * rows[0] + bent[1][q] * rows[1] + bent[2][q] * rows[2];
+        }
+        const int place = world.position[b];
+        const Columns columns = system.columns(place);
+        #pragma unroll
+        for (int q = 0; q < 6; ++q) {
+            own[q][q] += world.qM[6 * b + q];
+            #pragma unroll
+            for (int p = 0; p <= q; ++p) columns.entry(6 * place + p, q) = own[q][p];
+        }
+    }
+}
+
+// and those of two bodies that touch.
+inline void pair_entries(const World& world, const System& system, int pairs, int, int) {
+    const int* body = world.body;
+    for (int pair = 0; pair < pairs; ++pair) {
+        int k = world.bodies_conadr[pair];
+        const int one = body[2 * k], two = body[2 * k + 1];
+        Six shared[6] = {};
+        do {
+            const float* c = world.efc + EFC * k;
+            const Six first[3] = {load_six(c, 0, 0), load_six(c, 0, 1), load_six(c, 0, 2)};
+            const Six second[3] = {load_six(c, 1, 0), load_six(c, 1, 1), load_six(c, 1, 2)};
+            Six bent[3];
+            bend_six(world.curvature + 6 * k, first, bent);
+            #pragma unroll
+            for (int p = 0; p < 6; ++p)
+                shared[p] -= bent[0][p] * second[0] + bent[1][p] * second[1] + bent[2][p] * second[2];
+            ++k;
+        } while (k < world.ncon && body[2 * k] == one && body[2 * k + 1] == two);
+        const int upper = world.position[one], lower = world.position[two];
+        const bool ahead = upper < lower;
+        const Columns columns = system.columns(ahead ? lower : upper);
+        #pragma unroll
+        for (int p = 0; p < 6; ++p) {
+            #pragma unroll
+            for (int i = 0; i < 6; ++i) {
+                if (ahead) columns.entry(6 * upper + p, i) = shared[p][i];
+                else columns.entry(6 * lower + i, p) = shared[p][i];
+            }
+        }
+    }
+}
+#endif
+
+// H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles. Rows beyond its end: identity.
+inline CUDA_CALLABLE void hessian(const World& world, const System& system, int pairs, int thread, int threads) {
+    const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    #pragma unroll 1
+    for (int i = 4 * thread; i < system.base[system.panels]; i += 4 * threads) store_four(system.A + i, nothing);
+    wait_for_all();
+    #pragma unroll 1
+    for (int c = world.nv + thread; c < system.panels * B; c += threads) {
+        system.entry(c, c) = 1.0f;
+        system.rhs[c] = 0.0f;
+    }
+    own_entries(world, system, thread, threads);
+    pair_entries(world, system, pairs, thread, threads);
+    wait_for_all();
+}
+
+}  // namespace petmjx
+
+#endif

@@ -1,0 +1,33 @@
+// One world as the constraint solver sees it.
+
+#ifndef PETMJX_WORLD_CUH
+#define PETMJX_WORLD_CUH
+
+namespace petmjx {
+
+// Views of one world's arrays, which records.py describes. Its bodies are the free ones.
+struct World {
+    int ncon, nfree, nv;
+    const float* efc;           // (contact, EFC)
+    const int* body;            // (contact, 2) negative: does not move
+    const int* body_conadr;     // (body + 1,) where each body's contacts begin
+    const int* body_contact;    // 2·contact + side, body after body
+    const int* position;        // (body,) of its rows in the system, in bodies
+    const float* qM;            // (nv,) diagonal of M
+    const float* qacc_smooth;   // (nv,) accelerations without contacts
+    double* qacc;               // (nv,)
+    double* search;             // (nv,)
+    double* grad;               // (nv,)
+    double* Jaref;              // (contact, 3) J·qacc − aref
+    double* jv;                 // (contact, 3) J·search
+    double* force;              // (contact, 3)
+    float* curvature;           // (contact, 6)
+    float* drag;                // (contact, 2)
+    int* bodies_conadr;         // (pair,) first contact of each pair of moving bodies
+};
+
+const int EFC = 32;  // numbers of a contact
+
+}  // namespace petmjx
+
+#endif
