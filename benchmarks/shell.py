@@ -1,0 +1,166 @@
+"""Where the time of ``petmjx score`` goes from shell to shell: when each stage of a run in a process of its own ended.
+
+``python -m benchmarks.shell plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and what is
+left is the host's. Stages are looked at from outside: the command itself is the one that users run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.record import append_line, environment
+
+_CHILD = "import time; at = time.time(); from benchmarks.shell import score; score(at)"
+
+
+class Stages:
+    """When stages ended, in s since the shell's start, and the CPU time of this process until then."""
+
+    def __init__(self, begin: float) -> None:
+        self._begin = begin
+        self.ended: dict[str, tuple[float, float]] = {}
+
+    def end(self, name: str, at: float | None = None) -> None:
+        """Note that a stage has ended now, unless it has before."""
+        self.ended.setdefault(name, ((at or time.time()) - self._begin, time.process_time()))
+
+    def around(self, home: Any, name: str, before: str = "", after: str = "") -> None:
+        """Note when a function begins or ends for the first time."""
+        inner: Callable[..., Any] = getattr(home, name)
+
+        @functools.wraps(inner)
+        def noted(*some: Any, **more: Any) -> Any:
+            if before:
+                self.end(before)
+            found = inner(*some, **more)
+            if after:
+                self.end(after)
+            return found
+
+        setattr(home, name, noted)
+
+
+def score(at: float) -> None:
+    """The command, in this process, with its stages noted. Its arguments: begin, log, plans, engine, folder."""
+    begin, log, plans, engine, folder = sys.argv[1:]
+    stages = Stages(float(begin))
+    stages.end("interpreter", at)
+    from petmjx.cli.main import main
+
+    stages.end("command line")
+    from petmjx import api, simulate
+    from petmjx.engines import resolve
+    from petmjx.results.writer import RunWriter
+
+    stages.end("modules")
+    if engine == "instant":
+        from benchmarks.instant import Instant
+
+        vars(resolve)["make_engine"] = lambda *some, **more: resolve.Lent(Instant(), None)
+    else:
+        _note_slices(stages)
+    stages.around(simulate, "usable_plans", after="plans read")
+    stages.around(resolve, "resolve_engine", before="GPU started", after="engine there")
+    stages.around(RunWriter, "__enter__", after="folder open")
+    stages.around(RunWriter, "add", before="first world final")
+    stages.around(RunWriter, "put_in_order", before="last world final", after="in order")
+    stages.around(RunWriter, "__exit__", after="written")
+    stages.around(api, "simulate", after="read again")
+    name = "mjx-warp" if engine == "instant" else engine
+    code = main(["score", plans, "--engine", name, "--out", folder])
+    stages.end("shown")
+    Path(log).write_text(json.dumps(stages.ended))
+    _leave(code)
+
+
+def _leave(code: int) -> None:
+    """End as the command does."""
+    sys.exit(code)
+
+
+def _note_slices(stages: Stages) -> None:
+    """Note when the device has its first slice, and when it has ended its last one."""
+    if not _has_gpu():
+        return
+    import threading
+
+    def note() -> None:  # the module loads JAX, which must not come before plans are read
+        while (module := sys.modules.get("petmjx.engines.warp.rollout")) is None or not hasattr(module, "Rollout"):
+            time.sleep(0.01)
+        stages.around(module.Rollout, "start", before="worlds made", after="first slice begun")
+        inner = module.Rollout.wait
+
+        def wait(*some: Any) -> Any:
+            found = inner(*some)
+            stages.end("first slice ended")
+            stages.ended.pop("last slice ended", None)
+            stages.end("last slice ended")
+            return found
+
+        module.Rollout.wait = wait
+
+    threading.Thread(target=note, daemon=True).start()
+
+
+def _has_gpu() -> bool:
+    from petmjx.basics.machine import cuda_devices
+
+    return bool(cuda_devices())
+
+
+def measured(plans: str, engine: str) -> dict[str, Any]:
+    """One run, from shell to shell: stage → s since its start, and the CPU time of the process until then."""
+    with tempfile.TemporaryDirectory() as made:
+        log = Path(made) / "stages.json"
+        begin = time.time()
+        given = [repr(begin), str(log), plans, engine, str(Path(made) / "out")]
+        done = subprocess.run([sys.executable, "-c", _CHILD, *given], check=True, capture_output=True, text=True)
+        shell_s = time.time() - begin
+        ended = json.loads(log.read_text())
+        info = json.loads((Path(made) / "out" / "run.json").read_text())
+    sys.stderr.write(done.stderr)
+    in_order = dict(sorted(ended.items(), key=lambda each: float(each[1][0])))
+    return {
+        "case": "shell",
+        "group": "shell",
+        "engine": engine,
+        "plans": info["counts"]["worlds"],
+        "shell_s": shell_s,
+        "engine_wall_s": info["timings"]["wall_s"],
+        "ended_s": {name: at for name, (at, _) in in_order.items()},
+        "cpu_s": {name: cpu for name, (_, cpu) in in_order.items()},
+        "device": info["device"],
+        "load": os.getloadavg()[0],
+    }
+
+
+def main() -> None:
+    """A line of stages for each run, and a line of results at the end of the file."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("plans")
+    parser.add_argument("--engine", default="instant")
+    parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--note", default="")
+    parser.add_argument("--out", type=Path)
+    asked = parser.parse_args()
+    for _ in range(asked.repeats):
+        line = measured(asked.plans, asked.engine)
+        for name, at in line["ended_s"].items():
+            print(f"{at:8.2f} s  {name:20} {line['cpu_s'][name]:8.2f} s of CPU time")
+        print(f"{line['shell_s']:8.2f} s  shell; the engine's wall {line['engine_wall_s']:.2f} s", flush=True)
+        if asked.out is not None:
+            append_line(asked.out, {**line, **({"note": asked.note} if asked.note else {}), **environment()})
+
+
+if __name__ == "__main__":
+    main()
