@@ -69,12 +69,12 @@ def test_a_world_goes_on_in_other_blocks_when_few_such_worlds_are_left(
 
 
 def test_worlds_of_few_boxes_have_a_queue_of_their_own_while_they_are_enough() -> None:
-    running, n_boxes = jnp.array([1, 1, 0, 1, 1, 1], bool), jnp.array([2, 9, 2, 3, 1, 1])
+    running, placed = jnp.array([1, 1, 0, 1, 1, 1], bool), jnp.array([2, 9, 2, 3, 1, 1])
     order = jnp.array([[5, -1, -1, -1, -1, -1], [3, 1, 2, 0, 4, -1]], jnp.int32)
     few = replace(ONE, n_boxes=2, least=2)
-    found = with_few_first(few, order, n_boxes, running)
+    found = with_few_first(few, order, placed, running)
     assert found.tolist() == [[0, 4, -1, -1, -1, -1], [5, -1, -1, -1, -1, -1], [3, 1, 2, -1, -1, -1]]
-    found = with_few_first(replace(few, least=3), order, n_boxes, running)
+    found = with_few_first(replace(few, least=3), order, placed, running)
     assert found.tolist() == [[-1] * 6, *order.tolist()]
 
 
@@ -176,7 +176,7 @@ def test_blocks_of_eight_worlds_give_what_blocks_of_one_give(
     scenes |= {f"heap of {n}, {k}": make_scene(heap(n)) for n in (6, 15, 24) for k in range(60)}
     together = simulate(MjxWarpEngine(slice_ns=3_000_000), scenes, sim)
     assert len(taken[0]) == 2
-    assert min(np.array(taken).max(0)) > 100
+    assert min(np.array(taken[1:]).max(0)) > 100
     monkeypatch.setattr(mjx_warp, "fleet_for_few", lambda *_: None)
     assert_equal_worlds(simulate(MjxWarpEngine(), scenes, sim), together)
     assert len(taken[-1]) == 1

@@ -147,6 +147,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
                 **constants(sim, timetable),
                 "queue": 0,
                 "most_idle": NEVER,
+                "most_placed": NEVER,
                 "npairmax": 1,
                 "nconmax": 1,
             },

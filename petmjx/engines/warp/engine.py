@@ -325,7 +325,7 @@ class MjxWarpEngine(Engine):
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
         smallest = _sizes(run)[-1]
         if self._room.get((run.sim.physics.cone, smallest), 1) == 1:  # larger buffers of all lanes would be too much
-            worlds = sum(job.scene.n_boxes <= FEW_BOXES.most_boxes for job in group.jobs)
+            worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = fleet_for_few(fleets[-1], worlds, self.lanes)
             fleets = (few, *fleets) if few else fleets
         launches = tuple(fleet.launch for fleet in fleets)

@@ -1,8 +1,8 @@
-"""Worlds of few boxes: when they have thread blocks of their own, and which they are.
+"""Worlds with few boxes so far: when they have thread blocks of their own, and which they are.
 
 A block for them has several worlds, a warp each (``launch.FEW_BOXES``). Such a world takes the same steps to the last
-bit as in a block of its own, where it goes on when too few such worlds are left: so which blocks have it is a matter of
-speed alone.
+bit as in a block of its own, where it goes on when it has more boxes, or when too few such worlds are left: so which
+blocks have it is a matter of speed alone.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ blocks of one world are faster."""
 
 
 def fleet_for_few(fleet: Fleet, worlds: int, lanes: int | None = None) -> Fleet | None:
-    """Blocks for worlds of few boxes; None: not on this device, or not for so few worlds.
+    """Blocks for worlds with few boxes; None: not on this device, or not for so few worlds.
 
     Args:
         fleet: those that have them else.
-        worlds: which have few boxes, and may have other blocks.
+        worlds: which begin with few boxes, and may have other blocks.
         lanes: worlds that may run at the same time; None: as many as the device has room for.
     """
     one = fleet.launch
@@ -39,18 +39,18 @@ def fleet_for_few(fleet: Fleet, worlds: int, lanes: int | None = None) -> Fleet 
 
 
 def with_few_first(
-    few: Fleet, order: Int[Array, "queue world"], n_boxes: Int[Array, " world"], running: Bool[Array, " world"]
+    few: Fleet, order: Int[Array, "queue world"], placed: Int[Array, " world"], running: Bool[Array, " world"]
 ) -> Int[Array, "queue+1 world"]:
-    """Queues with one more, the first: of the worlds of the last queue that have few boxes, while they are enough.
+    """Queues with one more, the first: of the worlds of the last queue that have few boxes now, while they are enough.
 
     All keep their order. For jitted programs.
 
     Args:
-        n_boxes: of each world.
+        placed: boxes of each world.
         running: worlds that go on.
     """
     last = order[-1]
-    chosen = (last >= 0) & (running & (n_boxes <= few.n_boxes))[last]
+    chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]
     chosen &= chosen.sum() >= few.least
     return jnp.concatenate([_closed_up(last, chosen)[None], order[:-1], _closed_up(last, ~chosen)[None]])
 

@@ -5,7 +5,7 @@ many threads. So there are blocks of two sizes, each with a kernel of its own. A
 boxes alone: the number of threads decides the order of sums, and with it the last bits of results.
 
 A step of few boxes is latency alone, and many worlds have to go through it together: a third kernel has eight of them
-in a block, a warp each. Its sums have the order of the smaller size, so that a world may change between the two at any
+in a block, a warp each. That is where pallets of all sizes begin. Its sums have the order of the smaller size, so that a world may change between the two at any
 step.
 """
 
@@ -60,7 +60,7 @@ SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 """By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured: docs/performance.md."""
 
 FEW_BOXES = Size(15, 256, 2, 48 << 10, worlds=8)
-"""For worlds of so few boxes: with a carrier that moves they fill six panels."""
+"""For worlds with so few boxes so far: with a carrier that moves they fill six panels."""
 
 
 def size_for(n_boxes: int) -> Size:

@@ -60,7 +60,7 @@ class Fleet:
     Attributes:
         launch: how the device runs them.
         blocks: how many; each has one world at a time.
-        n_boxes, boards: most boxes of a world, and most shapes of a carrier.
+        n_boxes, boards: most placed boxes of a world, and most shapes of a carrier.
         npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
         least: with fewer worlds it is not worth while; 0: it always is.
     """
@@ -107,6 +107,7 @@ class March:
                     **constants,
                     "queue": queue,
                     "most_idle": fleet.most_idle,
+                    "most_placed": fleet.n_boxes if fleet.least else NEVER,
                     "npairmax": fleet.npairmax,
                     "nconmax": fleet.nconmax,
                 },

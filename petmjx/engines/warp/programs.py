@@ -139,7 +139,7 @@ class Programs:
         """A time slice. Returns states, workspace, a copy of the statuses, frames, and counts."""
         table = self._rules.begin_drives(table, worlds)
         if self._few:
-            order = with_few_first(self._few, order, worlds.n_boxes, table.running)
+            order = with_few_first(self._few, order, table.placed, table.running)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)

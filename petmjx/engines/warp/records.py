@@ -84,6 +84,7 @@ class Model:
 
     queue: int  # from which these blocks take worlds
     most_idle: int  # lanes without a world; if there are more the others give their worlds up, too, for this call
+    most_placed: int  # boxes of a world in these blocks; with more placed it goes on in others, in the next call
     npairmax: int  # most pairs of near geoms of a world
     nconmax: int  # most contacts of a world
 

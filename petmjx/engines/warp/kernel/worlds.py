@@ -171,6 +171,12 @@ def advance(
 
 
 @wp.func
+def _goes_on(model: Model, state: State, world: int) -> bool:
+    """Whether a world runs, and has no more boxes than its blocks are for."""
+    return state.status[world] == RUNNING and state.placed[world] <= model.most_placed
+
+
+@wp.func
 def run_worlds(
     # Model:
     model: Model,
@@ -223,7 +229,7 @@ def run_worlds(
     while others:
         goes = bool(False)
         if at.world >= 0 and not late:
-            goes = state.status[at.world] == RUNNING
+            goes = _goes_on(model, state, at.world)
         while not goes and not late:
             if thread == 0:
                 number = add_to(counts.taken, model.queue, 1)
@@ -244,7 +250,7 @@ def run_worlds(
                 if recorded and thread == 0:
                     full = no_room(frames, n_blocks)
                 late = any_of_all(full)
-                goes = not late and state.status[at.world] == RUNNING
+                goes = not late and _goes_on(model, state, at.world)
         others = any_of_block(goes)
         if goes:
             at.placed = state.placed[at.world]
