@@ -5,8 +5,8 @@ many threads. So there are blocks of two sizes, each with a kernel of its own. A
 boxes alone: the number of threads decides the order of sums, and with it the last bits of results.
 
 A step of few boxes is latency alone, and many worlds have to go through it together: a third kernel has eight of them
-in a block, a warp each. That is where pallets of all sizes begin. Its sums have the order of the smaller size, so that a world may change between the two at any
-step.
+in a block, a warp each. Pallets of all sizes begin there. Its sums have the order of the smaller size, so that a world
+may change between the two at any step.
 """
 
 from __future__ import annotations
