@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
+from petmjx.loop.points import Points
 from petmjx.plans.plan import Plan
 
 _FIRST_ROOM = 16
@@ -28,6 +29,7 @@ class Stock:
         self.size_mm: FloatArray = np.full((n, _FIRST_ROOM, 3), np.nan)
         self.corner_mm: FloatArray = np.full((n, _FIRST_ROOM, 3), np.nan)
         self.mass_kg: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
+        self._points = Points(n)
 
     def add(self, asked: Asked) -> None:
         """Put one box on each of some pallets."""
@@ -49,12 +51,23 @@ class Stock:
             some[beyond] = np.nan
             values[pallets] = some
         self.count[pallets] = count
+        self._points.cut(pallets, count)
 
     def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
         """Give pallets the boxes of others."""
         for name in ("count", "size_mm", "corner_mm", "mass_kg"):
             values = getattr(self, name)
             values[into] = values[sources]
+        self._points.copy(sources, into)
+
+    def points(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
+        """(m, p) extreme points of pallets, x + iy, mm; NaN behind a pallet's own. Those of boxes that came since they
+        were last asked for are found now."""
+        rows = np.unique(pallets)
+        while len(rows := rows[self._points.boxes[rows] < self.count[rows]]):
+            low = self.corner_mm[rows, : int(self._points.boxes[rows].max()) + 1]
+            self._points.add(rows, low, low + self.size_mm[rows, : low.shape[1]])
+        return self._points.of(pallets)
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Asked:
         """Box ``number`` of some pallets that have it."""

@@ -1,0 +1,110 @@
+"""The extreme points of pallets, kept from box to box.
+
+Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional bin packing", INFORMS Journal on
+Computing 20(3), 368–384. The points of a box follow from it and the boxes before it alone: boxes that come later add
+points and change none, and without its last boxes a pallet has the points that it had before they came.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.basics.units import FloatArray
+
+TOUCH_MM: Final = 1e-6
+"""Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
+
+_POINTS_PER_BOX: Final = 7
+
+
+class Points:
+    """The points of n pallets, each once: the origin, and points beside and on each box: its corners, and the same
+    corners slid towards the carrier's edges until an earlier box is in the way.
+
+    Attributes:
+        boxes: (n,) so many boxes of each pallet have their points here.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.boxes: NDArray[np.int64] = np.zeros(n, np.int64)
+        self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # x + iy, mm
+        self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)  # (n, k) points of the first 0, 1, … boxes
+
+    def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
+        """(m, p) points of pallets, x + iy, mm; NaN behind a pallet's own."""
+        count = self._count[pallets, self.boxes[pallets]]
+        p = int(count.max(initial=1))
+        found = self._at[pallets, :p]
+        found[np.arange(p) >= count[:, None]] = np.nan
+        return found
+
+    def add(self, pallets: NDArray[np.int64], low: FloatArray, high: FloatArray) -> None:
+        """The points of one box more of each of these pallets.
+
+        Args:
+            low, high: (m, k, 3) ends of their boxes; box number ``boxes[pallet]`` is the new one, those behind it are
+                not read.
+        """
+        number, rows = self.boxes[pallets], np.arange(len(pallets))
+        points, count = self.of(pallets), self._count[pallets, number]
+        points = np.concatenate([points, np.full((len(pallets), _POINTS_PER_BOX), np.nan)], axis=1)
+        for x, y in _beside(low, high, number):
+            point = x + 1j * y
+            fresh = ~(points == point[:, None]).any(axis=1)
+            points[rows[fresh], count[fresh]] = point[fresh]
+            count += fresh
+        self._make_room(int(count.max()), int(number.max()) + 2)
+        self._at[pallets, : points.shape[1]] = points[:, : self._at.shape[1]]
+        self._count[pallets, number + 1] = count
+        self.boxes[pallets] += 1
+
+    def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
+        """Keep those of the first boxes of some pallets."""
+        self.boxes[pallets] = np.minimum(self.boxes[pallets], count)
+
+    def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
+        """Give pallets the points of others."""
+        for values in (self.boxes, self._at, self._count):
+            values[into] = values[sources]
+
+    def _make_room(self, points: int, boxes: int) -> None:
+        for name, width in (("_at", points), ("_count", boxes)):
+            values = getattr(self, name)
+            while values.shape[1] < width:
+                values = np.concatenate([values, np.zeros_like(values)], axis=1)
+            setattr(self, name, values)
+
+
+def _beside(low: FloatArray, high: FloatArray, number: NDArray[np.int64]) -> list[tuple[FloatArray, FloatArray]]:
+    """The points of a box of each of m pallets, x and y (m,).
+
+    Args:
+        low, high: (m, k, 3) ends of boxes; ``number``: (m,) which box, of those the ones before it are in the way.
+    """
+    k, rows = low.shape[1], np.arange(len(low))
+    x, y, z = low[rows, number].T
+    x_end, y_end, top = high[rows, number].T
+    before = np.arange(k) < number[:, None]
+
+    def slid(axis: int, start: FloatArray, across: FloatArray, level: FloatArray) -> FloatArray:
+        """(m,) where points that slide along −axis meet a box, or 0 at the carrier's edge."""
+        other = 1 - axis
+        with np.errstate(invalid="ignore"):  # boxes that a pallet does not have
+            in_way = (low[..., other] <= across[:, None]) & (across[:, None] < high[..., other])
+            in_way &= (low[..., 2] <= level[:, None]) & (level[:, None] < high[..., 2])
+            in_way &= (high[..., axis] <= start[:, None] + TOUCH_MM) & before
+        found: FloatArray = np.where(in_way, high[..., axis], 0.0).max(axis=1, initial=0.0)
+        return found
+
+    return [
+        (x_end, y),
+        (x_end, slid(1, y, x_end, z)),
+        (x, y_end),
+        (slid(0, x, y_end, z), y_end),
+        (x, y),
+        (slid(0, x, y, top), y),
+        (x, slid(1, y, x, top)),
+    ]
