@@ -8,6 +8,7 @@ import importlib.metadata
 import importlib.util
 import os
 import platform
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,13 @@ def cpu_threads() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def own_environment() -> dict[str, str]:
+    """The environment variables of another interpreter that imports what this one does."""
+    path = os.pathsep.join(each or os.getcwd() for each in sys.path)
+    # no file of the user's folder stands before a module
+    return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
 
 
 @functools.cache

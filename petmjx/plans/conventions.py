@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -199,10 +199,22 @@ class _Search:
         self.found[convention.looks].count += 1
 
 
-def with_conventions(found: PlanSet, extent_mm: tuple[float, float] | None) -> PlanSet:
-    """The same plans with what is odd about them, and what that looks like."""
-    layouts = (check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm) for plan in found)
-    odd = [layout for layout in layouts if layout.any]
+def with_conventions(
+    found: PlanSet, extent_mm: tuple[float, float] | None, known: Mapping[str, PlanWarnings | None] | None = None
+) -> PlanSet:
+    """The same plans with what is odd about them, and what that looks like.
+
+    Args:
+        known: plan id → what is odd about its layout (None: nothing), where that is known.
+    """
+    known = known or {}
+
+    def layout_of(plan: Plan) -> PlanWarnings | None:
+        if plan.plan_id in known:
+            return known[plan.plan_id]
+        return check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm)
+
+    odd = [layout for plan in found if (layout := layout_of(plan)) is not None and layout.any]
     return replace(found, warnings=odd, conventions=_find_conventions(found.plans, odd, extent_mm))
 
 

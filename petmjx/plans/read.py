@@ -18,6 +18,7 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, printable, shown
 from petmjx.basics.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
+from petmjx.plans.apart import WORTH_BYTES, Asked, Taken, taken_apart
 from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.fields import LONGEST_NAME, Unread
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
@@ -27,6 +28,7 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.scan import NotPlans, scan_plans
 from petmjx.plans.unpack import read_text_bytes
 from petmjx.plans.validate import PlanError, parse_plan
+from petmjx.plans.warnings import PlanWarnings
 
 if TYPE_CHECKING:
     from petmjx.plans.table import Table
@@ -147,7 +149,11 @@ def _list_files(paths: list[Path]) -> list[Path]:
 
 @dataclass
 class _Loading:
-    """The state of one `load_plans`: what was found, and which ids are in use."""
+    """The state of one `load_plans`: what was found, and which ids are in use.
+
+    Attributes:
+        layouts: plan id → what is odd about its layout (None: nothing), where that is known already.
+    """
 
     limit: int | None
     strict: bool
@@ -162,6 +168,7 @@ class _Loading:
     n_plans: int = 0
     """Plans so far, usable or not."""
     most_skipped: int = MOST_LINES
+    layouts: dict[str, PlanWarnings | None] = field(default_factory=dict)
 
     @property
     def full(self) -> bool:
@@ -170,7 +177,7 @@ class _Loading:
     def done(self) -> PlanSet:
         """What was found, when all is read."""
         self.found.notes.extend(self.unread.notes())
-        return with_conventions(self.found, self.carrier_extent_mm)
+        return with_conventions(self.found, self.carrier_extent_mm, self.layouts)
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
@@ -244,6 +251,12 @@ class _Loading:
         n_plans, unread = self.n_plans, self.unread.copy()
         n_entries = n_orders = 0
         first_order = ""
+        if self.limit is None and not damaged and len(data) >= WORTH_BYTES:
+            asked = Asked(source, self.max_boxes, self.carrier_extent_mm, self.given)
+            entries = taken_apart(data, asked, self.unread)
+            if entries is not None:
+                self._take_all(source, entries)
+                return
         try:
             for entry in scan_plans(data):
                 n_entries += 1
@@ -279,6 +292,19 @@ class _Loading:
             self._skip(source, plan_id, str(error), error)
         else:
             self._keep(plan)
+
+    def _take_all(self, source: str, entries: Sequence[Taken]) -> None:
+        """Take the entries of a text that was read in pieces."""
+        for entry in entries:
+            if entry.fault is not None:
+                self._skip(source, entry.plan_id, entry.fault)
+            elif entry.plan is not None:
+                if entry.plan_id not in self.source_of:
+                    self.layouts[entry.plan_id] = entry.layout
+                self._keep(entry.plan)
+        orders = [entry.plan_id for entry in entries if entry.plan is None and entry.fault is None]
+        if orders:
+            self._skip(source, None, _orders_message(source, shown(orders[0]), len(orders)))
 
     def _keep(self, plan: Plan) -> None:
         """Add a good plan, unless its id is in use."""

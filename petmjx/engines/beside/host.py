@@ -13,6 +13,7 @@ import threading
 from collections.abc import Iterator
 from typing import Final, Protocol
 
+from petmjx.basics.machine import own_environment
 from petmjx.basics.text import one_line
 from petmjx.engines.beside.process import READY, Answer, Task, next_of
 
@@ -101,9 +102,7 @@ class _Process:
     def __init__(self) -> None:
         self.tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
         self.answers: queue.SimpleQueue[Answer | None] = queue.SimpleQueue()
-        path = os.pathsep.join(each or os.getcwd() for each in sys.path)
-        environment = {**os.environ, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": "", "PYTHONPATH": path}
-        environment["PYTHONSAFEPATH"] = "1"  # no file of the user's folder stands before a module
+        environment = {**own_environment(), "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
         self._popen: subprocess.Popen[bytes] | None = None
         try:
             self._popen = subprocess.Popen(

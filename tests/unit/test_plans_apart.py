@@ -1,0 +1,91 @@
+"""Large JSON files are read in pieces, with the same plans, faults and notes as in one go."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from petmjx.plans import apart, read
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
+from petmjx.plans.read import load_plans
+from petmjx.plans.samples import generate_one
+
+
+def _file(folder: Path, plans: dict[str, Any], text: str | None = None) -> Path:
+    path = folder / "plans.json"
+    path.write_text(text if text is not None else json.dumps(plans))
+    return path
+
+
+def _both(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[PlanSet, PlanSet, int]:
+    """The plans of a file in one go and in pieces, and the number of pieces that were read and used."""
+    whole = load_plans(path)
+    used = []
+    answer = apart._answer
+
+    def counted(*some: Any) -> Any:
+        found = answer(*some)
+        used.append(found is not None)
+        return found
+
+    monkeypatch.setattr(apart, "_answer", counted)
+    monkeypatch.setattr(read, "WORTH_BYTES", 1)
+    monkeypatch.setattr(apart, "PIECE_BYTES", 1)
+    monkeypatch.setattr(apart, "cpu_threads", lambda: 3)
+    return whole, load_plans(path), len(used) if used and all(used) else 0
+
+
+def _same(one: PlanSet, other: PlanSet) -> None:
+    assert [plan.plan_id for plan in one] == [plan.plan_id for plan in other]
+    for plan, same in zip(one, other, strict=True):
+        for each in fields(Plan):
+            value, its = getattr(plan, each.name), getattr(same, each.name)
+            if isinstance(value, np.ndarray):
+                np.testing.assert_array_equal(its, value, strict=True)
+            else:
+                assert its == value, each.name
+    for name in ("skipped", "warnings", "notes", "conventions", "numbers"):
+        assert getattr(one, name) == getattr(other, name), name
+
+
+def test_pieces_have_the_same_plans_faults_and_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plans: dict[str, Any] = dict(generate_one(k, 7) for k in range(12))
+    ids = list(plans)
+    plans[ids[1]][0]["item"]["stiffness_n_mm"] = 200.0
+    plans[ids[3]][2]["item"]["weight/kg"] = -1
+    plans[ids[5]][0]["colour"] = "red"
+    plans[ids[7]] = {"item_sequence": {}}
+    plans[ids[8]][1]["flb_coordinates"][2] += 900  # floats
+    text = json.dumps(plans)
+    end = text.rindex("}")
+    repeated = f"{text[:end]}, {json.dumps(ids[0])}: {json.dumps(plans[ids[2]])}}}\n"
+    whole, pieces, used = _both(_file(tmp_path, plans, repeated), monkeypatch)
+    assert used == 3
+    assert len(whole.plans) == 10
+    assert len(whole.skipped) == 3
+    assert whole.notes
+    assert whole.warnings
+    _same(whole, pieces)
+
+
+@pytest.mark.parametrize("what", ["lists of objects in placements", "no JSON near the end", "one plan"])
+def test_what_cannot_be_cut_is_read_in_one_go(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plans: dict[str, Any] = dict(generate_one(k, 7) for k in range(4))
+    text = json.dumps(plans)
+    if what == "lists of objects in placements":
+        for boxes in plans.values():
+            boxes[:] = [{"parts": [{"part": 1}], **box} for box in boxes]
+        text = json.dumps(plans)
+    elif what == "no JSON near the end":
+        text = text[:-150] + text[-149:].replace(":", "", 1)
+    else:
+        text = json.dumps(dict(list(plans.items())[:1]))
+    whole, pieces, used = _both(_file(tmp_path, plans, text), monkeypatch)
+    assert not used
+    _same(whole, pieces)
