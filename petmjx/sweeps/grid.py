@@ -48,6 +48,11 @@ class PlacementGroup:
     variants: tuple[Variant, ...] = ()
 
     @property
+    def index(self) -> int:
+        """``variant`` of the first of its worlds; in a search, which has none yet, the placement's number."""
+        return self.variants[0].index if self.variants else self.number
+
+    @property
     def driven(self) -> bool:
         """Whether its worlds have drives. All worlds of a group have one, or none has. True for a search."""
         return all(variant.drive is not None for variant in self.variants)

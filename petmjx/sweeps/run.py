@@ -202,7 +202,7 @@ class SweepRun:
     def _place(self, groups: Iterable[PlacementGroup], chunk_worlds: int, keep_state: bool) -> Iterator[Settled]:
         begin = time.perf_counter()
         worlds = (
-            _Placing(group.plan, group.placement.index, self._placement(group, scene, keep_state), group)
+            _Placing(group.plan, group.index, self._placement(group, scene, keep_state), group)
             for group, scene in self.plan.scenes(groups)
         )
         for result in self._score(worlds, chunk_worlds, forks=keep_state):

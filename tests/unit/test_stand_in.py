@@ -11,6 +11,7 @@ from support.fake_beside import AtOnce
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
+import petmjx
 from petmjx.basics.errors import InputError
 from petmjx.engines import attempts, retry
 from petmjx.engines.attempts import ATTEMPTS
@@ -160,6 +161,18 @@ def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypat
     for other in (Simulation(physics="reference"), Simulation(solver=Solver.CG)):
         scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, other, kernel=kernel)
     assert len(kernel.sims) == 1
+
+
+def test_of_a_score_with_errors_the_plan_alone_is_simulated_beside_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
+    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
+    own = Scripted("mjx-warp", never, Reason.SINKING)
+    made = petmjx.score([make_plan("p", stack(1))], engine=own, confidence=4, placing="exact").attempts
+    again = made[made["attempt"] == 6]
+    assert again.set_index("variant")["engine"].to_dict() == {0: "mjx-warp-cpu"} | dict.fromkeys(
+        range(1, 5), "mjx-warp"
+    )
 
 
 def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> None:
