@@ -24,6 +24,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -64,6 +65,9 @@ def part_files(folder: Path, table: str) -> list[Path]:
     """The files of a table's parts, in order."""
     return sorted(_own_files(folder / table, _PART), key=part_number)
 
+
+MOST_AT_ONCE: Final = 8
+"""Tables that are read or written at the same time: to pack them takes a processor, to bring them to disk only time."""
 
 Write = Callable[[BinaryIO], object]
 """Writes the content of a file."""
@@ -124,6 +128,23 @@ def write_hidden(table: pa.Table, path: Path) -> tuple[Path, str]:
         return temporary, _write(temporary, parquet(table))
     except BaseException:
         temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_all_hidden(tables: Mapping[Path, pa.Table]) -> dict[Path, tuple[Path, str]]:
+    """As :func:`write_hidden`, many tables at the same time: path → where it is, and its digest.
+
+    Raises:
+        OSError: one cannot be written; then none is left.
+    """
+    with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-write") as pool:
+        writing = {path: pool.submit(write_hidden, table, path) for path, table in tables.items()}
+    try:
+        return {path: future.result() for path, future in writing.items()}
+    except BaseException:
+        for future in writing.values():
+            if future.exception() is None:
+                future.result()[0].unlink(missing_ok=True)
         raise
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -13,7 +14,7 @@ import pyarrow.parquet as pq
 
 from petmjx.basics.bounded import open_regular
 from petmjx.basics.errors import InputError
-from petmjx.results.files import OF_WORLDS, digest_of, part_name, part_number
+from petmjx.results.files import MOST_AT_ONCE, OF_WORLDS, digest_of, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
 
 LISTED: Final = "parts"
@@ -53,8 +54,12 @@ class Parts:
         return read_part(file, columns)
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """All parts of a table; as :meth:`read`."""
-        return [self.read(file, columns) for file in self.files(table)]
+        """All parts of a table, read at the same time; as :meth:`read`."""
+        files = self.files(table)
+        if len(files) < 2:
+            return [self.read(file, columns) for file in files]
+        with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-parts") as pool:
+            return list(pool.map(lambda file: self.read(file, columns), files))
 
     def check_tables(self, tables: Iterable[str]) -> None:
         """Check all files of tables; as :meth:`check`."""

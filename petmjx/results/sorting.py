@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from petmjx.results.files import part_name, write_hidden
+from petmjx.results.files import part_name, write_all_hidden
 from petmjx.results.given import Given, in_order
 from petmjx.results.listed import Parts, opened
 
@@ -66,10 +66,13 @@ def sort_parts(
             share = _worlds_at_a_time(parts, table, len(keys), worlds_per_part, bytes_at_a_time)
             for low in range(0, len(keys), share):
                 rows, ranks = _rows(parts, table, given, keys, low, low + share)
-                for number, part in _cut(rows, ranks, worlds_per_part):
-                    if len(part) or table != "attempts":
-                        place = parts.folder / table / part_name(first + number)
-                        done.hidden[place], done.digests[place] = write_hidden(part, place)
+                made = {
+                    parts.folder / table / part_name(first + number): part
+                    for number, part in _cut(rows, ranks, worlds_per_part)
+                    if len(part) or table != "attempts"
+                }
+                for place, (hidden, digest) in write_all_hidden(made).items():
+                    done.hidden[place], done.digests[place] = hidden, digest
     except BaseException:
         done.remove()
         raise

@@ -118,7 +118,7 @@ def test_no_room_to_sort_is_a_warning(tmp_path: Path, monkeypatch: pytest.Monkey
     defaults = RunWriter.__init__.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "worlds_per_part", 3)
-    monkeypatch.setattr(sorting, "write_hidden", full)
+    monkeypatch.setattr(sorting, "write_all_hidden", full)
     results = score(PLANS, out=tmp_path / "run")
     assert results.worlds.plan_id.tolist() == IDS
     assert "rows are in the order in which worlds finished: No space left on device" in results.info["warnings"]
