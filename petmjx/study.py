@@ -25,7 +25,7 @@ from petmjx.results.schema import Param
 from petmjx.results.writer import RunWriter
 from petmjx.verdict import Attempt, Outcome
 from petmjx.world.job import Job
-from petmjx.world.scene import Scene, build_scene
+from petmjx.world.scene import Scene, build_scenes
 from petmjx.world.variants import UNCHANGED, Variant
 
 MAX_WORLDS: Final = 1_000_000
@@ -156,9 +156,10 @@ class Nominal(Study):
     def worlds(
         self, engine: Engine, recorded: Recorded, recording: Recording, progress: Progress
     ) -> Iterator[FinishedWorld]:
-        missing = (plan for plan in self.plans if (plan.plan_id, NOMINAL.index) not in recorded)
+        missing = [plan for plan in self.plans if (plan.plan_id, NOMINAL.index) not in recorded]
         asked = (
-            World(plan, NOMINAL.index, Job(build_scene(plan, self.sim), record=recording.of(plan))) for plan in missing
+            World(plan, NOMINAL.index, Job(scene, record=recording.of(plan)))
+            for plan, scene in zip(missing, build_scenes(missing, self.sim), strict=True)
         )
         for found in score_worlds(asked, self.sim, engine, progress=progress):
             world = found.world

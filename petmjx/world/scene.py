@@ -6,8 +6,10 @@ counts shapes or bodies: for an index, ask the scene.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -30,6 +32,9 @@ from petmjx.world.turned import turned
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
 UNWRAPPED: Final = Wrap()
+
+AT_A_TIME: Final = 512
+"""Plans whose scenes share arrays, and stay in memory together."""
 
 OF_BOXES: Final = (
     "half_size",
@@ -208,6 +213,70 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         wrap=sim.wrap,
         pieces=pieces_of(plan.sheets, target, half_size, carrier) if plan.kinds else (),
     )
+
+
+def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
+    """The nominal scenes of plans, in order. The arrays of many are worked out together: to the last bit as
+    ``build_scene`` makes each."""
+    slabs, source = pallet(sim.carrier) is None, iter(plans)
+    while some := list(islice(source, AT_A_TIME)):
+        alike = [plan for plan in some if slabs and _is_plain(plan)]
+        together = iter(_together(alike, sim)) if alike else iter(())
+        for plan in some:
+            yield next(together) if slabs and _is_plain(plan) else build_scene(plan, sim)
+
+
+def _is_plain(plan: Plan) -> bool:
+    """Whether a plan has nothing but sizes, places and masses that its scene depends on."""
+    more = plan.mass_center_mm, plan.approach_deg, plan.stiffness_n_mm
+    return not plan.kinds and not plan.materials and all(each is None for each in more)
+
+
+def _together(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
+    physics = sim.physics
+    ends = np.cumsum([plan.n_boxes for plan in plans])
+    size, corner = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("size_mm", "corner_mm"))
+    half_size, target = half_size_and_target(size, corner, sim)
+    mass, start = np.concatenate([plan.mass_kg for plan in plans]), target.copy()
+    quat = np.tile(np.array(IDENTITY_QUAT), (len(target), 1))
+    friction = np.tile(physics.box_friction, (len(target), 1))
+    carriers = _slabs(corner, size, np.array([0, *ends[:-1]]), sim)
+    placing = sim.placing if sim.may_carry or not sim.placing.appears else EXACT
+    begin, floor_z = 0, floor_z_m(sim)
+    for end, carrier in zip(ends.tolist(), carriers, strict=True):
+        own, begin = slice(begin, end), end
+        yield Scene(
+            half_size=half_size[own],
+            mass=mass[own],
+            target=target[own],
+            start_pos=start[own],
+            start_quat=quat[own],
+            friction=friction[own],
+            carrier=carrier,
+            floor_friction=physics.floor_friction,
+            floor_z=floor_z,
+            placing=placing,
+            wrap=sim.wrap,
+        )
+
+
+def _slabs(
+    corner_mm: NDArray[np.float64], size_mm: NDArray[np.float64], begins: NDArray[np.intp], sim: Simulation
+) -> Iterator[Body]:
+    """The carriers of plans whose boxes begin at these rows: as large as their bounding boxes, or of a fixed size."""
+    extent, physics, n = extent_m(sim.carrier), sim.physics, len(begins)
+    if extent is None:
+        low_mm = np.minimum.reduceat(corner_mm[:, :2], begins)
+        extent_mm = np.maximum.reduceat((corner_mm + size_mm)[:, :2], begins) - low_mm
+        corner, size = low_mm / MM_PER_M, extent_mm / MM_PER_M
+    else:
+        corner, size = np.zeros((n, 2)), np.tile(np.array(extent), (n, 1))
+    thick = np.full((n, 1), physics.carrier_half_height_m)
+    half_size, place = np.hstack([size / 2, thick]), np.hstack([corner + size / 2, -thick])
+    middle, friction = np.zeros((n, 1, 3)), np.tile(physics.carrier_friction, (n, 1, 1))
+    mass = physics.carrier_mass_kg
+    for k in range(n):
+        yield Body(place[k], mass, half_size[k : k + 1], middle[k], friction[k], half_size[k])
 
 
 def half_size_and_target(

@@ -51,11 +51,15 @@ def test_worlds_that_are_alike_are_filled_in_together(
     sim = Simulation(**options)
     scenes = [*with_errors(sim, 5), make_scene(stack(3), sim), *with_errors(sim, AT_A_TIME), *with_errors(sim, 2, 7)]
     together = rows_of(scenes, 28, sim, 1)
+    with monkeypatch.context() as patch:
+        patch.setattr(scene_rows, "MANY", len(scenes))
+        in_threads = rows_of(scenes, 28, sim, 1, spare=3)
     monkeypatch.setattr(scene_rows, "groups", one_by_one)
     apart = rows_of(scenes, 28, sim, 1)
-    assert together.keys() == apart.keys()
+    assert together.keys() == apart.keys() == in_threads.keys()
     for name, values in apart.items():
         np.testing.assert_array_equal(together[name], values, err_msg=name, strict=True)
+        np.testing.assert_array_equal(in_threads[name], [*values, *[values[0]] * 3], err_msg=name)
 
 
 def test_groups_have_each_scene_once_and_only_those_alike() -> None:

@@ -4,11 +4,13 @@ simulation of small worlds."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.machine import cpu_threads
 from petmjx.history import CARRIER
 from petmjx.options.config import Simulation
 from petmjx.world.alike import groups, stacked
@@ -19,27 +21,48 @@ from petmjx.world.release import NOTHING, Release, release_of, releases_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.wrap import film_of
 
+MANY: Final = 1_000
+"""Scenes whose groups are filled in by several threads."""
+
+MOST_THREADS: Final = 8
+
 Rows = dict[str, NDArray[Any]]
 """Name of a field of ``batch.worlds.Worlds`` → a row for each scene."""
 
 
-def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int) -> Rows:
+def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
     """What the tables have of some scenes: the fields of ``batch.worlds.Worlds`` that do not belong to a job.
 
     Args:
         width: box columns.
         boards: shapes for which carriers have room; more where a scene's has more.
+        spare: rows more, which repeat the first scene's.
     """
     boards = max(boards, *(_n_shapes(scene) - scene.n_boxes for scene in scenes))
-    rows = _empty(len(scenes), width, boards)
-    rows |= _one_each(scenes)
-    for numbers, plain in groups(scenes):
+    n = len(scenes)
+    rows = _empty(n + spare, width, boards)
+    rows |= {
+        name: np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
+        for name, values in _one_each(scenes).items()
+    }
+
+    def put(group: tuple[list[int], bool]) -> None:
+        numbers, plain = group
         some = [scenes[number] for number in numbers]
         if plain:
             release, course = releases_of(some, sim), courses_of(some, sim)
             _put_plain(rows, np.array(numbers), some, release, course)
         else:
             _put(rows, numbers[0], some[0], sim)
+
+    if n < MANY:
+        for group in groups(scenes):
+            put(group)
+    else:  # NumPy leaves the interpreter's lock
+        with ThreadPoolExecutor(min(cpu_threads(), MOST_THREADS), thread_name_prefix="petmjx-rows") as pool:
+            list(pool.map(put, groups(scenes)))
+    for values in rows.values():
+        values[n:] = values[0]
     return rows
 
 

@@ -101,10 +101,13 @@ def upload_worlds(
         boards: shapes for which carriers have room; more where a scene's has more.
     """
     scenes = list({id(job.scene): job.scene for job in jobs}.values())
-    row_of = {id(scene): row for row, scene in enumerate(scenes)}
-    of_scenes = rows_of(scenes, width, sim, boards)
     spare = rows - len(jobs)
-    fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
+    if len(scenes) == len(jobs):
+        of_scenes = rows_of(scenes, width, sim, boards, spare)
+    else:
+        row_of = {id(scene): row for row, scene in enumerate(scenes)}
+        fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
+        of_scenes = {name: values[fan_out] for name, values in rows_of(scenes, width, sim, boards).items()}
 
     def each(value: Callable[[Job], Any], dtype: Any) -> jax.Array:
         values = np.array([value(job) for job in jobs], dtype)
@@ -116,7 +119,7 @@ def upload_worlds(
         return len(job.drive.excitation.samples) + seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s)
 
     return Worlds(
-        **{name: uploaded(values[fan_out]) for name, values in of_scenes.items()},
+        **{name: uploaded(values) for name, values in of_scenes.items()},
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
         drive_scale=each(_drive_factor, np.float32),
         drive_yaw=each(lambda job: _direction(job), np.float32),

@@ -1,0 +1,65 @@
+"""Scenes of many plans that are made together are those that are made one by one, to the last bit."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.plans import make_plan
+
+from petmjx.options.config import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import generate_one
+from petmjx.plans.validate import parse_plan
+from petmjx.world import scene as scenes
+from petmjx.world.body import Body
+from petmjx.world.scene import Scene, build_scene
+
+
+def _plans() -> list[Plan]:
+    names: dict[str, str] = {}
+    plans = [parse_plan(name, "f", boxes, 512, names) for name, boxes in (generate_one(k, 3) for k in range(5))]
+    plain = plans[1]
+    return [
+        *plans[:2],
+        replace(plain, plan_id="weighted", mass_center_mm=np.full((plain.n_boxes, 3), 1.0)),
+        replace(plain, plan_id="named", materials=("cardboard",) * plain.n_boxes),
+        make_plan("one", 1),
+        *plans[2:],
+    ]
+
+
+def _same(one: Any, other: Any) -> None:
+    for each in fields(one):
+        value, its = getattr(one, each.name), getattr(other, each.name)
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(its, value, strict=True)
+        elif isinstance(value, Body):
+            _same(value, its)
+        else:
+            assert its == value, each.name
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"physics": "reference"},
+        {"carrier": "euro-pallet"},
+        {"carrier": "epal-1"},
+        {"placing": "hand", "size_reduction_mm": 0.7},
+    ],
+)
+@pytest.mark.parametrize("at_a_time", [2, 512])
+def test_scenes_are_the_same_to_the_last_bit(
+    options: dict[str, Any], at_a_time: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scenes, "AT_A_TIME", at_a_time)
+    sim, plans = Simulation(**options), _plans()
+    made = list(scenes.build_scenes(iter(plans), sim))
+    assert len(made) == len(plans)
+    for scene, plan in zip(made, plans, strict=True):
+        assert type(scene) is Scene
+        _same(build_scene(plan, sim), scene)
