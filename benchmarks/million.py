@@ -9,8 +9,10 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -32,6 +34,8 @@ FEWEST, MOST = 10, 14
 
 SEED: Final = 5
 POLL_S: Final = 0.05
+TOLD_EVERY_S: Final = 5.0
+"""A run says how far it is: who cuts it off knows its speed."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,7 @@ class Million:
         variants: worlds of each plan.
         engine: by name; ``instant`` answers at once.
         kill_at: share of worlds after which the run is killed; 0: it is not.
+        placing: how boxes come to their places. Usually a hand sets boxes with errors down, which takes more steps.
         options: further options of the run.
     """
 
@@ -50,6 +55,7 @@ class Million:
     variants: int = 1000
     engine: str = "instant"
     kill_at: float = 0.5
+    placing: str = "exact"
     options: tuple[tuple[str, Any], ...] = ()
 
     @property
@@ -60,7 +66,7 @@ class Million:
 def measured(case: Million) -> Iterator[Result]:
     """Run it, kill it, go on with it, and read it: a line of results for each step, as soon as it is there."""
     about = {"engine": case.engine, "plans": case.plans, "variants": case.variants, "boxes": [FEWEST, MOST]}
-    about |= {"options": dict(case.options)}
+    about |= {"placing": case.placing, "options": dict(case.options)}
     if case.kill_at:
         yield {"case": "million", "group": "million", "step": "killed", **about, **_killed(case)}
     for step, name in ((run, "run"), (run, "nothing missing"), (load, "load"), (report_of, "report")):
@@ -69,10 +75,10 @@ def measured(case: Million) -> Iterator[Result]:
 
 
 def _in_process(step: Callable[[Million], Result], case: Million) -> Result:
-    """What a step returns, in a process of its own, with its largest memory."""
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as pool:
-        return pool.apply(_measured_step, (step, case))
+    """What a step returns, in a process of its own, with its largest memory. If that process dies, this raises; a
+    ``multiprocessing.Pool`` would wait for ever."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_measured_step, step, case).result()
 
 
 def _measured_step(step: Callable[[Million], Result], case: Million) -> Result:
@@ -83,7 +89,7 @@ def _measured_step(step: Callable[[Million], Result], case: Million) -> Result:
 
 def _killed(case: Million) -> Result:
     """Run until a share of the worlds is on disk, and then no further."""
-    process = multiprocessing.get_context("spawn").Process(target=run, args=(case,))
+    process = multiprocessing.get_context("spawn").Process(target=run, args=(case,), daemon=True)
     begin = time.perf_counter()
     process.start()
     assert process.pid is not None
@@ -112,6 +118,7 @@ class Watch:
         self._begin = time.perf_counter()
         self.known_s = self.first_s = self.last_s = 0.0
         self.recorded = self.new = 0
+        self._told_s = 0.0
 
     def begin(self, start: RunStart) -> None:
         self.known_s, self.recorded = time.perf_counter() - self._begin, start.recorded
@@ -120,12 +127,17 @@ class Watch:
         self.last_s = time.perf_counter() - self._begin
         self.first_s = self.first_s or self.last_s
         self.new += 1
+        if self.last_s - self._told_s >= TOLD_EVERY_S:
+            self._told_s = self.last_s
+            rate = self.new / max(self.last_s - self.known_s, 1e-9)
+            print(f"{self.new:,} worlds in {self.last_s:.1f} s, {rate:,.0f} worlds/s", file=sys.stderr, flush=True)
 
 
 def run(case: Million) -> Result:
     """Simulate what is missing."""
     plans = made(case.plans)
-    sweep = load_sweep(SWEEP, plans_given=True).model_copy(update={"replicates": case.variants})
+    sweep = load_sweep(SWEEP, plans_given=True, simulation={"placing": case.placing})
+    sweep = sweep.model_copy(update={"replicates": case.variants})
     engine: Any = Instant() if case.engine == "instant" else case.engine
     options = RunOptions(engine=engine, out=case.out, resume=True, **dict(case.options))
 
@@ -143,6 +155,7 @@ def run(case: Million) -> Result:
         "begins_s": watch.known_s,
         "first_world_s": watch.first_s,
         "worlds_per_s": watch.new / worlds,
+        "steps": int(results.worlds["n_steps"].sum()),
         "ms_per_world": 1e3 * worlds / max(watch.new, 1),
         "ends_s": seconds - max(watch.last_s, watch.known_s),
         "compile_s": float(results.info["timings"].get("compile_s", 0.0)),

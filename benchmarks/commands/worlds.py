@@ -148,6 +148,7 @@ def million(
     variants: Annotated[int, typer.Option(metavar="N", min=2, help="Worlds of each.")] = 1000,
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine; instant: answers at once.")] = "instant",
     kill_at: Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99, help="Worlds before the kill.")] = 0.5,
+    placing: Annotated[str, typer.Option(metavar="exact|hand", help="How boxes come to their places.")] = "exact",
     keep: Annotated[str, typer.Option(metavar="all|worlds", help="Tables that are kept.")] = "worlds",
     threads: Annotated[int | None, typer.Option(metavar="N", help="CPU threads of the engine.")] = None,
     out: Out = DEFAULT_OUT,
@@ -157,7 +158,7 @@ def million(
     from benchmarks.record import append_line, environment
 
     options = {"keep": keep, **({} if threads is None else {"threads": threads})}
-    case = Million(folder, plans, variants, engine, kill_at, tuple(options.items()))
+    case = Million(folder, plans, variants, engine, kill_at, placing, tuple(options.items()))
     for line in measured(case):
         append_line(out, {**line, **environment()})
         print(line, flush=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -358,6 +360,27 @@ def test_drift_that_is_refused(options: list[str], words: str, plans: Path, caps
 def test_numbers_are_cut_to_six_digits(tmp_path: Path) -> None:
     append_line(tmp_path / "out.jsonl", {"a": [1 / 3, 2], "b": 1234567.8})
     assert read_lines([tmp_path / "out.jsonl"]) == [{"a": [0.333333, 2], "b": 1234570.0}]
+
+
+def _dies(case: million.Million) -> dict[str, Any]:
+    os._exit(3)
+
+
+def test_a_step_whose_process_dies_ends_the_benchmark(tmp_path: Path) -> None:
+    with pytest.raises(BrokenProcessPool):
+        million._in_process(_dies, million.Million(tmp_path))
+
+
+@pytest.mark.parametrize("placing", ["exact", "hand"])
+def test_a_million_worlds_are_placed_as_asked_for(
+    placing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(million, "TOLD_EVERY_S", 0.0)
+    case = million.Million(tmp_path, plans=1, variants=2, placing=placing)
+    assert million.run(case)["steps"] > 0
+    info = json.loads((case.out / "run.json").read_text())
+    assert info["config"]["simulation"]["placing"]["name"] == placing
+    assert "worlds/s" in capsys.readouterr().err
 
 
 def test_a_million_worlds_in_small(tmp_path: Path) -> None:
