@@ -77,15 +77,17 @@ def score(at: float) -> None:
     stages.around(RunWriter, "__exit__", after="written")
     stages.around(api, "simulate", after="read again")
     name = "mjx-warp" if engine == "instant" else engine
-    code = main(["score", plans, "--engine", name, "--out", folder])
-    stages.end("shown")
-    Path(log).write_text(json.dumps(stages.ended))
-    _leave(code)
+    sys.argv[1:] = ["score", plans, "--engine", name, "--out", folder]
+    import petmjx.__main__ as command
 
+    def shown() -> int:
+        code = main()
+        stages.end("shown")
+        Path(log).write_text(json.dumps(stages.ended))
+        return code
 
-def _leave(code: int) -> None:
-    """End as the command does."""
-    sys.exit(code)
+    vars(command)["main"] = shown
+    command.command()
 
 
 def _note_slices(stages: Stages) -> None:

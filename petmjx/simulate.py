@@ -25,7 +25,8 @@ from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.by_place import LARGE, Places
-from petmjx.results.manifest import Manifest
+from petmjx.results.manifest import Manifest, PlanRecord, records_of
+from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults
 from petmjx.results.recording import Recording, recording_of
 from petmjx.results.writer import RunWriter
@@ -90,18 +91,19 @@ def simulate(
     """
     with starting(options, plans):
         found = usable_plans(plans, sim, options)
-    study = ask(found.plans, options)
-    orders = None
-    if options.orders is not None:
-        whole, strict = options.limit is None, options.strict
-        orders = check_orders(options.orders, study.everything, takes=options.takes, all_plans=whole, strict=strict)
-    late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in study.skipped)
-    about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
-    notes = [*found.notes, *about]
-    found = replace(found, skipped=[*found.skipped, *late], notes=notes)
+        study = ask(found.plans, options)
+        orders = None
+        if options.orders is not None:
+            whole, strict = options.limit is None, options.strict
+            orders = check_orders(options.orders, study.everything, takes=options.takes, all_plans=whole, strict=strict)
+        late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in study.skipped)
+        about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
+        notes = [*found.notes, *about]
+        found = replace(found, skipped=[*found.skipped, *late], notes=notes)
+        records = records_of(study.everything, found.numbers)
     with engine_for(options, study.work) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
-        run = _Run(study, options, found, orders, engine, choice, recording, intervals)
+        run = _Run(study, options, found, records, orders, engine, choice, recording, intervals)
         return run.results(watcher, {} if are_files(plans) else {each.plan_id: each for each in study.everything})
 
 
@@ -111,12 +113,14 @@ class _Run:
 
     Attributes:
         found: how plans were read: what was skipped, and warnings.
+        records: what the run says of its plans, by id.
         intervals_s: time that went into intervals of forces.
     """
 
     study: Study
     options: RunOptions
     found: PlanSet
+    records: Mapping[str, PlanRecord]
     orders: OrderCheck | None
     engine: Engine
     choice: Choice
@@ -167,7 +171,7 @@ class _Run:
         with RunWriter(
             options.out,
             self.config(),
-            manifest=Manifest.of(self.identity(), study.everything, self.found.numbers),
+            manifest=Manifest(plain(self.identity()), self.records),
             orders=self.orders,
             params=study.params,
             dynamic=study.dynamic,

@@ -77,6 +77,16 @@ class PlanRecord(NamedTuple):
         return cls(plan_digest(plan), plan.source, volume, extent_x, extent_y, height, number)
 
 
+def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) -> dict[str, PlanRecord]:
+    """The records of plans by id, in the order given.
+
+    Args:
+        numbers: plan id → which of the plans given it is; None: all are there.
+    """
+    numbers = numbers or {plan.plan_id: number for number, plan in enumerate(plans)}
+    return {plan.plan_id: PlanRecord.of(plan, numbers.get(plan.plan_id)) for plan in plans}
+
+
 @dataclass(frozen=True, eq=False)
 class Manifest:
     """The identity of a run. Two runs of one identity have the same results.
@@ -93,13 +103,8 @@ class Manifest:
     def of(
         cls, settings: Mapping[str, Any], plans: Sequence[Plan], numbers: Mapping[str, int] | None = None
     ) -> Manifest:
-        """The manifest of a run of these plans, in the order given.
-
-        Args:
-            numbers: plan id → which of the plans given it is; None: all are there.
-        """
-        numbers = numbers or {plan.plan_id: number for number, plan in enumerate(plans)}
-        return cls(plain(settings), {plan.plan_id: PlanRecord.of(plan, numbers.get(plan.plan_id)) for plan in plans})
+        """The manifest of a run of these plans, in the order given; ``numbers`` as in ``records_of``."""
+        return cls(plain(settings), records_of(plans, numbers))
 
     @property
     def identity(self) -> dict[str, Any]:
