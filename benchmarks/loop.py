@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import resource
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import jax
 import numpy as np
 
 import petmjx
@@ -30,6 +30,15 @@ DISTINCT: Final = 64
 """Pallets that are built; more are their copies."""
 
 REPEATS: Final = 20
+
+_WARM: Final = 100
+"""Placements after which nothing should be compiled."""
+
+_MOST_PLACED: Final = 8
+"""Boxes of a pallet in ``memory``."""
+
+_RESET_SHARE: Final = 0.05
+"""Of the pallets in ``memory``, before each call."""
 
 _TABLES: Final = ("worlds", "boxes")
 
@@ -164,25 +173,30 @@ def placed(loop: Loop) -> Result:
 
 
 def memory(loop: Loop) -> Result:
-    """Placements and resets of pallets, the more the more placements: does memory grow, is anything compiled?"""
-    plans = loop.usual(min(loop.pallets, max(loop.count // 1000, 64)), 8)
+    """Placements and resets of pallets, the more the more placements: does memory grow, is anything compiled?
+
+    Pallets are reset when they are full or have fallen, and some at random: each call has another number of them.
+    """
+    plans = loop.usual(min(loop.pallets, max(loop.count // 1000, 64)), _MOST_PLACED)
     pallets = petmjx.Pallets(len(plans), engine=loop.engine)
+    rng, programs = np.random.default_rng(loop.seed), _Programs()
     done, marks, compiled = 0, [], []
     with timed() as clock:
         while done < loop.count:
-            for number in range(8):
-                done += len(_place(pallets, np.flatnonzero(~pallets.ended), plans, number))
-            pallets.reset()
-            marks.append(_resident_bytes())
-            compiled.append(_programs())
-    begin, end = marks[len(marks) // 4], marks[-1]
+            over = pallets.ended | (pallets.n_boxes >= _MOST_PLACED) | (rng.random(len(plans)) < _RESET_SHARE)
+            pallets.reset(np.flatnonzero(over))
+            done += len(_place(pallets, np.arange(len(plans)), plans, pallets.n_boxes))
+            marks.append((done, _resident_bytes()))
+            compiled.append(programs.count)
+    begin = next(used for placements, used in marks if placements >= loop.count // 4)
+    warm = next(number for number, (placements, _) in enumerate(marks) if placements >= _WARM)
     return {
         "placements": done,
         "placements_per_s": done / clock.wall_s,
-        "grown_bytes": end - begin,
-        "rss_bytes": end,
+        "grown_bytes": marks[-1][1] - begin,
+        "rss_bytes": marks[-1][1],
         "device_bytes": peak_device_bytes(),
-        "programs": [compiled[len(compiled) // 4], compiled[-1]],
+        "programs": {f"in the first {marks[warm][0]} placements": compiled[warm], "in all": compiled[-1]},
         **_clock(clock),
     }
 
@@ -265,12 +279,13 @@ def _many(loop: Loop, n: int, each: int) -> Result:
     }
 
 
-def _place(pallets: petmjx.Pallets, rows: Any, plans: Sequence[Plan], number: int) -> petmjx.Told:
-    """Place box ``number`` of the plans of some pallets."""
+def _place(pallets: petmjx.Pallets, rows: Any, plans: Sequence[Plan], number: Any) -> petmjx.Told:
+    """Place box ``number`` of the plans of some pallets; one number for all, or one for each."""
+    which = list(zip(np.asarray(rows).tolist(), np.broadcast_to(number, len(rows)).tolist(), strict=True))
     return pallets.place(
-        size_mm=np.array([plans[row].size_mm[number] for row in rows]).reshape(-1, 3),
-        corner_mm=np.array([plans[row].corner_mm[number] for row in rows]).reshape(-1, 3),
-        mass_kg=np.array([plans[row].mass_kg[number] for row in rows]),
+        size_mm=np.array([plans[row].size_mm[box] for row, box in which]).reshape(-1, 3),
+        corner_mm=np.array([plans[row].corner_mm[box] for row, box in which]).reshape(-1, 3),
+        mass_kg=np.array([plans[row].mass_kg[box] for row, box in which]),
         pallet=np.asarray(rows, np.int64),
     )
 
@@ -288,10 +303,15 @@ def _resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
 
 
-def _programs() -> int:
-    """Programs that JAX has compiled for functions of open worlds."""
-    module = sys.modules.get("petmjx.engines.warp.open_worlds")
-    return 0 if module is None else int(module._take._cache_size())
+class _Programs:
+    """Counts the programs that JAX compiles, or takes from its cache on disk, from now on."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        jax.monitoring.register_event_duration_secs_listener(self._note)
+
+    def _note(self, event: str, _seconds: float, **_: Any) -> None:
+        self.count += event == "/jax/core/compile/backend_compile_duration"
 
 
 def _far(plan: Plan) -> FloatArray:

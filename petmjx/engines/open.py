@@ -132,10 +132,12 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     Raises:
         ValueError: a world does not exist, or is named twice where each must be different.
     """
-    for world in worlds:
-        if not isinstance(world, int | np.integer) or not 0 <= world < count:
-            raise ValueError(f"there are worlds 0 to {count - 1}, and no {world!r}")
-    if distinct and len(set(worlds)) < len(worlds):
+    numbers = np.asarray(worlds)
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
+        for world in worlds:
+            if not isinstance(world, int | np.integer) or not 0 <= world < count:
+                raise ValueError(f"there are worlds 0 to {count - 1}, and no {world!r}")
+    if distinct and len(np.unique(numbers)) < len(worlds):
         raise ValueError(f"a world is named twice: {list(worlds)}")
 
 

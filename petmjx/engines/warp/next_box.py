@@ -109,7 +109,7 @@ def readings_of(told: Told, half_size: FloatArray, target: FloatArray, sim: Simu
     Args:
         half_size, target: (m, k, 3) of their boxes, m.
     """
-    state: Told = jax.tree.map(lambda values: np.asarray(values)[: len(half_size)], told)
+    state: Told = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(told))
     width = half_size.shape[1]
     placed = np.asarray(state.placed, np.int64)
     beyond = np.arange(width) >= placed[:, None]

@@ -66,8 +66,9 @@ class WarpWorlds(OpenWorlds):
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)
         self._timetable = build_timetable(sim, self.width)
         self._room, self._traits = 1, Traits.of(self._blank.scene)
+        self._most_rows = 1
         self._make_simulator()
-        worlds = self._constants(scenes)
+        worlds = self._constants(scenes, _padded(len(scenes)))
         self.open = Open(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
 
     def go_on(self) -> None:
@@ -75,23 +76,22 @@ class WarpWorlds(OpenWorlds):
         self.open = self._to_the_end(self.open, jnp.zeros((1, 1, 3)))
 
     def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        fresh = self._constants(scenes)
-        rows = self._rows(worlds, len(fresh.n_boxes))
-        self.open = self._jitted_reset(self.open, rows, fresh)
+        rows = self._rows(worlds)
+        self.open = self._jitted_reset(self.open, rows, self._constants(scenes, len(rows)))
 
     def _ended(self, worlds: Sequence[int]) -> list[bool]:
-        ended = np.asarray(self.open.state.status) == Status.FINISHED
-        return [bool(ended[world]) for world in worlds]
+        ended: list[bool] = (np.asarray(self.open.state.status)[list(worlds)] == Status.FINISHED).tolist()
+        return ended
 
     def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        more = self._constants(scenes)
-        self.open = self._jitted_put(self.open, self._rows(worlds, len(more.n_boxes)), more)
+        rows = self._rows(worlds)
+        self.open = self._jitted_put(self.open, rows, self._constants(scenes, len(rows)))
 
     def _put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
         if not self._appears:
             super()._put_next(worlds, boxes)
             return
-        rows = self._rows(worlds, _padded(len(worlds)))
+        rows = self._rows(worlds)
         box = self._new_box(self._scenes.stacks(worlds), boxes, len(rows))
         self.open = self._jitted_put_next(self.open, rows, box)
 
@@ -111,8 +111,8 @@ class WarpWorlds(OpenWorlds):
         if self._appears:
             begun = self._jitted_put_next(forks, jnp.arange(padded), self._new_box(before, boxes, padded))
         else:
-            more = self._constants([self._blank.with_box(self._scenes[w], boxes, row) for row, w in enumerate(worlds)])
-            rows = jnp.where(jnp.arange(len(more.n_boxes)) < count, jnp.arange(len(more.n_boxes)), padded)
+            more = self._constants(self.with_next(worlds, boxes), padded)
+            rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
             begun = self._jitted_put(forks, rows, more)
         state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
         told = told_of(state, uploaded(np.arange(padded, dtype=np.int32)))
@@ -128,15 +128,16 @@ class WarpWorlds(OpenWorlds):
     ) -> list[Outcome]:
         count = len(worlds)
         jobs = [Job(scene, drive) for scene, drive in zip(scenes, drives, strict=True)]
-        batch = load(jobs, _padded(count), self.width, self._sim, self._timetable)
-        forks = _take(self.open, self._rows(worlds, _padded(count)), count)
-        more = self._constants(scenes)  # without drives, which begin when the boxes rest
-        rows = jnp.where(jnp.arange(_padded(count)) < count, jnp.arange(_padded(count)), _padded(count))
+        padded = _padded(count)
+        batch = load(jobs, padded, self.width, self._sim, self._timetable)
+        forks = _take(self.open, self._rows(worlds, padded), count)
+        more = self._constants(scenes, padded)  # without drives, which begin when the boxes rest
+        rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
 
     def _readings(self, worlds: Sequence[int]) -> Readings:
-        told = told_of(self.open.state, self._rows(worlds, _padded(len(worlds))))
+        told = told_of(self.open.state, self._rows(worlds))
         stacks = self._scenes.stacks(worlds)
         return readings_of(told, stacks.half_size, stacks.target, self._sim)
 
@@ -146,8 +147,7 @@ class WarpWorlds(OpenWorlds):
         return self._blank.scene.placing.appears
 
     def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        rows = _padded(len(sources))
-        self.open = _jitted_fork(self.open, self._rows(sources, rows), self._rows(into, rows))
+        self.open = _jitted_fork(self.open, self._rows(sources), self._rows(into))
 
     def _read(self, worlds: Sequence[int]) -> list[Reading]:
         state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
@@ -231,8 +231,8 @@ class WarpWorlds(OpenWorlds):
             self._traits = found
             self._make_simulator()
 
-    def _constants(self, scenes: Sequence[Scene]) -> Worlds:
-        """Constants of open worlds."""
+    def _constants(self, scenes: Sequence[Scene], rows: int) -> Worlds:
+        """Constants of open worlds, with so many rows."""
         self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
@@ -240,13 +240,19 @@ class WarpWorlds(OpenWorlds):
         boards = max(len(scene.carrier.half_size) for scene in scenes)
         if boards > self.boards:
             raise ValueError(f"there is room for carriers of {self.boards} boards, and one has {boards}")
-        rows = _padded(len(scenes))
         jobs = [Job(scene) for scene in scenes]
         worlds = upload_worlds(jobs, rows, self.width, {}, self._sim, self.boards)
         return worlds._replace(pauses=uploaded(np.ones(rows, np.bool_)))
 
-    def _rows(self, worlds: Sequence[int], length: int) -> Int[Array, " row"]:
-        """Rows of the tables, padded with rows that there are not."""
+    def _rows(self, worlds: Sequence[int], length: int | None = None) -> Int[Array, " row"]:
+        """Rows of the tables, padded with rows that there are not.
+
+        Args:
+            length: None: a power of two, and as many as the largest call had, so that those that follow compile
+                nothing: pallets end and begin anew, and each step has another number of them.
+        """
+        if length is None:
+            length = self._most_rows = max(self._most_rows, _padded(len(worlds)))
         rows = np.full(length, len(self.open.state.status), np.int32)
         rows[: len(worlds)] = worlds
         return uploaded(rows)
