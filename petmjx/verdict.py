@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,11 +114,20 @@ INVALID_FLAGS: Final = (
 """Flags that make a world invalid, with their reasons. The first one that is set decides."""
 
 
+class Signs(NamedTuple):
+    """Of (…, n) boxes what may decide whether they fail, as in ``BoxMetrics``."""
+
+    shift_m: FloatArray
+    max_tilt_deg: FloatArray
+    max_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+
+
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
     """What makes boxes fail, in the order in which it is looked for, and the (…, n) boxes that fail by it.
 
     Args:
-        boxes: fields of ``BoxMetrics`` for (…, n) boxes, as arrays of NumPy or JAX.
+        boxes: fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
     """
     yield Reason.DROP, boxes.dropped
     yield Reason.TILT, boxes.max_tilt_deg > thresholds.tilt_deg
@@ -159,7 +168,7 @@ def judge(
 
 
 def judge_all(
-    flags: NDArray[np.int64], boxes: BoxMetrics, thresholds: Thresholds
+    flags: NDArray[np.int64], boxes: Signs | BoxMetrics, thresholds: Thresholds
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """The verdicts and reasons of many worlds, each as ``judge`` says it of one.
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.engines.open import Readings, joined, widened
 from petmjx.metrics.motion_np import has_dropped, shift, tilt_deg
-from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Thresholds
-from petmjx.verdict import DROPPED_EXCESS, Flag, Outcome, Verdict, judge_all, margin_of
+from petmjx.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margin_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,24 +74,17 @@ class Told:
     def of_readings(cls, pallet: NDArray[np.int64], found: Readings, thresholds: Thresholds) -> Told:
         """Of worlds that have paused or ended."""
         m, k = found.max_tilt_deg.shape
-        here = np.arange(k) < found.placed[:, None]
-        pos, quat = found.pos[here], found.quat[here]
-        shifted, tilted = np.full((m, k, 3), np.nan), np.full((m, k), np.nan)
-        dropped = found.dropped.copy()
-        with np.errstate(invalid="ignore"):  # worlds with bad numbers
-            shifted[here] = shift(pos, found.target[here], thresholds.shift_floor_m)
-            tilted[here] = np.fmax(found.max_tilt_deg[here], tilt_deg(quat))
-            dropped[here] |= has_dropped(pos, quat, found.half_size[here], thresholds)
-            boxes = BoxMetrics.measured(
-                m,
-                k,
-                shift_m=shifted,
-                max_tilt_deg=tilted,
-                max_top_force_n=np.where(here, found.max_top_force_n, np.nan),
-                dropped=dropped,
+        with np.errstate(invalid="ignore"):  # boxes that are not there, worlds with bad numbers
+            shifted = shift(found.pos, found.target, thresholds.shift_floor_m)
+            quat, middles, halves = (
+                each.reshape(-1, each.shape[2]) for each in (found.quat, found.pos, found.half_size)
             )
-            verdict, reason = judge_all(found.flags, boxes, thresholds)
-            over = np.maximum(np.abs(shifted).max(axis=2) / thresholds.shift_m, tilted / thresholds.tilt_deg)
+            tilted = np.fmax(found.max_tilt_deg, tilt_deg(quat).reshape(m, k))
+            dropped = found.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
+            verdict, reason = judge_all(found.flags, Signs(shifted, tilted, found.max_top_force_n, dropped), thresholds)
+            x, y, z = np.abs(np.moveaxis(shifted, 2, 0))
+            farthest = np.maximum(np.maximum(x, y), z)
+            over = np.maximum(farthest / thresholds.shift_m, tilted / thresholds.tilt_deg)
             over = np.nan_to_num(np.maximum(over, DROPPED_EXCESS * dropped), nan=-np.inf)
         stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)
         worst = over.argmax(axis=1) if k else np.zeros(m, np.int64)
@@ -107,7 +99,7 @@ class Told:
             reason=reason,
             culprit=np.where(stable, -1, culprit),
             margin=np.where(invalid, np.nan, margin),
-            shift_mm=_largest(np.abs(shifted).max(axis=2) * MM_PER_M),
+            shift_mm=_largest(farthest * MM_PER_M),
             tilt_deg=_largest(tilted),
             n_boxes=found.placed,
             ended=found.ended,
