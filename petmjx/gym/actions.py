@@ -20,7 +20,7 @@ kg, the borne share of its base, and where the mask asks physics the pallet's ma
 
 @dataclass(eq=False)
 class Table:
-    """n episodes × a actions.
+    """n episodes × a actions; all is 0 where an action is not legal.
 
     Attributes:
         legal: (n, a).
@@ -58,12 +58,15 @@ class Table:
         for values in vars(self).values():
             values[rows] = 0
 
-    @property
-    def features(self) -> NDArray[np.float32]:
-        """(n, a, f) ``FEATURES``, 0 for actions that are not legal."""
-        columns = [self.box, self.turned, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin]
-        found = np.concatenate([each if each.ndim == 3 else each[..., None] for each in columns], axis=2)
-        return np.where(self.legal[..., None], found, 0.0).astype(np.float32)
+    def features(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(m, a, f) ``FEATURES`` of some episodes."""
+        found = np.empty((len(rows), self.legal.shape[1], len(FEATURES)), np.float32)
+        at = 0
+        for values in (self.box, self.turned, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin):
+            some = values[rows].reshape(*found.shape[:2], -1)
+            found[..., at : at + some.shape[2]] = some
+            at += some.shape[2]
+        return found
 
 
 class Actions:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from petmjx.basics.errors import InputError
 from petmjx.basics.units import FloatArray
 from petmjx.gym.actions import FEATURES, Actions, Table
+from petmjx.gym.maps import Maps
 from petmjx.gym.options import PalletizingOptions
 from petmjx.gym.queues import Queues
-from petmjx.loop.heights import cells_of, cover
+from petmjx.loop.heights import cells_of
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.rewards import TERMS, Placement
 from petmjx.loop.told import Told
@@ -62,8 +63,7 @@ class Episodes:
         self.n_actions = self._actions.count
         self.table = Table.empty(n, self.n_actions)
         self._queues = Queues(n, self.options.look_ahead)
-        self._heights, self._loads = np.zeros((n, *self.cells)), np.zeros((n, *self.cells))
-        self._covers: list[NDArray[np.bool_]] = []  # of box k of each pallet: the cells over which it stands
+        self._maps = Maps(n, self.cells, self.options.cell_mm)
         self._mass: FloatArray = np.zeros(n)
         self._volume: FloatArray = np.zeros(n)
         self._top: FloatArray = np.zeros(n)
@@ -84,7 +84,8 @@ class Episodes:
             return
         self.pallets.reset(rows)
         self._actions.strength_n[rows] = np.nan
-        for values in (self._heights, self._loads, self._mass, self._volume, self._top, self._illegal):
+        self._maps.clear(rows)
+        for values in (self._mass, self._volume, self._top, self._illegal):
             values[rows] = 0
         self._verdict[rows], self._reason[rows], self._culprit[rows], self._margin[rows] = "stable", "", -1, 1.0
         left, by_row = rows, dict(zip(rows.tolist(), rngs, strict=True))
@@ -125,75 +126,49 @@ class Episodes:
         size, corner, mass, box = table.size_mm[at], table.corner_mm[at], table.mass_kg[at], table.box[at]
         told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows)
         last = self.pallets.n_boxes[rows] - 1
-        strengths = [self._queues.take(*each) for each in zip(rows.tolist(), box.tolist(), strict=True)]
-        self._actions.strength_n[rows, last] = strengths
+        self._actions.strength_n[rows, last] = self._queues.take(rows, box)
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)
         self._top[rows] += higher
         self._mass[rows] += mass
         self._volume[rows] += volume * told.stable
-        self._note_cells(rows, size, corner)
-        self._spread_loads(rows, told)
+        self._maps.add(rows, last, size, corner)
+        self._maps.load(rows, told.top_force_n)
         self._verdict[rows], self._reason[rows] = told.verdict, told.reason
         self._culprit[rows], self._margin[rows] = told.culprit, np.nan_to_num(told.margin, nan=-1.0)
         made = Placement(told, volume, self._mass[rows], self._room_mm3, higher, self.options.max_height_mm)
         return told, {name: value(made) for name, (_, value) in TERMS.items() if name in self.weights}
-
-    def _note_cells(self, rows: NDArray[np.int64], size: FloatArray, corner: FloatArray) -> None:
-        """Over which cells the boxes stand that were just placed, and how high."""
-        flat, on = size.copy(), corner.copy()
-        flat[:, 2], on[:, 2] = 1.0, 0.0
-        cells = np.zeros((len(rows), *self.cells))
-        cover(cells, np.arange(len(rows)), flat, on, self.options.cell_mm)
-        tops = (corner + size)[:, 2, None, None]
-        self._heights[rows] = np.maximum(self._heights[rows], cells * tops)
-        last = self.pallets.n_boxes[rows] - 1
-        while len(self._covers) <= last.max():
-            self._covers.append(np.zeros((self.n, *self.cells), np.bool_))
-        for number in np.unique(last):
-            some = last == number
-            self._covers[number][rows[some]] = cells[some] > 0
 
     @property
     def _room_mm3(self) -> float:
         x, y = self.pallets.extent_mm
         return x * y * self.options.max_height_mm
 
-    def _spread_loads(self, rows: NDArray[np.int64], told: Told) -> None:
-        """Over each cell the largest force on a box's top, N."""
-        loads = np.zeros((len(rows), *self.cells))
-        for covered, force in zip(self._covers, np.nan_to_num(told.top_force_n).T, strict=False):
-            np.maximum(loads, force[:, None, None], out=loads, where=covered[rows])
-        self._loads[rows] = loads
-
     def _look(self, rows: NDArray[np.int64]) -> None:
         """Work out the actions of episodes. If there is none, the boxes that may come next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]
-            rows = np.array([row for row in stuck.tolist() if self._queues.count(row)], np.int64)
-            for row in rows.tolist():
-                self._queues.leave_out(row, self.options.buffer)
+            rows = stuck[self._queues.counts[stuck] > 0]
+            self._queues.leave_out(rows, self.options.buffer)
 
     # ------------------------------------------------------------------ what is seen
 
     def observed(self, rows: NDArray[np.int64]) -> Observation:
         """What is seen of episodes, arrays of m rows."""
         size, mass = self._queues.seen(rows)
-        top = np.finfo(np.float32).max
         found: Observation = {
-            "height_map": self._heights[rows],
-            "load_map": np.minimum(self._loads[rows], top),
+            "height_map": self._maps.heights[rows],
+            "load_map": self._maps.loads[rows],
             "boxes": np.concatenate([size, mass[..., None]], axis=2),
             "left": self._queues.counts[rows, None],
             "mass": self._mass[rows, None],
             "carrier": np.tile([*self.pallets.extent_mm, self.options.max_height_mm], (len(rows), 1)),
         }
-        found = {name: values.astype(np.float32) for name, values in found.items()}
+        found = {name: values.astype(np.float32, copy=False) for name, values in found.items()}
         found["action_mask"] = self.table.legal[rows].astype(np.int8)
         if self.options.actions == "candidates":
-            features = Table(**{name: values[rows] for name, values in vars(self.table).items()}).features
-            found["candidates"] = features
+            found["candidates"] = self.table.features(rows)
         return found
 
     def told(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:

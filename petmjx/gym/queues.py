@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.loop.orders import Boxes
+
+_MORE: Final = 32
+"""Boxes beyond those that are seen which are in the table: so many are taken before a row is filled again."""
 
 
 class Queues:
@@ -16,45 +21,60 @@ class Queues:
         seen: how many boxes of each episode are visible.
 
     Attributes:
+        counts: (n,) boxes that are left.
         left_out: (n,) boxes for which there was no place.
     """
 
     def __init__(self, n: int, seen: int) -> None:
         self._boxes: list[Boxes] = [Boxes(np.zeros((0, 3)), np.zeros(0), np.zeros(0))] * n
-        self._queues: list[list[int]] = [[] for _ in range(n)]
         self._seen = seen
+        # (n, k, 5) the next boxes from column `first` on: size, mass and strength; 0 behind them
+        self._next: FloatArray = np.zeros((n, seen + _MORE, 5))
+        self._first: NDArray[np.int64] = np.zeros(n, np.int64)
+        self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # boxes that are not in the table yet
+        self.counts: NDArray[np.int64] = np.zeros(n, np.int64)
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)
 
     def begin(self, row: int, boxes: Boxes) -> None:
         """An episode has these boxes before it."""
-        self._boxes[row], self._queues[row] = boxes, list(range(len(boxes)))
-        self.left_out[row] = 0
+        self._boxes[row], self.left_out[row] = boxes, 0
+        self.counts[row] = self._behind[row] = len(boxes)
+        self._fill(row)
 
-    def take(self, row: int, place: int) -> float:
-        """The box at this place of a queue has been placed. Returns its strength, N; NaN: not given."""
-        return float(self._boxes[row].strength_n[self._queues[row].pop(place)])
+    def take(self, rows: NDArray[np.int64], places: NDArray[np.int64]) -> FloatArray:
+        """The boxes at these places of queues have been placed. Returns their strengths, (m,) N; NaN: not given."""
+        first = self._first[rows]
+        strength: FloatArray = self._next[rows, first + places, 4]
+        for place in range(int(places.max(initial=0)), 0, -1):  # those before a box move back into its place
+            some = places >= place
+            at = rows[some], first[some] + place
+            self._next[at] = self._next[at[0], at[1] - 1]
+        self._go_on(rows, np.ones(len(rows), np.int64))
+        return strength
 
-    def leave_out(self, row: int, count: int) -> None:
-        """The first boxes of a queue are left out."""
-        self.left_out[row] += len(self._queues[row][:count])
-        del self._queues[row][:count]
-
-    def count(self, row: int) -> int:
-        """Boxes that are left."""
-        return len(self._queues[row])
-
-    @property
-    def counts(self) -> NDArray[np.int64]:
-        """(n,) boxes that are left."""
-        return np.array([len(queue) for queue in self._queues], np.int64)
+    def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
+        """The first boxes of some queues are left out."""
+        gone = np.minimum(self.counts[rows], count)
+        self.left_out[rows] += gone
+        self._go_on(rows, gone)
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the boxes that are seen; 0 where there are fewer."""
-        size, mass = np.zeros((len(rows), self._seen, 3)), np.zeros((len(rows), self._seen))
-        for at, row in enumerate(rows.tolist()):
-            some = self._queues[row][: self._seen]
-            size[at, : len(some)], mass[at, : len(some)] = (
-                self._boxes[row].size_mm[some],
-                self._boxes[row].mass_kg[some],
-            )
-        return size, mass
+        found = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
+        return found[..., :3], found[..., 3]
+
+    def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
+        self._first[rows] += count
+        self.counts[rows] -= count
+        for row in rows[self._first[rows] > _MORE].tolist():
+            self._fill(row)
+
+    def _fill(self, row: int) -> None:
+        """The boxes of a row begin in its first column, and as many follow as there is room for."""
+        boxes, table, behind = self._boxes[row], self._next[row], int(self._behind[row])
+        here, first = int(self.counts[row]) - behind, int(self._first[row])
+        table[:here] = table[first : first + here].copy()
+        more = slice(len(boxes) - behind, len(boxes) - behind + len(table) - here)
+        new = np.column_stack([boxes.size_mm[more], boxes.mass_kg[more], boxes.strength_n[more]])
+        table[here : here + len(new)], table[here + len(new) :] = new, 0.0
+        self._first[row], self._behind[row] = 0, behind - len(new)

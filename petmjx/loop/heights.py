@@ -26,21 +26,15 @@ def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
     return x, y
 
 
-def cover(
-    maps: FloatArray, rows: NDArray[np.int64], size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float
-) -> None:
-    """Raise maps where boxes stand.
+def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray[np.intp]:
+    """(m, 2, 2) the cells over which boxes stand: the first along x and y, and those behind the last.
 
     Args:
-        maps: (n, x, y) mm.
-        rows: (m,) which map each box is for; ``size_mm``, ``corner_mm``: (m, 3).
+        size_mm, corner_mm: (m, 3).
     """
-    low = np.maximum(np.floor(corner_mm[:, :2] / cell_mm + _EDGE), 0).astype(np.intp)
-    high = np.ceil((corner_mm + size_mm)[:, :2] / cell_mm - _EDGE).astype(np.intp)
-    tops = corner_mm[:, 2] + size_mm[:, 2]
-    for row, (x, y), (x_end, y_end), top in zip(rows.tolist(), low.tolist(), high.tolist(), tops.tolist(), strict=True):
-        part = maps[row, x : max(x_end, 0), y : max(y_end, 0)]
-        np.maximum(part, top, out=part)
+    low = np.floor(corner_mm[:, :2] / cell_mm + _EDGE)
+    high = np.ceil((corner_mm + size_mm)[:, :2] / cell_mm - _EDGE)
+    return np.maximum(np.stack([low, high], axis=1), 0).astype(np.intp)
 
 
 def height_maps(stock: Stock, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:
@@ -49,5 +43,9 @@ def height_maps(stock: Stock, rows: NDArray[np.int64], extent_mm: tuple[float, f
     for number in range(int(stock.count[rows].max(initial=0))):
         has = np.flatnonzero(stock.count[rows] > number)
         box = stock.box(rows[has], number)
-        cover(maps, has, box.size_mm, box.corner_mm, float(cell_mm))
+        tops = box.corner_mm[:, 2] + box.size_mm[:, 2]
+        each = spans(box.size_mm, box.corner_mm, float(cell_mm))
+        for row, ((x, y), (x_end, y_end)), top in zip(has.tolist(), each.tolist(), tops.tolist(), strict=True):
+            part = maps[row, x:x_end, y:y_end]
+            np.maximum(part, top, out=part)
     return maps

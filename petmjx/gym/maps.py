@@ -1,0 +1,84 @@
+"""What is seen of pallets from above: how high they are over each cell of the carrier, and what boxes there bear."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.basics.units import FloatArray
+from petmjx.loop.heights import spans
+
+_FIRST_ROOM: Final = 16
+
+_MOST: Final = float(np.finfo(np.float32).max)
+
+Map = NDArray[np.float32]
+
+
+class Maps:
+    """The maps of n pallets, kept from box to box, in the precision in which they are observed.
+
+    Attributes:
+        heights: (n, x, y) the highest top, mm; ``loads``: (n, x, y) the largest force on a box's top, N.
+    """
+
+    def __init__(self, n: int, cells: tuple[int, int], cell_mm: float) -> None:
+        self._cell_mm = cell_mm
+        self.heights: Map = np.zeros((n, *cells), np.float32)
+        self.loads: Map = np.zeros((n, *cells), np.float32)
+        self._spans: NDArray[np.int32] = np.zeros((n, _FIRST_ROOM, 2, 2), np.int32)  # of each box
+
+    def clear(self, rows: NDArray[np.int64]) -> None:
+        """Pallets have no boxes."""
+        self.heights[rows] = self.loads[rows] = 0.0
+
+    def add(
+        self, rows: NDArray[np.int64], number: NDArray[np.int64], size_mm: FloatArray, corner_mm: FloatArray
+    ) -> None:
+        """Some pallets have one box more each.
+
+        Args:
+            number: (m,) which box of its pallet it is, counted from 0; ``size_mm``, ``corner_mm``: (m, 3).
+        """
+        while number.max(initial=0) >= self._spans.shape[1]:
+            self._spans = np.concatenate([self._spans, np.zeros_like(self._spans)], axis=1)
+        self._spans[rows, number] = each = spans(size_mm, corner_mm, self._cell_mm)
+        tops = (corner_mm[:, 2] + size_mm[:, 2]).astype(np.float32)
+        over_x, over_y = self._over(each)
+        self.heights[rows] = np.maximum(self.heights[rows], (tops * over_x[:, None] * over_y).transpose(2, 0, 1))
+
+    def load(self, rows: NDArray[np.int64], top_force_n: FloatArray) -> None:
+        """What boxes of some pallets bear now.
+
+        Args:
+            top_force_n: (m, k) force on each box's top; NaN behind a pallet's own.
+        """
+        force = np.minimum(np.nan_to_num(top_force_n), _MOST)
+        count = (force > 0).sum(axis=1)
+        fullest = np.argsort(-count, kind="stable")  # box after box is spread over the first ones of these pallets
+        bearing = np.argsort(~(force[fullest] > 0), axis=1, kind="stable")
+        force = np.take_along_axis(force[fullest], bearing, axis=1).astype(np.float32)
+        each, at_least = self._spans[rows[fullest, None], bearing], np.sort(count)
+        loads: Map = np.zeros((*self.heights.shape[1:], len(rows)), np.float32)
+        for number in range(int(count.max(initial=0))):
+            m = len(rows) - int(np.searchsorted(at_least, number, side="right"))
+            over_x, over_y = self._over(each[:m, number])
+            part = loads[..., :m]
+            np.maximum(part, (force[:m, number] * over_x)[:, None] * over_y, out=part)
+        self.loads[rows[fullest]] = loads.transpose(2, 0, 1)
+
+    def _over(self, each: NDArray[np.integer]) -> tuple[Map, Map]:
+        """(x, m) and (y, m) 1 where boxes stand over these columns and rows of cells, else 0.
+
+        Args:
+            each: (m, 2, 2) of ``spans``.
+        """
+        low, high = each.transpose(1, 2, 0)
+        x, y = (
+            ((low[axis] <= cells) & (cells < high[axis])).astype(np.float32)
+            for axis in range(2)
+            for cells in [np.arange(self.heights.shape[1 + axis])[:, None]]
+        )
+        return x, y
