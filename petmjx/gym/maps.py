@@ -57,12 +57,13 @@ class Maps:
         """
         force = np.minimum(np.nan_to_num(top_force_n), _MOST)
         count = (force > 0).sum(axis=1)
+        most = int(count.max(initial=0))
         fullest = np.argsort(-count, kind="stable")  # box after box is spread over the first ones of these pallets
-        bearing = np.argsort(~(force[fullest] > 0), axis=1, kind="stable")
+        bearing = np.argsort(~(force[fullest] > 0), axis=1, kind="stable")[:, :most]
         force = np.take_along_axis(force[fullest], bearing, axis=1).astype(np.float32)
         each, at_least = self._spans[rows[fullest, None], bearing], np.sort(count)
         loads: Map = np.zeros((*self.heights.shape[1:], len(rows)), np.float32)
-        for number in range(int(count.max(initial=0))):
+        for number in range(most):
             m = len(rows) - int(np.searchsorted(at_least, number, side="right"))
             over_x, over_y = self._over(each[:m, number])
             part = loads[..., :m]

@@ -86,3 +86,23 @@ def test_without_warp_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch)
         make_engine("mjx-warp-cpu")
     with pytest.raises(ValueError, match="threads must be at least 1"):
         MjxWarpCpuEngine(0)
+
+
+def test_pallets_compile_nothing_after_the_first_placements() -> None:
+    compiled: list[str] = []
+
+    def note(event: str, _seconds: float, **_: Any) -> None:
+        compiled.extend([event] * (event == "/jax/core/compile/backend_compile_duration"))
+
+    pallets = petmjx.Pallets(9, engine="mjx-warp-cpu", threads=2, most_boxes=4)
+    box = {"size_mm": (400, 300, 200), "mass_kg": 5.0}
+    pallets.reset([4])
+    pallets.place(**box, corner_mm=[(0, 0, 0)] * 9)
+    jax.monitoring.register_event_duration_secs_listener(note)
+    for rows in ([3], [0, 1, 2, 8], [5, 7], range(8)):
+        pallets.reset(list(rows))
+        pallets.place(**box, corner_mm=[(400, 300, 0)] * len(rows), pallet=list(rows))
+        pallets.told(list(rows))
+    assert compiled == []
+    jax.jit(lambda x: x + 1)(np.arange(7))
+    assert compiled, "the listener hears of programs"
