@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from support.worlds import simulate
 import petmjx
 from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.engines.choose import make_engine
+from petmjx.engines.warp import blocks
 from petmjx.engines.warp.cpu import MjxWarpCpuEngine
 from petmjx.history import Record
 from petmjx.verdict import Outcome
@@ -65,6 +68,24 @@ def test_open_worlds_go_on_in_several_threads() -> None:
     for one, other in zip(*found, strict=True):
         assert_same(one, other)
     assert [one.verdict for one in found[0]] == [crowd()[name].verdict for name in TINY]
+
+
+def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those do that make further attempts beside a GPU. Each waits for the other inside its first launch."""
+    met, first = threading.Barrier(2), threading.local()
+    inner = blocks.wait
+
+    def wait(*some: Any, **more: Any) -> Any:
+        if not vars(first):
+            first.met = met.wait(timeout=60.0)
+        return inner(*some, **more)
+
+    monkeypatch.setattr(blocks, "wait", wait)
+    scenes = tiny_scenes()
+    with ThreadPoolExecutor(2) as pool:
+        both = [pool.submit(simulate, MjxWarpCpuEngine(1), scenes, SHORT) for _ in range(2)]
+        for each in both:
+            assert_equal_worlds(each.result(), crowd())
 
 
 def test_a_score_says_what_it_ran_on_and_agrees_with_mujoco() -> None:

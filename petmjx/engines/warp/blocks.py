@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -34,8 +36,26 @@ class Call:
         wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
 
 
+@contextmanager
+def others_may_call() -> Iterator[None]:
+    """While JAX has called Python: let it call Python in other threads, too.
+
+    Warp (1.18) has a lock for the time of a call, so that of the engines of several threads on a CPU one would work at
+    a time, each for a slice. What it guards is read before a function is called. A Warp without it has none to open.
+    """
+    lock = getattr(sys.modules[wp.jax_callable.__module__], "_FFI_CALLBACK_LOCK", None)
+    if lock is None or not lock.locked():
+        yield
+        return
+    lock.release()
+    try:
+        yield
+    finally:
+        lock.acquire()
+
+
 def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
-    """Launch all blocks of some calls, on Warp's current device.
+    """Launch all blocks of some calls, on Warp's current device: JAX's call of Python that asks for it.
 
     Args:
         clock: (1,) the number that tells blocks on a CPU that the time slice is over.
@@ -54,12 +74,13 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
                 call.launch(block, 1, device=device)
 
     blocks = max(call.blocks for call in calls)
-    running = [_threads().submit(run, block) for block in range(blocks)]
-    _, late = wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-    if late:
-        clock.numpy()[0] = 1  # the kernels' own memory
-    for each in running:
-        each.result()
+    with others_may_call():
+        running = [_threads().submit(run, block) for block in range(blocks)]
+        _, late = wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
+        if late:
+            clock.numpy()[0] = 1  # the kernels' own memory
+        for each in running:
+            each.result()
 
 
 MOST_THREADS: Final = 1024
