@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.units import FloatArray
 from petmjx.history import History
 from petmjx.metrics.motion_np import excess
 from petmjx.metrics.spec import BoxMetrics

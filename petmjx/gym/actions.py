@@ -163,7 +163,8 @@ class Actions:
             nx, ny = self._cells
             return row, ((box[asked] * 2 + turned[asked]) * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        order = np.lexsort((turned[asked], corner[:, 1], corner[:, 0], corner[:, 2], box[asked], row))
+        seen = row * self._options.buffer + box[asked]  # of one box, places along x come first already
+        order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], seen))
         first = np.searchsorted(row[order], np.arange(int(row.max(initial=0)) + 1))
         number = np.empty(len(row), np.int64)
         number[order] = np.arange(len(row)) - first[row[order]]

@@ -34,7 +34,8 @@ def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray
     """
     low = np.floor(corner_mm[:, :2] / cell_mm + _EDGE)
     high = np.ceil((corner_mm + size_mm)[:, :2] / cell_mm - _EDGE)
-    return np.maximum(np.stack([low, high], axis=1), 0).astype(np.intp)
+    found: NDArray[np.intp] = np.maximum(np.stack([low, high], axis=1), 0).astype(np.intp)
+    return found
 
 
 def height_maps(stock: Stock, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:

@@ -20,8 +20,8 @@ from petmjx.loop.stock import Stock
 _AT_ONCE: Final = 200_000
 """Pairs of a point and a box that are compared at a time: their tables stay in a core's cache."""
 
-_FEW_CHUNKS: Final = 4
-"""Fewer are not worth threads."""
+_WORTH_A_THREAD: Final = 50_000
+"""Fewer pairs take less time than a thread to begin."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
@@ -67,7 +67,10 @@ def free_places(
         points = np.broadcast_to(grid[:, 0] + 1j * grid[:, 1], (len(pallets), len(grid)))
     order = np.argsort(count, kind="stable")  # pallets with few boxes cost little, if they are together
     done = np.cumsum(points.shape[1] * (count[order] + 1))
-    chunks = np.split(order, np.flatnonzero(np.diff(done // _AT_ONCE)) + 1) if len(order) else []
+    threads = cpu_threads()
+    share = int(done[-1] // (2 * threads)) if len(order) else 0
+    at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
+    chunks = np.split(order, np.flatnonzero(np.diff(done // at_once)) + 1) if len(order) else []
 
     def lowered(rows: NDArray[np.intp]) -> _Lowered:
         own, k = asked.pallet[rows], int(count[rows].max())
@@ -76,10 +79,10 @@ def free_places(
         box, corner, support, centred = _lowered(points[which[rows]], low, high, size, extent_mm, max_height_mm, hulls)
         return rows[box], corner, support, centred
 
-    if len(chunks) < _FEW_CHUNKS:
+    if len(chunks) <= 2:
         parts = [lowered(rows) for rows in chunks]
     else:  # NumPy works on arrays without the GIL
-        with ThreadPoolExecutor(cpu_threads()) as pool:
+        with ThreadPoolExecutor(threads) as pool:
             parts = list(pool.map(lowered, chunks[::-1]))  # the longest first
     if not parts:
         nothing = np.zeros(0, np.intp)

@@ -112,7 +112,7 @@ def test_without_warp_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch)
 def test_pallets_compile_nothing_after_the_first_placements() -> None:
     compiled: list[str] = []
 
-    def note(event: str, _seconds: float, **_: Any) -> None:
+    def note(event: str, duration_secs: float, **_: Any) -> None:
         compiled.extend([event] * (event == "/jax/core/compile/backend_compile_duration"))
 
     pallets = petmjx.Pallets(9, engine="mjx-warp-cpu", threads=2, most_boxes=4)

@@ -69,7 +69,8 @@ def test_places_of_a_pallet_depend_on_its_boxes_alone(monkeypatch: pytest.Monkey
             alone = found_for(built_anew(stock, int(pallet[row])), boxes(asked.size_mm[[row]], np.zeros(1, int)), grid)
             assert_same(alone._replace(row=alone.row + row, pallet=alone.pallet + pallet[row]), part(together, row))
         with monkeypatch.context() as patched:
-            patched.setattr(places, "_AT_ONCE", 500)  # many pieces, on threads
+            for name in ("_AT_ONCE", "_WORTH_A_THREAD"):
+                patched.setattr(places, name, 500)  # many pieces, on threads
             assert_same(found_for(stock, asked, grid), together)
 
 
