@@ -48,18 +48,24 @@ class Lent(Engine):
 def starting(options: RunOptions, plans: object) -> Iterator[None]:
     """While plans are read, start JAX and Warp on the GPU, where ``mjx-warp`` will be the engine of this process: that
     takes a second or two, in which Python mostly waits."""
-    thread = threading.Thread(target=_start_gpu, name="petmjx-start") if _will_be_gpu(options, plans) else None
+    thread = threading.Thread(target=_start_if_gpu, name="petmjx-start") if _may_be_gpu(options, plans) else None
     if thread is not None:
         thread.start()
-    yield  # what is wrong with plans is told at once: then the thread is waited for where the process ends
+    yield  # what is wrong with plans is told at once: then the thread is waited for where the process ends, if at all
     if thread is not None:
         thread.join()
 
 
-def _will_be_gpu(options: RunOptions, plans: object) -> bool:
-    if options.asked_workers is not None or options.engine not in (AUTO, "mjx-warp") or not cuda_devices():
+def _may_be_gpu(options: RunOptions, plans: object) -> bool:
+    """Whether the engine will be ``mjx-warp`` if there is a GPU."""
+    if options.asked_workers is not None or options.engine not in (AUTO, "mjx-warp"):
         return False
     return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
+
+
+def _start_if_gpu() -> None:
+    if cuda_devices():  # to ask takes the driver its time, too
+        _start_gpu()
 
 
 def _bytes_of(plans: object) -> int:
@@ -78,6 +84,8 @@ def _start_gpu() -> None:
         setup.set_up_warp()
         importlib.import_module("petmjx.engines.warp.engine")
         importlib.import_module("warp").init()
+        jax = importlib.import_module("jax")
+        jax.jit(lambda x: x + 1).lower(0.0).compile()  # loads what the first program needs to be lowered and compiled
 
 
 @contextmanager
