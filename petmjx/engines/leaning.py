@@ -27,7 +27,7 @@ from petmjx.options.config import Simulation
 from petmjx.options.physics import Physics
 from petmjx.verdict import Outcome
 from petmjx.world.bearing import Bearing, bearings_of, together
-from petmjx.world.contact import MOST_IMPEDANCE, depth_m
+from petmjx.world.contact import depth_m, is_stiff
 from petmjx.world.scene import Scene
 
 CONTACTS_PER_SIDE: Final = 2
@@ -117,7 +117,7 @@ def leaning(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulatio
     edge = bearing.edges_m(load)
     found, under = leaning_of(bearing, load, edge, sim.physics), _supports(bearing)
     limits, first = sim.thresholds, bearing.boxes.first.tolist()
-    most_safety = STIFF_SAFETY if sim.physics.solimp[0] >= MOST_IMPEDANCE else SAFETY
+    most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
 
     def leans(outcome: Outcome, first: int, end: int) -> bool:
         far = found.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m

@@ -29,6 +29,11 @@ DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 """Depths for which the force is worked out; between them it is interpolated, to 0.02 %."""
 
 
+def is_stiff(physics: Physics) -> bool:
+    """Whether contacts are as stiff from their onset as beyond it, as in attempts 6 and 7."""
+    return physics.solimp[0] >= MOST_IMPEDANCE
+
+
 def depth_m(physics: Physics, pull_m_s2: FloatArray | float) -> FloatArray:
     """Depth of one contact at rest, m, for each A · f in m/s², ≥ 0."""
     pulls = pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s)

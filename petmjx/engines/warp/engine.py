@@ -31,6 +31,7 @@ from petmjx.engines.warp.rollout import Rollout
 from petmjx.options.config import Simulation
 from petmjx.options.physics import Cone
 from petmjx.verdict import Flag, Outcome
+from petmjx.world.contact import is_stiff
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -324,7 +325,10 @@ class MjxWarpEngine(Engine):
         run = group.run
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
         smallest = _sizes(run)[-1]
-        if self._room.get((run.sim.physics.cone, smallest), 1) == 1:  # larger buffers of all lanes would be too much
+        usual = self._room.get((run.sim.physics.cone, smallest), 1) == 1
+        # larger buffers of all lanes would be too much; in stiff contacts a step takes five times as many iterations, of
+        # some worlds many more, and the other worlds of their block would wait for these
+        if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = fleet_for_few(fleets[-1], worlds, self.lanes)
             fleets = (few, *fleets) if few else fleets
