@@ -326,8 +326,8 @@ class MjxWarpEngine(Engine):
         fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
         smallest = _sizes(run)[-1]
         usual = self._room.get((run.sim.physics.cone, smallest), 1) == 1
-        # not with larger buffers of all lanes, and not in stiff contacts: there a step takes five times as many iterations,
-        # in some worlds many more, for which the others of their block would wait
+        # not with larger buffers of all lanes, and not in stiff contacts: there a step takes five times as many
+        # iterations, in some worlds many more, for which the others of their block would wait
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = fleet_for_few(fleets[-1], worlds, self.lanes)
