@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import petmjx
+from petmjx.plans.samples.online.corners import AllSides, lowest_first
 from petmjx.plans.samples.online.learned import CLEARANCE_MM, Policy, placing_of
 from petmjx.plans.samples.online.stability import stability_features
-from petmjx.plans.samples.online.stream import Places, Stream, by_taste
+from petmjx.plans.samples.online.stream import Places
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, draw_order, stream
 from petmjx.plans.samples.packing import Next
 
@@ -75,7 +76,7 @@ def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, po
 
     Args:
         pallets: side by side; ``steps``: boxes placed on each.
-        policy: packs half of the orders, the rule of ``balanced`` the others.
+        policy: packs half of the orders, the rule ``lowest_first`` the others.
     """
     world = petmjx.Pallets(pallets, engine=engine, carrier=TARGET, placing="hand")
     games = [_Game(seed, round_ * 10_000 + number, policy) for number in range(pallets)]
@@ -133,7 +134,7 @@ class _Game:
         self._plays = self._policy if rng.random() < 0.5 else None
         self._wanders, clearance = float(rng.choice(WANDERS)), float(rng.choice(CLEARANCES_MM))
         self._clearance = clearance if self._plays is None else CLEARANCE_MM
-        self._boxes = Stream(items, TARGET_EXTENT_MM[TARGET], self._clearance, 1)
+        self._boxes = AllSides(items, TARGET_EXTENT_MM[TARGET], self._clearance)
         self._move: _Move | None = None
         self.is_new = True
 
@@ -171,7 +172,7 @@ class _Game:
 
     def _best(self) -> tuple[Places, int, Next] | None:
         places = self._boxes.places()
-        chosen = by_taste(self._boxes) if self._plays is None else self._plays.choose(self._boxes)
+        chosen = lowest_first(self._boxes) if self._plays is None else self._plays.choose(self._boxes)
         if chosen is None:
             return None
         row = int(np.flatnonzero((places.point == chosen.point) & (places.shape == chosen.shape))[0])

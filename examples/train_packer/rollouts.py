@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from labels import Array
 
+from petmjx.plans.samples.online.corners import AllSides
 from petmjx.plans.samples.online.learned import CLEARANCE_MM, Policy
-from petmjx.plans.samples.online.stream import Stream
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order, draw_order, stream
 
 STREAM = 103
@@ -18,8 +19,11 @@ CATALOGUES, VALIDATION = 1_000_000, 2_000_000
 PER_CATALOGUE = 8
 """Generations that draw their orders from one catalogue of articles."""
 
-LEFT_OUT, SURE = 0.5, 0.3
-"""What a packing loses if all volume is left out, and if it is sure to fall; as shares of utilisation."""
+LEFT_OUT = 0.5
+"""What a packing loses if all volume is left out, as a share of utilisation."""
+
+LEAST_CHANCE, SHORT = 0.9, 2.0
+"""Plans of a policy are to stand with this chance on average; what it loses for each unit that is short of it."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,8 @@ class Outcome:
     """What became of an order.
 
     Attributes:
-        worth: utilisation − ``LEFT_OUT`` · share of volume left out − ``SURE`` · (1 − chance that the plan stands).
-        chance: the product of the placements' chances.
+        worth: utilisation − ``LEFT_OUT`` · share of volume left out.
+        chance: that the plan stands: the product of the placements' chances.
     """
 
     worth: float
@@ -44,7 +48,7 @@ def drawn(seed: int, generation: int, number: int) -> tuple[Order, list[int], in
     sequence = list(range(len(order.items)))
     if rng.random() < 0.3:
         sequence = rng.permutation(len(order.items)).tolist()
-    look_ahead = 1 if rng.random() < 0.6 else int(rng.integers(2, 11))
+    look_ahead = 1 if rng.random() < 0.8 else int(rng.integers(2, 7))
     return order, sequence, look_ahead
 
 
@@ -68,7 +72,7 @@ def validated(number: int, policy: Policy, look_ahead: int) -> Outcome:
 def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) -> Outcome:
     """One order packed."""
     length, width = TARGET_EXTENT_MM[order.target]
-    boxes = Stream([order.items[i] for i in sequence], (length, width), CLEARANCE_MM, look_ahead)
+    boxes = AllSides([order.items[i] for i in sequence], (length, width), CLEARANCE_MM, look_ahead)
     log_chance = 0.0
     while boxes.seen:
         decision = policy.decide(boxes)
@@ -80,5 +84,10 @@ def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) 
     utilisation = boxes.volume_m3 * 1e9 / (length * width * boxes.top_mm) if boxes.placed else 0.0
     left_out = 1 - boxes.volume_m3 / sum(item.volume_m3 for item in order.items)
     chance = float(np.exp(log_chance))
-    worth = utilisation - LEFT_OUT * left_out - SURE * (1 - chance)
-    return Outcome(worth, utilisation, left_out, chance)
+    return Outcome(utilisation - LEFT_OUT * left_out, utilisation, left_out, chance)
+
+
+def worth(outcomes: Sequence[Outcome]) -> float:
+    """What a policy is worth that has these outcomes: density, as long as its plans stand often enough."""
+    chance = float(np.mean([each.chance for each in outcomes]))
+    return float(np.mean([each.worth for each in outcomes])) - SHORT * max(LEAST_CHANCE - chance, 0.0)

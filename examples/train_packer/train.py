@@ -2,8 +2,8 @@
 
     python examples/train_packer/train.py --out trained --seed 0 --minutes 20 --engine mjx-warp
 
-1. The policy begins as the rule of ``balanced`` (imitation.py).
-2. It improves by itself on drawn orders (rollouts.py): CMA-ES searches its linear weights (search.py), with a stability
+1. The policy begins as a rule (rule.py).
+2. It improves by itself on drawn orders (rollouts.py): CMA-ES searches its weights (search.py), with a stability
    head in place of physics.
 3. Meanwhile pallets are packed side by side in ``petmjx.Pallets``, by the policy, by rules and at random, as a robot
    would place the boxes, and what stands after each box is a label (labels.py, labeller.py).
@@ -29,10 +29,10 @@ from typing import Any
 
 import numpy as np
 from head import believing, fit
-from imitation import decisions, imitate
 from judge import judged
 from labeller import Labeller
-from rollouts import Outcome, outcomes, validated
+from rollouts import Outcome, outcomes, validated, worth
+from rule import scaled, spread
 from search import Search
 
 from petmjx.basics.machine import cpu_threads
@@ -56,7 +56,7 @@ class Plan:
     label_steps: int
     rounds: int
     relabel: int
-    imitated: int
+    measured: int
     fit_steps: int
     validate: int
     judge: int
@@ -167,8 +167,8 @@ class Training:
 
     def _begun(self) -> State:
         """A policy that does as the rule does, with a head that believes that all placements stand."""
-        each = list(self._pool.map(partial(decisions, seed=self.plan.seed), range(self.plan.imitated), chunksize=1))
-        taste = self._pool.submit(imitate, each, self.plan.seed, self.plan.fit_steps).result()
+        each = list(self._pool.map(partial(spread, seed=self.plan.seed), range(self.plan.measured), chunksize=1))
+        taste = self._pool.submit(scaled, np.concatenate(each)).result()
         return State(taste, believing(), Search.fresh(taste.linear, self.plan.sigma))
 
     def _updated(self, state: State) -> State:
@@ -178,8 +178,8 @@ class Training:
         tasks = [(plan.seed, state.update, number) for number in range(plan.orders)]
         one = partial(outcomes, policy=state.policy, candidates=candidates)
         found = list(self._pool.map(one, tasks, chunksize=1))
-        worth = np.array([[each.worth for each in order] for order in found])
-        after = replace(state, search=state.search.told(candidates, worth.mean(axis=0)))
+        worths = np.array([worth(of_one) for of_one in zip(*found, strict=True)])
+        after = replace(state, search=state.search.told(candidates, worths))
         self._row(after, [each for order in found for each in order], time.monotonic() - begin)
         return after
 
@@ -229,12 +229,12 @@ def main() -> None:
     parser.add_argument("--relabel", type=int, default=30, help="updates before a round's labels are used")
     parser.add_argument("--label-pallets", type=int, default=512, help="side by side, of a round of labels")
     parser.add_argument("--label-steps", type=int, default=50, help="boxes that are placed on each")
-    parser.add_argument("--imitated", type=int, default=96, help="orders")
+    parser.add_argument("--measured", type=int, default=48, help="orders from which features have their scales")
     parser.add_argument("--fit-steps", type=int, default=400)
     parser.add_argument("--validate", type=int, default=20, help="updates between two validations")
     parser.add_argument("--judge", type=int, default=0, help="updates between two judgements by physics; 0: none")
     parser.add_argument("--patience-s", type=float, default=600.0, help="for labels that are still coming at the end")
-    parser.add_argument("--sigma", type=float, default=0.25, help="deviation of the first candidates' weights")
+    parser.add_argument("--sigma", type=float, default=0.12, help="deviation of the first candidates' weights")
     arguments = vars(parser.parse_args())
     deadline = time.monotonic() + 60 * arguments["minutes"]
     out, begin = arguments["out"], time.monotonic()

@@ -61,7 +61,7 @@ def plan(**changes: Any) -> Any:
         "label_steps": 1,
         "rounds": 2,
         "relabel": 1,
-        "imitated": 1,
+        "measured": 1,
         "fit_steps": 20,
         "validate": 9,
         "judge": 0,

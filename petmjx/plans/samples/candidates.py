@@ -70,15 +70,18 @@ class Candidates:
         """A box stands at a candidate now."""
         (x, y), z = self.points[point].tolist(), float(self.z[point, shape])
         (width, depth), height = self.base[shape].tolist(), float(self.height[shape])
-        ends = (x + width, y + depth, z + height)
-        self._low[self._n], self._high[self._n] = (x, y, z), ends
+        self.put((x, y, z), (x + width, y + depth, z + height))
+
+    def put(self, corner: tuple[float, float, float], ends: tuple[float, float, float]) -> None:
+        """A box stands between two opposite corners now."""
+        self._low[self._n], self._high[self._n] = corner, ends
         self._n += 1
-        self._cover((x, y), ends)
-        self._add_points(self._corners((x, y, z), ends))
+        self._cover(corner[:2], ends)
+        self._add_points(self._corners(corner, ends))
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
         """Lift the candidates that the newest box lies under, as far as it is their highest one."""
-        area = _overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
+        area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
         hit, top = area > 0, ends[2]
         higher = hit & (top > self.z + TOUCH_MM)
         level = hit & ~higher & (top >= self.z - TOUCH_MM)
@@ -97,7 +100,7 @@ class Candidates:
         if not useful.any():
             return
         points, inside = points[useful], inside[useful]
-        area = _overlap(points, self.base, self._low[: self._n, :2], self._high[: self._n, :2])
+        area = overlap(points, self.base, self._low[: self._n, :2], self._high[: self._n, :2])
         tops = self._high[: self._n, 2]
         z = np.where(area > 0, tops, 0.0).max(axis=2, initial=0.0)
         carried = np.where(np.abs(tops - z[:, :, None]) <= TOUCH_MM, area, 0.0).sum(axis=2)
@@ -142,7 +145,7 @@ def _copied(rows: FloatArray, n: int) -> FloatArray:
     return twin
 
 
-def _overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+def overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """(p, s, n) area in mm² that shapes at points share with n boxes, seen from above; (n, 2) low and high corners."""
     sides = []
     for axis in (0, 1):

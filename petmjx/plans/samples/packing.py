@@ -9,7 +9,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,8 @@ class Packing:
         clearance_mm: free space that each box keeps to its neighbours along x and y.
     """
 
+    _Table: ClassVar[type[Candidates]] = Candidates
+
     def __init__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], taste: Taste, clearance_mm: float = 0.0
     ) -> None:
@@ -94,7 +96,7 @@ class Packing:
         self._base = sizes[:, :2]
         length, width = extent_mm
         extent = (length + clearance_mm, width + clearance_mm)
-        self._table = Candidates(self._base + clearance_mm, sizes[:, 2], extent, len(items))
+        self._table = self._Table(self._base + clearance_mm, sizes[:, 2], extent, len(items))
         self._pile = Balance(len(items))
 
     def copy(self) -> Packing:

@@ -11,19 +11,26 @@ import numpy as np
 
 from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM
-from petmjx.plans.samples.online.stream import Places, Stream
+from petmjx.plans.samples.online.corners import AllSides
+from petmjx.plans.samples.online.room import NAMES as ROOM
+from petmjx.plans.samples.online.room import room
+from petmjx.plans.samples.online.stream import Places
 from petmjx.plans.samples.online.surface import CELL_MM, Surface
 
+LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
+"""Features that may be worth more or less on a high pile: also times the pile's mean height in m."""
+
 NAMES: Final = (
-    *("z", "top", "grows", "below_top", "above_lowest"),
+    *("z", "grows", "below_top"),
     *("support", "overhang_area", "waste", "n_supports", "column", "one_support"),
     *("touch", "edge", "flush", "deeper"),
-    *("gap_left", "gap_right", "gap_front", "gap_back", "sliver_x", "sliver_y", "above_ring", "ring_rough"),
+    *("near_x", "near_y", "far_x", "far_y", "sliver_x", "sliver_y", "above_ring", "ring_rough"),
     *("mean_after", "rough_after", "rougher"),
     *("length_x", "length_y", "height", "slim", "base", "volume", "log_mass", "density"),
-    *("x", "y", "from_middle", "off_centre"),
-    *("mean_before", "rough_before", "top_before", "placed"),
-    *("kinds_seen", "comes_first", "volume_of_seen", "height_of_seen", "mass_of_seen"),
+    *("from_side_x", "from_side_y", "from_middle", "off_centre"),
+    *ROOM,
+    *(f"{name}_late" for name in LATE),
+    *("comes_first", "volume_of_seen", "height_of_seen", "mass_of_seen"),
 )
 """docs/packers.md says what they are."""
 
@@ -42,7 +49,7 @@ _LEVEL_MM: Final = 500.0
 """Heights are divided by it."""
 
 
-def features(stream: Stream, places: Places) -> FloatArray:
+def features(stream: AllSides, places: Places) -> FloatArray:
     """(c, f) features of c candidates, in the order of ``NAMES``."""
     low, high = stream.boxes
     surface, extent = stream.surface, np.array(stream.extent_mm)
@@ -52,12 +59,11 @@ def features(stream: Stream, places: Places) -> FloatArray:
     top_before = float(high[:, 2].max(initial=0.0))
     volume = places.own_mm2 * height
     middle = (start + size / 2)[:, :2] - extent / 2
+    aside = np.minimum(start[:, :2], extent - end[:, :2]) / extent
     found: dict[str, FloatArray | float] = {
         "z": z / MM_PER_M,
-        "top": top / MM_PER_M,
         "grows": np.maximum(top - top_before, 0) / _LEVEL_MM,
         "below_top": np.maximum(top_before - top, 0) / _LEVEL_MM,
-        "above_lowest": (z - z.min()) / _LEVEL_MM,
         "support": places.support,
         "overhang_area": (1 - places.support) * places.own_mm2 / 1e5,
         "length_x": size[:, 0] / _LEVEL_MM,
@@ -68,15 +74,10 @@ def features(stream: Stream, places: Places) -> FloatArray:
         "volume": volume / 2e7,
         "log_mass": np.log(mass) / 2,
         "density": mass / volume * 2e6,
-        "x": start[:, 0] / extent[0],
-        "y": start[:, 1] / extent[1],
+        "from_side_x": aside[:, 0],
+        "from_side_y": aside[:, 1],
         "from_middle": np.abs(middle / extent).sum(axis=1),
         "off_centre": _off_centre(low, high, volume, middle, extent),
-        "mean_before": surface.mean / MM_PER_M,
-        "rough_before": _deviation(surface.mean_square, surface.mean) / _LEVEL_MM,
-        "top_before": top_before / MM_PER_M,
-        "placed": len(low) / 40,
-        "kinds_seen": len(set(stream.seen)) / 5,
         "comes_first": (places.kind == stream.seen[0]).astype(np.float64),
         "volume_of_seen": np.log(volume / volume.mean()),
         "height_of_seen": height / height.mean() - 1,
@@ -84,6 +85,8 @@ def features(stream: Stream, places: Places) -> FloatArray:
     }
     _beside(found, start, end, low, high, extent)
     _heights(found, start, end, surface)
+    found |= room(stream.coarse, start, end)
+    found |= {f"{name}_late": found[name] * (surface.mean / MM_PER_M) for name in LATE}
     rows = np.empty((len(NAMES), len(places)))
     for row, name in zip(rows, NAMES, strict=True):
         row[:] = found[name]
@@ -129,10 +132,9 @@ def _beside(
     perimeter = 2 * (size[:, 0] + size[:, 1])
     touch, flush, deeper, edge = np.zeros((4, len(start)))
     narrow = []
-    for axis, names in enumerate((("gap_left", "gap_right"), ("gap_front", "gap_back"))):
-        for away, to_edge, name in zip(
-            (before[axis], after[axis]), (start[:, axis], extent[axis] - end[:, axis]), names, strict=True
-        ):
+    for axis, name in enumerate("xy"):
+        gaps = []
+        for away, to_edge in ((before[axis], start[:, axis]), (after[axis], extent[axis] - end[:, axis])):
             length = np.where((np.abs(away) <= NEAR_MM) & is_beside[axis], along[1 - axis], 0.0)
             touch += (length * face).sum(axis=1)
             flush += (length * is_level).sum(axis=1)
@@ -141,7 +143,8 @@ def _beside(
             gap = np.where(is_facing[axis] & (away >= -NEAR_MM), away, MOST_GAP_MM).min(axis=1, initial=MOST_GAP_MM)
             gap = np.maximum(np.minimum(gap, to_edge), 0.0)
             narrow.append(((gap > NEAR_MM) & (gap < SLIVER_MM)).astype(np.float64))
-            found[name] = gap / MOST_GAP_MM
+            gaps.append(gap / MOST_GAP_MM)
+        found[f"near_{name}"], found[f"far_{name}"] = np.minimum(*gaps), np.maximum(*gaps)
     found["touch"] = touch / (perimeter * size[:, 2])
     found["edge"], found["flush"] = edge / perimeter, flush / perimeter
     found["deeper"] = np.minimum(deeper / perimeter, 1.0)

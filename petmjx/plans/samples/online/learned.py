@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import Rest
+from petmjx.plans.samples.online.corners import AllSides, cost_mm
 from petmjx.plans.samples.online.features import features
 from petmjx.plans.samples.online.network import Network
 from petmjx.plans.samples.online.stability import Placing, likely, placing, stability_features
-from petmjx.plans.samples.online.stream import Places, Stream, pack_stream
+from petmjx.plans.samples.online.stream import Places, pack_stream
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import Placed
 from petmjx.plans.samples.packing import Next
@@ -86,12 +87,12 @@ class Policy:
         """The same with other linear weights of its taste."""
         return replace(self, taste=replace(self.taste, linear=weights))
 
-    def seen(self, stream: Stream) -> tuple[Places, FloatArray] | None:
+    def seen(self, stream: AllSides) -> tuple[Places, FloatArray] | None:
         """The candidates that are looked at, with their features; None: there are none."""
-        places = lowest(stream.places())
+        places = lowest(stream, stream.places())
         return (places, features(stream, places)) if len(places) else None
 
-    def take(self, stream: Stream, places: Places, scores: FloatArray) -> Chosen | None:
+    def take(self, stream: AllSides, places: Places, scores: FloatArray) -> Chosen | None:
         """The best candidate that keeps the balance and is sure to stand; if none is sure, the surest."""
         surest: Chosen | None = None
         tried = 0
@@ -107,7 +108,7 @@ class Policy:
                 break
         return surest if surest is not None and surest.chance >= LEAST_SURE else None
 
-    def decide(self, stream: Stream) -> Decision | None:
+    def decide(self, stream: AllSides) -> Decision | None:
         """What the packer does in one step; None: no box that is seen has a place."""
         while (found := self.seen(stream)) is not None:
             places, rows = found
@@ -118,7 +119,7 @@ class Policy:
                 return None
         return None
 
-    def choose(self, stream: Stream) -> Next | None:
+    def choose(self, stream: AllSides) -> Next | None:
         """The candidate that is taken in one step."""
         decision = self.decide(stream)
         return None if decision is None else decision.chosen.next
@@ -138,17 +139,16 @@ class Policy:
         return cls(Network.of_arrays("taste", named), Network.of_arrays("head", named))
 
 
-def placing_of(stream: Stream, places: Places, row: int, rest: Rest | None = None) -> Placing:
+def placing_of(stream: AllSides, places: Places, row: int, rest: Rest | None = None) -> Placing:
     """A candidate as a placement, without the free space around boxes."""
     low, high = stream.bare_boxes
     corner, size = places.corner_mm[row], places.size_mm[row] - stream.clearance
     return placing(stream.pile, low, high, stream.masses, corner, size, float(places.mass_kg[row]), rest)
 
 
-def lowest(places: Places) -> Places:
+def lowest(stream: AllSides, places: Places) -> Places:
     """The lowest candidates of each kind of box."""
-    cost = places.corner_mm[:, 2] + places.size_mm[:, 2] + 40 * (1 - places.support)
-    cost += 0.01 * places.corner_mm[:, :2].sum(axis=1)
+    cost = cost_mm(stream, places) + places.size_mm[:, 2]
     kinds = np.unique(places.kind)
     most = max(MOST_PLACES // max(len(kinds), 1), LEAST_PLACES)
     order: NDArray[np.intp] = np.argsort(cost, kind="stable")
@@ -173,4 +173,4 @@ def pack_learned(
         look_ahead: how many of the next boxes are seen; any of them may be placed next.
         policy: another one than the published one.
     """
-    return pack_stream(Stream(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published()).choose)
+    return pack_stream(AllSides(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published()).choose)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +104,11 @@ class Stream(Packing):
         """(n,) of the boxes placed, kg."""
         return self._masses[: len(self.placed)]
 
+    def worth(self, places: Places) -> FloatArray:
+        """(c,) what the boxes of candidates are worth wherever they go, to the rule, mm."""
+        found: FloatArray = self._worth[places.shape]
+        return found
+
     @property
     def pile(self) -> Balance:
         """The balance of the boxes placed."""
@@ -163,11 +168,13 @@ class Stream(Packing):
             self._keep_shapes(self._kind_of != kind)
 
 
-Chooses = Callable[[Stream], Next | None]
+S = TypeVar("S", bound=Stream)
+
+Chooses = Callable[[S], Next | None]
 """What a packer does in one step: one of the candidates, or None: no box that is seen has a place."""
 
 
-def pack_stream(stream: Stream, chooses: Chooses) -> list[Placed]:
+def pack_stream(stream: S, chooses: Chooses[S]) -> list[Placed]:
     """Place the boxes of a stream until none is left. When none that is seen has a place, the first one is left out."""
     while stream.seen:
         chosen = chooses(stream)

@@ -13,17 +13,18 @@ CELL_MM: Final = 25.0
 
 
 class Surface:
-    """Highest tops over cells of ``CELL_MM``. Boxes are let down from above, so the last one's top is the highest.
+    """Highest tops over cells. Boxes are let down from above, so the last one's top is the highest.
 
     Attributes:
         height: (nx, ny) mm; ``cells``: how many.
 
     Args:
-        extent_mm: of the target.
+        extent_mm: of the target; ``cell_mm``: side of a cell.
     """
 
-    def __init__(self, extent_mm: tuple[float, float]) -> None:
-        self._lines = np.array([max(round(side / CELL_MM), 1) for side in extent_mm])
+    def __init__(self, extent_mm: tuple[float, float], cell_mm: float = CELL_MM) -> None:
+        self._cell_mm = cell_mm
+        self._lines = np.array([max(round(side / cell_mm), 1) for side in extent_mm])
         self.height = np.zeros(self._lines)
         self.cells = self.height.size
         self._sums = self._squares = np.zeros(self._lines + 1)
@@ -43,7 +44,7 @@ class Surface:
 
     def lines(self, corner_mm: FloatArray) -> NDArray[np.intp]:
         """(m, 2) the lines of the grid next to corners, whatever their further columns."""
-        lines: NDArray[np.intp] = np.minimum(np.rint(corner_mm[:, :2] / CELL_MM).astype(np.intp), self._lines)
+        lines: NDArray[np.intp] = np.minimum(np.rint(corner_mm[:, :2] / self._cell_mm).astype(np.intp), self._lines)
         return lines
 
     @property
