@@ -13,6 +13,8 @@ import numpy as np
 
 from petmjx.packing.pack import pack_each
 from petmjx.plans.samples.balanced import TASTES
+from petmjx.plans.samples.online.corners import AllSides, lowest_first
+from petmjx.plans.samples.online.learned import CLEARANCE_MM as LEARNED_CLEARANCE_MM
 from petmjx.plans.samples.online.learned import Policy, pack_learned
 from petmjx.plans.samples.online.stream import Stream, by_taste, pack_stream
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
@@ -26,6 +28,7 @@ LOOK_AHEAD: Final = 5
 
 PHYSICAL: Final = "physical"
 ONLINE: Final = "learned, online"
+LOWEST: Final = "lowest first on all sides, online"
 
 Placements = Sequence[Placed]
 Numbered = tuple[str, Order]
@@ -56,6 +59,12 @@ def _balanced_online(order: Order, *, clearance_mm: float = 0.0, look_ahead: int
     return pack_stream(Stream(order.items, TARGET_EXTENT_MM[order.target], clearance_mm, look_ahead), by_taste)
 
 
+def _lowest_online(order: Order) -> Placements:
+    """The rule with which the search of ``learned`` shares its candidates: what they do without it."""
+    stream = AllSides(order.items, TARGET_EXTENT_MM[order.target], LEARNED_CLEARANCE_MM)
+    return pack_stream(stream, lowest_first)
+
+
 def _learned(order: Order, *, look_ahead: int, policy: Policy | None = None) -> Placements:
     return pack_learned(order.items, TARGET_EXTENT_MM[order.target], look_ahead, policy)
 
@@ -74,13 +83,14 @@ def packers(policy: Policy | None = None) -> dict[str, Callable[[Order], Placeme
         "baseline, online": _baseline_online,
         "balanced, online": _balanced_online,
         f"balanced, {apart}, online": partial(_balanced_online, clearance_mm=CLEARANCE_MM),
+        LOWEST: _lowest_online,
         ONLINE: partial(_learned, look_ahead=1, policy=policy),
         f"balanced, {apart}, {ahead}": partial(_balanced_online, clearance_mm=CLEARANCE_MM, look_ahead=LOOK_AHEAD),
         f"learned, {ahead}": partial(_learned, look_ahead=LOOK_AHEAD, policy=policy),
     }
 
 
-RULES_ONLINE: Final = ("baseline, online", "balanced, online", f"balanced, {CLEARANCE_MM:g} mm apart, online")
+RULES_ONLINE: Final = ("baseline, online", "balanced, online", f"balanced, {CLEARANCE_MM:g} mm apart, online", LOWEST)
 """What ``learned`` is to be better than."""
 
 

@@ -87,7 +87,11 @@ def gauss(low: np.ndarray, high: np.ndarray) -> list[tuple[float, float, float]]
 
 
 def check_sound(
-    placed: Sequence[Placed], items: Sequence[Item], extent: tuple[float, float], clearance_mm: float = 0.0
+    placed: Sequence[Placed],
+    items: Sequence[Item],
+    extent: tuple[float, float],
+    clearance_mm: float = 0.0,
+    least_support: float = LEAST_SUPPORT,
 ) -> None:
     """On the target, below 2 m, apart by the clearance, placed from above, borne and in balance at every moment, no box
     twice."""
@@ -106,7 +110,7 @@ def check_sound(
             area = sum(float((b - a).prod()) for _, a, b in contacts(low, high, box))
             # the share is that of what boxes take up with their free space
             sides = (high[box] - low[box])[:2]
-            assert area >= (LEAST_SUPPORT - 1e-9) * sides.prod() - 2 * clearance_mm * sides.sum()
+            assert area >= (least_support - 1e-9) * sides.prod() - 2 * clearance_mm * sides.sum()
     # at every moment of the packing, not only at its end
     for count in range(1, len(placed) + 1):
         assert least_slack_mm(placed[:count]) > -EPS

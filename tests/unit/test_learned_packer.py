@@ -20,9 +20,11 @@ from petmjx.basics.errors import InputError
 from petmjx.plans.samples import generate
 from petmjx.plans.samples.balanced import TASTES
 from petmjx.plans.samples.online import learned as learned_module
+from petmjx.plans.samples.online.corners import COARSE_MM, LEAST_SUPPORT, AllSides, lowest_first
 from petmjx.plans.samples.online.features import NAMES, features
 from petmjx.plans.samples.online.learned import CLEARANCE_MM, LEARNED, Policy, pack_learned, published
 from petmjx.plans.samples.online.network import Network
+from petmjx.plans.samples.online.room import AIR, LARGE, LEVEL_MM, SMALL, room
 from petmjx.plans.samples.online.stability import NAMES as STABILITY_NAMES
 from petmjx.plans.samples.online.stability import likely
 from petmjx.plans.samples.online.stream import Stream, by_taste, pack_stream
@@ -42,7 +44,7 @@ LARGEST_FILE = 5_000_000
 def test_its_packings_are_sound_and_apart(items: list[Item], extent: tuple[int, int]) -> None:
     for look_ahead in (1, 4):
         placed = pack_learned(items, extent, look_ahead)
-        check_sound(placed, items, extent, CLEARANCE_MM)
+        check_sound(placed, items, extent, CLEARANCE_MM, LEAST_SUPPORT)
         assert placed == pack_learned(items, extent, look_ahead)
 
 
@@ -52,7 +54,7 @@ def test_what_has_not_come_yet_changes_nothing() -> None:
     other = [replace(item, length_mm=item.length_mm + 40.0, item_id="other") for item in items[20:]]
     assert pack_learned([*items[:20], *other], EXTENT)[: len(first)] == first
     # and of the next five only those are seen
-    seen = Stream(items, EXTENT, CLEARANCE_MM, 5)
+    seen = AllSides(items, EXTENT, CLEARANCE_MM, 5)
     assert len(seen.seen) == 5
     assert {items[i] for i in range(5)} >= {items[0]}
     assert set(seen.places().kind.tolist()) == set(seen.seen)
@@ -62,7 +64,7 @@ def test_with_a_look_ahead_boxes_wait_for_their_turn() -> None:
     """A packing with the whole order in sight is another one than box by box, and places no box twice."""
     far = pack_learned(DRAWN.items, EXTENT, 60)
     assert [box.item for box in far] != [box.item for box in pack_learned(DRAWN.items, EXTENT)]
-    check_sound(far, DRAWN.items, EXTENT, CLEARANCE_MM)
+    check_sound(far, DRAWN.items, EXTENT, CLEARANCE_MM, LEAST_SUPPORT)
 
 
 def test_plans_depend_on_the_order_alone() -> None:
@@ -90,23 +92,92 @@ def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
 
 
 def test_places_say_where_the_box_would_rest() -> None:
-    stream = Stream(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
-    for _ in range(12):
-        chosen = by_taste(stream)
-        assert chosen is not None
-        stream.put(chosen)
-    places = stream.places()
-    low, high = stream.boxes
-    for corner, size in zip(places.corner_mm, places.size_mm, strict=True):
-        end = corner + size
-        meets = ((np.minimum(end, high) - np.maximum(corner, low))[:, :2] > 1e-6).all(axis=1)
-        assert corner[2] == pytest.approx(high[meets, 2].max(initial=0.0))
-        assert (end[:2] <= np.array(stream.extent_mm) + 1e-6).all()
+    for stream in (Stream(DRAWN.items, EXTENT, CLEARANCE_MM, 3), AllSides(DRAWN.items, EXTENT, CLEARANCE_MM, 3)):
+        least = LEAST_SUPPORT if isinstance(stream, AllSides) else 0.5
+        for _ in range(12):
+            chosen = lowest_first(stream) if isinstance(stream, AllSides) else by_taste(stream)
+            assert chosen is not None
+            stream.put(chosen)
+        places = stream.places()
+        low, high = stream.boxes
+        for corner, size in zip(places.corner_mm, places.size_mm, strict=True):
+            end = corner + size
+            meets = ((np.minimum(end, high) - np.maximum(corner, low))[:, :2] > 1e-6).all(axis=1)
+            assert corner[2] == pytest.approx(high[meets, 2].max(initial=0.0))
+            assert (end[:2] <= np.array(stream.extent_mm) + 1e-6).all()
+        assert ((places.support >= least - 1e-9) & (places.support <= 1 + 1e-9)).all()
+    assert isinstance(stream, AllSides)
     rows = features(stream, places)
     assert rows.shape == (len(places), len(NAMES))
     assert np.isfinite(rows).all()
-    support = rows[:, NAMES.index("support")]
-    assert ((support >= 0.5 - 1e-9) & (support <= 1 + 1e-9)).all()
+    assert (rows[:, NAMES.index("support")] == places.support).all()
+
+
+def test_places_are_on_all_sides() -> None:
+    """The pile in a mirror has the places in that mirror, and those of ``balanced`` are among them."""
+    items = DRAWN.items[:14]
+    straight, plain = AllSides(items, EXTENT, CLEARANCE_MM), Stream(items, EXTENT, CLEARANCE_MM)
+    mirrored = AllSides(items, EXTENT, CLEARANCE_MM)
+    extent = np.array(straight.extent_mm)
+    for _ in items[:-1]:
+        places, theirs = straight.places(0.5), plain.places()
+        base = places.size_mm[:, :2]
+        there = {_key(*corner) for corner in zip(places.shape, *places.corner_mm.T, strict=True)}
+        assert {_key(*corner) for corner in zip(theirs.shape, *theirs.corner_mm.T, strict=True)} <= there
+        corner, other = places.corner_mm.copy(), mirrored.places(0.5)
+        corner[:, 0] = extent[0] - corner[:, 0] - base[:, 0]
+        found = {_key(*each) for each in zip(other.shape, *other.corner_mm.T, strict=True)}
+        assert {_key(*each) for each in zip(places.shape, *corner.T, strict=True)} == found
+        chosen = by_taste(plain)
+        if chosen is None:
+            for stream in (plain, straight, mirrored):
+                stream.skip()
+            continue
+        put_at(straight, chosen.shape, chosen.corner_mm)
+        plain.put(chosen)
+        width = float(plain.boxes[1][-1, 0] - plain.boxes[0][-1, 0])
+        x, y, z = chosen.corner_mm
+        put_at(mirrored, chosen.shape, (float(extent[0]) - x - width, y, z))
+
+
+def put_at(stream: AllSides, shape: int, corner: tuple[float, float, float]) -> None:
+    """Place the next box at the candidate there."""
+    places = stream.places(0.5)
+    here = np.flatnonzero((places.shape == shape) & (np.abs(places.corner_mm - corner).max(axis=1) < 1e-6))
+    chosen = stream.keeps_balance(places, int(here[0]))
+    assert chosen is not None
+    stream.put(chosen)
+
+
+def _key(shape: int, *corner: float) -> tuple[float, ...]:
+    return (int(shape), *(round(float(side), 3) for side in corner))
+
+
+def test_room_is_where_typical_cartons_could_stand() -> None:
+    """Against loops over all places of all cartons, on a pile of steps."""
+    surface, rng = Surface(EXTENT, COARSE_MM), np.random.default_rng(2)
+    for top in (150.0, 230.0, 300.0):
+        low = np.array([*rng.uniform(0, 400, 2), 0.0])
+        surface.put(low, np.array([*(low[:2] + rng.uniform(200, 400, 2)), top]))
+    low = np.array([[0.0, 0.0, 100.0], [300.0, 200.0, 350.0]])
+    high = low + np.array([400.0, 300.0, 120.0])
+    found = room(surface, low, high)
+    for row in range(2):
+        height = surface.height.copy()
+        (x0, y0), (x1, y1) = surface.lines(low)[row], surface.lines(high)[row]
+        height[x0:x1, y0:y1] = high[row, 2]
+        for name, cartons in (("small", SMALL), ("large", LARGE)):
+            lowest, level = [], []
+            for turns in cartons:
+                costs = []
+                for wide, deep in turns:
+                    windows = np.lib.stride_tricks.sliding_window_view(height, (wide, deep))
+                    top, mean = windows.max(axis=(2, 3)), windows.mean(axis=(2, 3))
+                    costs.append((top + AIR * (top - mean)).min())
+                    level.append((top - mean < LEVEL_MM).mean())
+                lowest.append(min(costs))
+            assert found[f"room_{name}"][row] == pytest.approx(np.mean(lowest) / 1000, abs=1e-4)
+            assert found[f"level_{name}"][row] == pytest.approx(np.mean(level))
 
 
 def test_sums_over_the_surface_are_those_of_its_cells() -> None:
@@ -158,9 +229,9 @@ def test_nothing_is_placed_that_is_more_likely_to_fall() -> None:
 def test_the_surest_is_taken_where_none_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
     chances = iter([0.7, 0.9, 0.6, *[0.5] * 100])
     monkeypatch.setattr(learned_module, "likely", lambda head, rows: np.array([next(chances)]))
-    stream = Stream(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
+    stream = AllSides(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
     for _ in range(8):
-        chosen = by_taste(stream)
+        chosen = lowest_first(stream)
         assert chosen is not None
         stream.put(chosen)
     places, _ = published().seen(stream) or pytest.fail("no candidates")
