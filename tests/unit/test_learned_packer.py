@@ -178,6 +178,8 @@ def test_room_is_where_typical_cartons_could_stand() -> None:
                 lowest.append(min(costs))
             assert found[f"room_{name}"][row] == pytest.approx(np.mean(lowest) / 1000, abs=1e-4)
             assert found[f"level_{name}"][row] == pytest.approx(np.mean(level))
+    nowhere = room(Surface((120.0, 90.0), COARSE_MM), np.zeros((1, 3)), np.full((1, 3), 80.0))
+    assert (nowhere["room_small"], nowhere["level_large"]) == (2.0, 0.0)  # no carton has room
 
 
 def test_sums_over_the_surface_are_those_of_its_cells() -> None:

@@ -1,4 +1,4 @@
-"""The packer ``learned``: a small network says which candidate is best, another one which of them stand.
+"""The packer ``learned``: learned weights say which candidate is best, a small network which of them stand.
 
 It was trained on drawn orders alone (examples/train_packer), with physics in the loop. At use there is no simulation,
 and nothing is drawn at random: an order has one plan.
@@ -73,10 +73,10 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """The two networks.
+    """What was learned.
 
     Attributes:
-        taste: gives candidates their scores, from ``features``.
+        taste: a network, or only its linear part; gives candidates their scores, from ``features``.
         head: gives placements their chances to stand, from ``stability_features``.
     """
 

@@ -10,9 +10,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.plans.samples.online.surface import Surface
+
+Heights = NDArray[np.float32]
 
 SMALL: Final = ((6, 4), (4, 6)), ((8, 6), (6, 8))
 LARGE: Final = ((11, 4), (4, 11)), ((12, 8), (8, 12))
@@ -42,7 +45,7 @@ def room(surface: Surface, low: FloatArray, high: FloatArray) -> dict[str, Float
     height = np.where(under, high[:, 2, None, None].astype(np.float32), surface.height.astype(np.float32))
     sums = np.zeros((len(low), len(x) + 1, len(y) + 1), np.float32)
     height.cumsum(axis=1).cumsum(axis=2, out=sums[:, 1:, 1:])
-    highest = {1: height}
+    highest: dict[int, Heights] = {1: height}
     for wide, parts in ((2, 1), (4, 2), (6, 4), (8, 4), (11, 8), (12, 8)):
         highest[wide] = _wider(highest[parts], wide - parts)
     found = {}
@@ -56,9 +59,9 @@ def room(surface: Surface, low: FloatArray, high: FloatArray) -> dict[str, Float
     return found
 
 
-def _wider(highest: FloatArray, more: int) -> FloatArray:
+def _wider(highest: Heights, more: int) -> Heights:
     """Maxima over windows that are wider by ``more`` cells, of which they may have at most their own width."""
-    wider: FloatArray = np.maximum(highest[:, : highest.shape[1] - more], highest[:, more:])
+    wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 
 
@@ -68,10 +71,10 @@ _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (
 _NOWHERE_MM: Final = 2000.0
 
 
-def _places(highest: FloatArray, sums: FloatArray, wide: int, deep: int) -> tuple[FloatArray, FloatArray]:
+def _places(highest: Heights, sums: Heights, wide: int, deep: int) -> tuple[FloatArray, FloatArray]:
     """(c,) height and air of the lowest place of a base, mm; (c,) share of places that are level."""
     for more in _DEEPER[deep]:
-        highest = np.maximum(highest[:, :, : highest.shape[2] - more], highest[:, :, more:])
+        highest = np.maximum(highest[:, :, : max(highest.shape[2] - more, 0)], highest[:, :, more:])
     if not highest.size:
         nothing = np.zeros(len(highest))
         return nothing + _NOWHERE_MM, nothing
