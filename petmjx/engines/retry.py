@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import count, islice
 from typing import Final, Generic, TypeVar
@@ -27,8 +28,8 @@ from petmjx.verdict import Attempt, Flag, Outcome, margin_of
 from petmjx.world.job import Job, KeptState
 
 DEFAULT_CHUNK_WORLDS = 32_768
-"""Worlds given to an engine at once. With 43 boxes each their scenes take 160 MB, for any number of plans. With smaller
-chunks the MJX engines would choose (and compile) their shapes more often."""
+"""Worlds given to an engine at once. With 43 boxes each their scenes take 160 MB, for any number of plans, and the next
+ones as much. With smaller chunks the MJX engines would choose (and compile) their shapes more often."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +77,9 @@ def score_worlds(
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
-    ``chunk_worlds`` worlds are taken and simulated at a time. Invalid ones are collected and simulated again together,
-    at the end or when a chunk is full. So memory does not grow with the number of worlds. Attempts that CPU threads
-    make beside a GPU (petmjx/engines/attempts.py) begin at once.
+    ``chunk_worlds`` worlds are simulated at a time, and the next ones are made meanwhile. Invalid ones are collected
+    and simulated again together, at the end or when a chunk is full. So memory does not grow with the number of worlds.
+    Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
@@ -98,7 +99,7 @@ def score_worlds(
     progress = progress or Progress()
     engines = Engines(engine, progress)
     first, *retries = attempts
-    source = iter(worlds)
+    source = _Chunks[AnyWorld](iter(worlds), chunk_worlds)
     waiting: list[tuple[AttemptRecipe, _Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
     besides = _Besides[AnyWorld](sim, engines)
@@ -138,7 +139,7 @@ def score_worlds(
 
     try:
         while True:
-            chunk = list(islice(source, chunk_worlds)) or aside.copy() or list(more() if more else ())
+            chunk = source.take() or aside.copy() or list(more() if more else ())
             aside.clear()
             if chunk:
                 besides.prepare(chunk, retries)
@@ -156,7 +157,35 @@ def score_worlds(
         yield from from_beside()
         raise
     finally:
+        source.close()
         besides.close()
+
+
+@dataclass(eq=False)
+class _Chunks(Generic[AnyWorld]):
+    """Worlds by the chunk. While an engine has a full one, a thread makes the next one: a GPU would wait for it."""
+
+    source: Iterator[AnyWorld]
+    most: int
+    _maker: ThreadPoolExecutor | None = None
+    _next: Future[list[AnyWorld]] | None = None
+
+    def take(self) -> list[AnyWorld]:
+        """The next worlds; none are left if there are none."""
+        chunk = self._made() if self._next is None else self._next.result()
+        self._next = None
+        if len(chunk) == self.most:
+            self._maker = self._maker or ThreadPoolExecutor(1, "petmjx-worlds")
+            self._next = self._maker.submit(self._made)
+        return chunk
+
+    def _made(self) -> list[AnyWorld]:
+        return list(islice(self.source, self.most))
+
+    def close(self) -> None:
+        """No more are taken."""
+        if self._maker is not None:
+            self._maker.shutdown()
 
 
 def _is_alone(world: World) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -145,19 +146,22 @@ def test_half_the_timestep_resamples_force_profiles_and_keeps_them_shared() -> N
     assert engine.calls[0][1][0].drive is worlds[0].job.drive
 
 
-def test_worlds_are_drawn_a_chunk_at_a_time() -> None:
+def test_worlds_are_drawn_a_chunk_at_a_time_while_the_one_before_is_simulated() -> None:
     engine = FailingEngine()
-    drawn = 0
+    drawn, next_ones = 0, threading.Event()
 
     def source() -> Iterator[World]:
         nonlocal drawn
         for world in worlds_failing(*[0] * 10):
             drawn += 1
+            if drawn == 8:
+                next_ones.set()
             yield world
 
     results = score_worlds(source(), Simulation(), engine, chunk_worlds=4)
     next(results)
-    assert drawn == 4
+    assert next_ones.wait(30)
+    assert drawn == 8
     assert len(list(results)) == 9
     assert [len(jobs) for _, jobs in engine.calls] == [4, 4, 2]
 
