@@ -19,7 +19,7 @@ def crossengine(
     plans: Annotated[
         list[Path] | None, typer.Argument(metavar="PLANS...", help="Plan files; default: bundled.")
     ] = None,
-    name: Annotated[str, typer.Option(metavar="NAME", help="Of these plans, for results.")] = "bundled",
+    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of these plans, for results.")] = "bundled",
     check: Annotated[list[Check] | None, typer.Option(help="Only this check; repeatable.")] = None,
     referees: Annotated[str, typer.Option(metavar="NAMES", help="With commas; the first is the sieve.")] = "",
     smallest: Annotated[

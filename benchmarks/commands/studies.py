@@ -140,7 +140,7 @@ def balance(
 @opt.takes("engine", "threads")
 def packers(
     n: Annotated[int, typer.Option("-n", metavar="N", help="Drawn orders; 0: none.")] = 100,
-    seed: Annotated[int, typer.Option(metavar="SEED", help="Of drawn orders.")] = 11,
+    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Of drawn orders.")] = 11,
     orders: Annotated[
         list[Path] | None,
         typer.Option(metavar="FILE", help="A set more: orders of BED-BPP, one of RoboBPP's sets, or a table."),
