@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from petmjx.basics.machine import cpu_threads
 from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
-from petmjx.loop.points import TOUCH_MM
 from petmjx.loop.stock import Stock
+from petmjx.plans.samples.balance import TOUCH_MM
 
 _AT_ONCE: Final = 200_000
 """Pairs of a point and a box that are compared at a time: their tables stay in a core's cache."""

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-
-TOUCH_MM: Final = 1e-6
-"""Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
+from petmjx.plans.samples.balance import TOUCH_MM
 
 _POINTS_PER_BOX: Final = 7
 

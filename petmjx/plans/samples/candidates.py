@@ -70,14 +70,12 @@ class Candidates:
         """A box stands at a candidate now."""
         (x, y), z = self.points[point].tolist(), float(self.z[point, shape])
         (width, depth), height = self.base[shape].tolist(), float(self.height[shape])
-        self.put((x, y, z), (x + width, y + depth, z + height))
-
-    def put(self, corner: tuple[float, float, float], ends: tuple[float, float, float]) -> None:
-        """A box stands between two opposite corners now."""
-        self._low[self._n], self._high[self._n] = corner, ends
+        ends = (x + width, y + depth, z + height)
+        self._low[self._n], self._high[self._n] = (x, y, z), ends
         self._n += 1
-        self._cover(corner[:2], ends)
-        self._add_points(self._corners(corner, ends))
+        self._cover((x, y), ends)
+        found = corner_points(self._low[None, : self._n], self._high[None, : self._n])
+        self._add_points([(x, y) for x, y in found[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
         """Lift the candidates that the newest box lies under, as far as it is their highest one."""
@@ -110,39 +108,44 @@ class Candidates:
         self.open = np.concatenate([self.open, inside])
         self._inside = np.concatenate([self._inside, inside])
 
-    def _corners(
-        self, corner: tuple[float, float, float], ends: tuple[float, float, float]
-    ) -> list[tuple[float, float]]:
-        """Three corners of the newest box, and the same corners slid towards the carrier's edges, beside the box and
-        on it."""
-        (x, y, z), (x_end, y_end, top) = corner, ends
-        # slides along −y from the ends of x beside the box and from x on it, along −x from the ends of y likewise
-        start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
-        south, west, west_on_top, south_on_top = self._slide(start, across, np.array([z, z, top, top]))
-        beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]
-        return [*beside, (x, y), (west_on_top, y), (x, south_on_top)]
-
-    def _slide(self, start: FloatArray, across: FloatArray, level: FloatArray) -> list[float]:
-        """Where four points that slide along −y, −x, −x and −y meet a box, or 0 at the carrier's edge.
-
-        Args:
-            start, across: (4,) where they are along the axis in which they slide, and along the other one.
-            level: (4,) their heights.
-        """
-        low, high = self._low[: self._n].T, self._high[: self._n].T
-        across, level = across[:, None], level[:, None]
-        in_way = (low[_OTHER] <= across) & (across < high[_OTHER]) & (low[2] <= level) & (level < high[2])
-        ends = high[_SLIDING]
-        reached: FloatArray = np.where(in_way & (ends <= start[:, None] + TOUCH_MM), ends, 0.0).max(axis=1)
-        found: list[float] = reached.tolist()
-        return found
-
 
 def _copied(rows: FloatArray, n: int) -> FloatArray:
     """The first n rows, in an array with room for as many."""
     twin = np.empty_like(rows)
     twin[:n] = rows[:n]
     return twin
+
+
+def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(7, m, 2) points of the newest box of each of m piles, mm: three corners of it, and the same corners slid towards
+    x = 0 and y = 0 until they meet a box, beside the box and on it.
+
+    Args:
+        low, high: (m, n, 3) corners of the boxes of each pile, mm; the newest box is the last.
+    """
+    (x, y, z), (x_end, y_end, top) = low[:, -1].T, high[:, -1].T
+    # slides along −y from the ends of x beside the box and from x on it, along −x from the ends of y likewise
+    start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
+    south, west, west_on_top, south_on_top = _slid(low, high, start, across, np.array([z, z, top, top]))
+    beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]
+    return np.array([*beside, (x, y), (west_on_top, y), (x, south_on_top)]).swapaxes(1, 2)
+
+
+def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArray, level: FloatArray) -> FloatArray:
+    """(4, m) where four points of each of m piles meet a box as they slide along −y, −x, −x and −y, or 0 at the
+    carrier's edge.
+
+    Args:
+        low, high: (m, n, 3) corners of boxes.
+        start, across: (4, m) where points are along the axis in which they slide, and along the other one.
+        level: (4, m) their heights.
+    """
+    low, high = low.transpose(2, 0, 1), high.transpose(2, 0, 1)
+    across, level = across[..., None], level[..., None]
+    in_way = (low[_OTHER] <= across) & (across < high[_OTHER]) & (low[2] <= level) & (level < high[2])
+    ends = high[_SLIDING]
+    reached: FloatArray = np.where(in_way & (ends <= start[..., None] + TOUCH_MM), ends, 0.0).max(axis=2)
+    return reached
 
 
 def overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from petmjx.basics.units import FloatArray
+from petmjx.plans.samples.balance import TOUCH_MM
 from petmjx.plans.samples.orders import Item
 
 MAX_HEIGHT_MM = 2000.0
-
-_TOUCH_MM = 1e-6
-"""Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
 
 
 @dataclass(frozen=True)
@@ -122,11 +120,11 @@ class _Pile:
         corners = np.concatenate([points] * len(both))
         orientations = np.repeat(both, len(points))
         bases = np.array([_base(item, o) for o in both])[orientations]
-        inside = (corners + bases <= np.array(self.extent_mm) + _TOUCH_MM).all(axis=1)
+        inside = (corners + bases <= np.array(self.extent_mm) + TOUCH_MM).all(axis=1)
         corners, bases, orientations = corners[inside], bases[inside], orientations[inside]
 
         z, share = self._rest(corners, bases)
-        legal = (z + item.height_mm <= self.rules.max_height_mm + _TOUCH_MM) & (share >= self.rules.min_support - 1e-9)
+        legal = (z + item.height_mm <= self.rules.max_height_mm + TOUCH_MM) & (share >= self.rules.min_support - 1e-9)
         y_first = self.rules.y_first
         minor, major = (corners[:, 0], corners[:, 1]) if y_first else (corners[:, 1], corners[:, 0])
         for i in np.lexsort((orientations, minor, major, z)):
@@ -153,14 +151,14 @@ class _Pile:
         low, high = self._low[: self.n], self._high[: self.n]
         other = 1 - axis
         in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
-        ends = high[in_way & (high[:, axis] <= start + _TOUCH_MM), axis]
+        ends = high[in_way & (high[:, axis] <= start + TOUCH_MM), axis]
         return float(ends.max()) if len(ends) else 0.0
 
     def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Boxes lowered at (c, 2) corners with (c, 2) bases: height z at which they rest (c,), supported share (c,)."""
         area, tops = self._overlap(corners, bases), self._high[: self.n, 2]
         z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
-        carried = np.where(np.abs(tops - z[:, None]) <= _TOUCH_MM, area, 0.0).sum(axis=1)
+        carried = np.where(np.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)
         share: FloatArray = np.where(z > 0, carried / bases.prod(axis=1), 1.0)
         return z, share
 
@@ -170,14 +168,14 @@ class _Pile:
         ends = corners + bases
         x = np.minimum(ends[:, :1], high[:, 0]) - np.maximum(corners[:, :1], low[:, 0])
         y = np.minimum(ends[:, 1:], high[:, 1]) - np.maximum(corners[:, 1:], low[:, 1])
-        area: FloatArray = np.where((x > _TOUCH_MM) & (y > _TOUCH_MM), x * y, 0.0)
+        area: FloatArray = np.where((x > TOUCH_MM) & (y > TOUCH_MM), x * y, 0.0)
         return area
 
     def _centre_supported(self, corner: FloatArray, base: FloatArray, z: float) -> bool:
         """Whether the centre of a base is inside the convex hull of the tops it rests on."""
         if z <= 0:
             return True
-        under = (self._overlap(corner[None], base[None])[0] > 0) & (np.abs(self._high[: self.n, 2] - z) <= _TOUCH_MM)
+        under = (self._overlap(corner[None], base[None])[0] > 0) & (np.abs(self._high[: self.n, 2] - z) <= TOUCH_MM)
         low = np.maximum(self._low[: self.n, :2][under], corner)
         high = np.minimum(self._high[: self.n, :2][under], corner + base)
         return in_hull_of_rectangles(corner + base / 2, low, high)

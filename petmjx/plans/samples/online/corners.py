@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM
-from petmjx.plans.samples.candidates import Candidates, overlap
+from petmjx.plans.samples.candidates import Candidates, corner_points, overlap
 from petmjx.plans.samples.online.stream import Places, Stream
 from petmjx.plans.samples.online.surface import Surface
 from petmjx.plans.samples.orders import Item
@@ -100,26 +100,8 @@ class Mirrored(Candidates):
         self._add_corners()
 
     def _add_corners(self) -> None:
-        """Corner points of the newest box in all mirrors: beside it and on it, and slid until they meet a box."""
-        lows, highs = self._lows[:, : self._n], self._highs[:, : self._n]
-        (x, y, z), (x_end, y_end, top) = lows[:, -1].T, highs[:, -1].T
-        # slides along −y from the ends of x beside the box and from x on it, along −x from the ends of y likewise
-        start, across = np.stack([y, x, x, y], axis=1), np.stack([x_end, y_end, y, x], axis=1)
-        level = np.stack([z, z, top, top], axis=1)
-        along, aside = np.array([1, 0, 0, 1]), np.array([0, 1, 1, 0])
-        start, across, level = start[:, :, None], across[:, :, None], level[:, :, None]
-        from_aside, to_aside = lows[:, :, aside].swapaxes(1, 2), highs[:, :, aside].swapaxes(1, 2)
-        ends = highs[:, :, along].swapaxes(1, 2)
-        in_way = (from_aside <= across) & (across < to_aside)
-        in_way &= (lows[:, None, :, 2] <= level) & (level < highs[:, None, :, 2])
-        reached = np.where(in_way & (ends <= start + TOUCH_MM), ends, 0.0).max(axis=2)
-        south, west, west_on_top, south_on_top = reached.T
-        points = np.stack(
-            [
-                *((x_end, y), (x_end, south), (x, y_end), (west, y_end)),
-                *((x, y), (west_on_top, y), (x, south_on_top)),
-            ]
-        ).swapaxes(1, 2)
+        """Corner points of the newest box in all mirrors."""
+        points = corner_points(self._lows[:, : self._n], self._highs[:, : self._n])
         inside = (points < np.array(self.extent_mm)).all(axis=2)
         self._points = np.concatenate([self._points, points[inside]])
         self._in = np.concatenate([self._in, np.broadcast_to(np.array(MIRRORS), points.shape)[inside]])

@@ -32,7 +32,7 @@ NAMES: Final = (
     *(f"{name}_late" for name in LATE),
     *("comes_first", "volume_of_seen", "height_of_seen", "mass_of_seen"),
 )
-"""docs/packers.md says what they are."""
+"""docs/packers.md says what they are about."""
 
 NEAR_MM: Final = 8.0
 """Sides and tops so near count as touching and level."""
