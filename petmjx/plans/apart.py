@@ -39,9 +39,14 @@ _BETWEEN_PLANS: Final = re.compile(rb'\}[ \t\n\r]*+\][ \t\n\r]*+(,)[ \t\n\r]*+"'
 _CODE: Final = "from petmjx.plans.apart import main; main()"
 
 
-class Taken(NamedTuple):
-    """What became of an entry: a plan with what is odd about its layout, if anything is, or why it is none; of an order
-    neither."""
+class ReadEntry(NamedTuple):
+    """An entry of a file, read: a plan, a fault, or an order.
+
+    Attributes:
+        plan: None for a fault or an order.
+        layout: what is odd about the plan's layout; None: nothing.
+        fault: why the entry is no plan; None for a plan or an order.
+    """
 
     plan_id: str
     plan: Plan | None = None
@@ -50,8 +55,8 @@ class Taken(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Asked:
-    """How pieces are read."""
+class PieceOptions:
+    """How pieces are read: arguments of ``load_plans`` that reach a single plan."""
 
     source: str
     max_boxes: int
@@ -59,7 +64,7 @@ class Asked:
     given: Given
 
 
-def taken_apart(data: bytes | bytearray, asked: Asked, unread: Unread) -> list[Taken] | None:
+def read_in_pieces(data: bytes | bytearray, options: PieceOptions, unread: Unread) -> list[ReadEntry] | None:
     """The entries of a large text, in order; None if it is to be read in one go.
 
     Args:
@@ -68,12 +73,12 @@ def taken_apart(data: bytes | bytearray, asked: Asked, unread: Unread) -> list[T
     pieces = _cut(data, min(cpu_threads(), len(data) // PIECE_BYTES))
     if len(pieces) < 2:
         return None
-    read: list[tuple[list[Taken], Unread] | None] = []
+    read: list[tuple[list[ReadEntry], Unread] | None] = []
     children: list[subprocess.Popen[bytes]] = []
     try:
         with ThreadPoolExecutor(len(pieces), thread_name_prefix="petmjx-read") as pool:
             children += (_started() for _ in pieces)
-            read += pool.map(lambda child, piece: _answer(child, asked, piece), children, pieces)
+            read += pool.map(lambda child, piece: _answer(child, options, piece), children, pieces)
     except (OSError, RuntimeError):  # no memory for them or a thread, or an interpreter inside another program
         return None
     finally:
@@ -114,14 +119,14 @@ def _started() -> subprocess.Popen[bytes]:
 
 
 def _answer(
-    child: subprocess.Popen[bytes], asked: Asked, piece: Sequence[memoryview | bytes]
-) -> tuple[list[Taken], Unread] | None:
+    child: subprocess.Popen[bytes], options: PieceOptions, piece: Sequence[memoryview | bytes]
+) -> tuple[list[ReadEntry], Unread] | None:
     """What an interpreter made of a piece; None if that is no sound JSON, or the interpreter died."""
     assert child.stdin is not None
     assert child.stdout is not None
     try:
         with child.stdin as pipe:
-            pickle.dump(asked, pipe)
+            pickle.dump(options, pipe)
             for some in piece:
                 pipe.write(some)
         with child.stdout as pipe:
@@ -133,27 +138,29 @@ def _answer(
 
 def main() -> None:
     """Read a piece from standard input, and write what is in it to standard output."""
-    asked: Asked = pickle.load(sys.stdin.buffer)
+    options: PieceOptions = pickle.load(sys.stdin.buffer)
     found = None
     with suppress(Exception):  # whoever reads the whole text says what is wrong
         unread = Unread()
-        found = *_packed(list(_entries(sys.stdin.buffer.read(), asked, unread))), unread
+        found = *_packed(list(_entries(sys.stdin.buffer.read(), options, unread))), unread
     pickle.dump(found, sys.stdout.buffer, protocol=pickle.HIGHEST_PROTOCOL)
 
 
-def _entries(data: bytes, asked: Asked, unread: Unread) -> Iterator[Taken]:
+def _entries(data: bytes, options: PieceOptions, unread: Unread) -> Iterator[ReadEntry]:
     names: dict[str, str] = {}
     for entry in scan_plans(data):
         if isinstance(entry.value, dict) and "item_sequence" in entry.value:
-            yield Taken(entry.plan_id)
+            yield ReadEntry(entry.plan_id)
             continue
         try:
-            plan = parse_plan(entry.plan_id, asked.source, entry.value, asked.max_boxes, names, unread, asked.given)
+            plan = parse_plan(
+                entry.plan_id, options.source, entry.value, options.max_boxes, names, unread, options.given
+            )
         except PlanError as error:
-            yield Taken(entry.plan_id, fault=str(error))
+            yield ReadEntry(entry.plan_id, fault=str(error))
         else:
-            layout = check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, asked.extent_mm)
-            yield Taken(plan.plan_id, plan, layout if layout.any else None)
+            layout = check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, options.extent_mm)
+            yield ReadEntry(plan.plan_id, plan, layout if layout.any else None)
 
 
 _FIELDS: Final = tuple(each.name for each in fields(Plan))
@@ -163,7 +170,7 @@ _ARRAYS: Final = ("size_mm", "corner_mm", "mass_kg", "sequence", "orientation")
 _OTHERS: Final = tuple(name for name in _FIELDS if name not in _ARRAYS)
 
 
-def _packed(entries: Sequence[Taken]) -> tuple[list[Any], dict[str, Any]]:
+def _packed(entries: Sequence[ReadEntry]) -> tuple[list[Any], dict[str, Any]]:
     """Entries as they travel: a row for each, and the arrays of all plans."""
     plans = [entry.plan for entry in entries if entry.plan is not None]
     rows = [
@@ -175,11 +182,11 @@ def _packed(entries: Sequence[Taken]) -> tuple[list[Any], dict[str, Any]]:
     return rows, {name: np.concatenate([getattr(plan, name) for plan in plans]) for name in _ARRAYS if plans}
 
 
-def _unpacked(rows: Sequence[Any], arrays: dict[str, Any]) -> Iterator[Taken]:
+def _unpacked(rows: Sequence[Any], arrays: dict[str, Any]) -> Iterator[ReadEntry]:
     begin = 0
     for layout, fault, of_plan, others in rows:
         if others is None:
-            yield Taken(of_plan, None, layout, fault)
+            yield ReadEntry(of_plan, None, layout, fault)
             continue
         plan, end = object.__new__(Plan), begin + of_plan  # it was checked where it was read
         for name, value in zip(_OTHERS, others, strict=True):
@@ -187,4 +194,4 @@ def _unpacked(rows: Sequence[Any], arrays: dict[str, Any]) -> Iterator[Taken]:
         for name, values in arrays.items():
             object.__setattr__(plan, name, values[begin:end])
         begin = end
-        yield Taken(plan.plan_id, plan, layout, fault)
+        yield ReadEntry(plan.plan_id, plan, layout, fault)

@@ -18,7 +18,7 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, printable, shown
 from petmjx.basics.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
-from petmjx.plans.apart import WORTH_BYTES, Asked, Taken, taken_apart
+from petmjx.plans.apart import WORTH_BYTES, PieceOptions, ReadEntry, read_in_pieces
 from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.fields import LONGEST_NAME, Unread
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
@@ -252,8 +252,8 @@ class _Loading:
         n_entries = n_orders = 0
         first_order = ""
         if self.limit is None and not damaged and len(data) >= WORTH_BYTES:
-            asked = Asked(source, self.max_boxes, self.carrier_extent_mm, self.given)
-            entries = taken_apart(data, asked, self.unread)
+            options = PieceOptions(source, self.max_boxes, self.carrier_extent_mm, self.given)
+            entries = read_in_pieces(data, options, self.unread)
             if entries is not None:
                 self._take_all(source, entries)
                 return
@@ -293,7 +293,7 @@ class _Loading:
         else:
             self._keep(plan)
 
-    def _take_all(self, source: str, entries: Sequence[Taken]) -> None:
+    def _take_all(self, source: str, entries: Sequence[ReadEntry]) -> None:
         """Take the entries of a text that was read in pieces."""
         for entry in entries:
             if entry.fault is not None:

@@ -18,7 +18,6 @@ from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
 from petmjx.results.listed import Parts
-from petmjx.results.plain import plain
 from petmjx.results.run_file import check_whole
 from petmjx.results.schema import plans_schema
 
@@ -98,13 +97,6 @@ class Manifest:
 
     settings: Mapping[str, Any]
     plans: Mapping[str, PlanRecord]
-
-    @classmethod
-    def of(
-        cls, settings: Mapping[str, Any], plans: Sequence[Plan], numbers: Mapping[str, int] | None = None
-    ) -> Manifest:
-        """The manifest of a run of these plans, in the order given; ``numbers`` as in ``records_of``."""
-        return cls(plain(settings), records_of(plans, numbers))
 
     @property
     def identity(self) -> dict[str, Any]:

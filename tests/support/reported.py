@@ -13,7 +13,7 @@ import numpy as np
 from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.read import load_plans
-from petmjx.results.manifest import Manifest
+from petmjx.results.manifest import Manifest, records_of
 from petmjx.results.writer import RunWriter
 from petmjx.verdict import Outcome, Reason, Verdict
 from petmjx.world.scene import build_scene
@@ -88,7 +88,7 @@ def _ended(plan: Plan, random: np.random.Generator, move_m: float, turn: float) 
 def write_run(folder: Path, plans: Sequence[Plan], outcomes: Sequence[Outcome], **options: Any) -> Path:
     """A finished score of these plans; ``options`` go to ``RunWriter``."""
     config = options.pop("config", CONFIG)
-    manifest = Manifest.of({"command": "score"}, plans)
+    manifest = Manifest({"command": "score"}, records_of(plans))
     more: dict[str, Any] = {"manifest": manifest, "expected_worlds": len(plans), "device": "two threads"}
     with RunWriter(folder, config, **more | options) as run:
         for plan, outcome in zip(plans, outcomes, strict=True):

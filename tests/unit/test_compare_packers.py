@@ -22,7 +22,7 @@ from petmjx.packers.compare import ALL_SIZES, compare_packers, size_names
 from petmjx.packers.write import write_comparison
 from petmjx.plans.plan import Plan
 from petmjx.results.compare import compare_runs
-from petmjx.results.manifest import Manifest
+from petmjx.results.manifest import Manifest, records_of
 from petmjx.results.writer import RunWriter
 from petmjx.show.packer_tables import packer_tables
 from petmjx.verdict import Outcome, Reason, Verdict
@@ -36,7 +36,7 @@ INVALID = {"verdict": Verdict.INVALID, "reason": Reason.NONFINITE}
 def write(folder: Path, worlds: dict[str, Outcome], shapes: dict[str, Plan] | None = None, **config: Any) -> Path:
     """A run of three cartons on top of each other for each plan, or of the plans given."""
     made = {plan_id: (shapes or {}).get(plan_id, plans.make_plan(plan_id)) for plan_id in worlds}
-    with RunWriter(folder, CONFIG | config, manifest=Manifest.of(IDENTITY, list(made.values()))) as run:
+    with RunWriter(folder, CONFIG | config, manifest=Manifest(IDENTITY, records_of(list(made.values())))) as run:
         for plan_id, outcome in worlds.items():
             run.add(made[plan_id], 0, "adaptive", outcome)
     return folder

@@ -26,7 +26,7 @@ from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.world import WorldRun
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import RunOptions
-from petmjx.results.manifest import Manifest
+from petmjx.results.manifest import Manifest, records_of
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
 from petmjx.sweeps.run import Batching
@@ -258,12 +258,12 @@ def test_the_digest_of_ten_thousand_plans_is_quick() -> None:
     plan = make_plan("a", stack(43))
     plans = [replace(plan, plan_id=f"{number:08}") for number in range(10_003)]
     start = time.process_time()
-    manifest = Manifest.of({}, plans)
+    manifest = Manifest({}, records_of(plans))
     assert manifest.identity["plans"]["count"] == 10_003
     assert time.process_time() - start < 2.0  # 0.3 s on an idle core; the margin is for a busy machine
-    assert Manifest.of({}, plans[::-1]).identity == manifest.identity
+    assert Manifest({}, records_of(plans[::-1])).identity == manifest.identity
     heavier = replace(plans[5], mass_kg=plans[5].mass_kg + 1e-9)
-    other = Manifest.of({}, [*plans[:5], heavier, *plans[6:]])
+    other = Manifest({}, records_of([*plans[:5], heavier, *plans[6:]]))
     assert other.difference_from(manifest) == "plan 00000005 differs"
 
 
