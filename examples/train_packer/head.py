@@ -7,7 +7,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from labels import Array, Labels
+from labels import ORDERS, Array, Labels
+from numpy.typing import NDArray
 from optimiser import Adam
 
 from petmjx.plans.samples.online.network import Network
@@ -17,7 +18,7 @@ from petmjx.plans.samples.orders import stream
 STREAM = 102
 HIDDEN = 16
 ASIDE = 4
-"""Every fourth order is kept aside."""
+"""One in so many orders is kept aside."""
 
 DECAY = 1e-4
 """Of weights, against fitting noise."""
@@ -33,9 +34,16 @@ def believing() -> Network:
     return replace(fresh, constant=np.array(8.0))
 
 
+def kept_aside(order: Array) -> NDArray[np.bool_]:
+    """(m,) which placements are kept aside, by the numbers of their orders: of the first orders of pallets as many as
+    of later ones, since most placements are in the first."""
+    pallet, later = np.divmod(order, ORDERS)
+    return np.asarray((pallet + later) % ASIDE == 0)
+
+
 def fit(labels: Labels, seed: int, steps: int) -> tuple[Network, dict[str, Any]]:
     """The head, and its calibration on orders that were kept aside."""
-    aside = labels.order % ASIDE == 0
+    aside = kept_aside(labels.order)
     mean, scale = labels.features.mean(axis=0), labels.features.std(axis=0)
     fresh = Network.fresh(mean, np.where(scale > 1e-6, scale, 1.0), HIDDEN, stream(seed, STREAM))
     head = _descended(fresh, labels.features[~aside], labels.stands[~aside], seed, steps)

@@ -38,6 +38,9 @@ which are 1.8 mm at the ends of a carton of 400 mm."""
 CATALOGUES = 3_000_000
 """Seeds of orders begin here: no other set of petmjx's has these."""
 
+ORDERS = 100
+"""Most orders of a pallet: the orders of pallet p have numbers from ``ORDERS`` · p on."""
+
 STREAM = 101
 """Random numbers of this stage."""
 
@@ -126,7 +129,7 @@ class _Game:
 
     def _begin(self) -> None:
         rng = self._rng
-        self.number = self._first * 100 + self._orders
+        self.number = self._first * ORDERS + self._orders
         self._orders += 1
         items = list(draw_order(CATALOGUES + self._seed, self.number).items)
         if rng.random() < 0.5:

@@ -87,7 +87,7 @@ def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) 
     return Outcome(utilisation - LEFT_OUT * left_out, utilisation, left_out, chance)
 
 
-def worth(outcomes: Sequence[Outcome]) -> float:
+def policy_worth(outcomes: Sequence[Outcome]) -> float:
     """What a policy is worth that has these outcomes: density, as long as its plans stand often enough."""
     chance = float(np.mean([each.chance for each in outcomes]))
     return float(np.mean([each.worth for each in outcomes])) - SHORT * max(LEAST_CHANCE - chance, 0.0)

@@ -31,7 +31,7 @@ import numpy as np
 from head import believing, fit
 from judge import judged
 from labeller import Labeller
-from rollouts import Outcome, outcomes, validated, worth
+from rollouts import Outcome, outcomes, policy_worth, validated
 from rule import scaled, spread
 from search import Search
 
@@ -178,8 +178,8 @@ class Training:
         tasks = [(plan.seed, state.update, number) for number in range(plan.orders)]
         one = partial(outcomes, policy=state.policy, candidates=candidates)
         found = list(self._pool.map(one, tasks, chunksize=1))
-        worths = np.array([worth(of_one) for of_one in zip(*found, strict=True)])
-        after = replace(state, search=state.search.told(candidates, worths))
+        worth = np.array([policy_worth(of_one) for of_one in zip(*found, strict=True)])
+        after = replace(state, search=state.search.told(candidates, worth))
         self._row(after, [each for order in found for each in order], time.monotonic() - begin)
         return after
 

@@ -150,7 +150,17 @@ def test_the_head_learns_what_decides() -> None:
 
     head, said = fit(labels(np.random.default_rng(1), 4000), 0, 150)
     assert said["all"]["brier"] < 0.85 * said["all"]["brier_of_a_constant"]
-    assert said["all"]["ece"] < 0.06
+    assert said["all"]["ece"] < 0.08  # 0.05 to 0.063 with three seeds; of a head that believes all placements 0.22
     assert said["all"]["auc"] > 0.8
     assert sum(row["placements"] for row in said["usual"]["reliability"]) == said["usual"]["placements"]
     assert head.scores(np.eye(1, len(NAMES))).item() > head.scores(-np.eye(1, len(NAMES))).item()
+
+
+def test_a_quarter_of_the_first_orders_is_kept_aside_and_of_later_ones() -> None:
+    from head import kept_aside
+    from labels import ORDERS
+
+    pallet, later = np.indices((96, 8))
+    aside = kept_aside(pallet * ORDERS + later)
+    assert (aside.mean(axis=0) == 0.25).all()
+    assert (aside.mean(axis=1) == 0.25).all()
