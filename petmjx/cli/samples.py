@@ -61,7 +61,7 @@ def samples(
             metavar="NAME",
             help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance; "
             "physical: denser still, of packings that stand in simulation, also as a robot places them; "
-            "learned: takes boxes as they come, by a network trained with physics.  "
+            "learned: takes boxes as they come, by weights trained with physics.  "
             "[default: baseline, with some loose plans]",
             show_default=False,
         ),

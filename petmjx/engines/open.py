@@ -132,7 +132,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     Raises:
         ValueError: a world does not exist, or is named twice where each must be different.
     """
-    numbers = np.asarray(worlds)
+    numbers = np.asarray(worlds)  # thousands of worlds in each call: a loop only finds the one to name
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
         for world in worlds:
             if not isinstance(world, int | np.integer) or not 0 <= world < count:

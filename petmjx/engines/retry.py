@@ -171,7 +171,7 @@ class _Chunks(Generic[AnyWorld]):
     _next: Future[list[AnyWorld]] | None = None
 
     def take(self) -> list[AnyWorld]:
-        """The next worlds; none are left if there are none."""
+        """The next worlds; an empty list at the end."""
         chunk = self._made() if self._next is None else self._next.result()
         self._next = None
         if len(chunk) == self.most:
@@ -183,7 +183,7 @@ class _Chunks(Generic[AnyWorld]):
         return list(islice(self.source, self.most))
 
     def close(self) -> None:
-        """No more are taken."""
+        """Take no more worlds."""
         if self._maker is not None:
             self._maker.shutdown()
 

@@ -38,10 +38,10 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """While JAX has called Python: let it call Python in other threads, too.
+    """Inside a call of Python by JAX: let JAX call Python in other threads at the same time.
 
-    Warp (1.18) has a lock for the time of a call, so that of the engines of several threads on a CPU one would work at
-    a time, each for a slice. What it guards is read before a function is called. A Warp without it has none to open.
+    Warp (1.18) holds a lock during such a call, so engines in several threads on a CPU would take turns, a slice each.
+    What the lock guards is read before Warp calls our function. Other versions may have no such lock.
     """
     lock = getattr(sys.modules[wp.jax_callable.__module__], "_FFI_CALLBACK_LOCK", None)
     if lock is None or not lock.locked():
@@ -55,7 +55,7 @@ def others_may_call() -> Iterator[None]:
 
 
 def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
-    """Launch all blocks of some calls, on Warp's current device: JAX's call of Python that asks for it.
+    """Launch all blocks of some calls, on Warp's current device. JAX calls Python for this.
 
     Args:
         clock: (1,) the number that tells blocks on a CPU that the time slice is over.
