@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import count, islice, takewhile
 from typing import Final, Generic, TypeVar
 
 from petmjx.basics.errors import InputError, PetmjxError
@@ -17,7 +18,6 @@ from petmjx.basics.text import counted, one_line
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import Engine, GrowingJobs, Progress
 from petmjx.engines.beside.process import READY, Answer, Task
-from petmjx.engines.chunks import Chunks
 from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.sinking import note_softness
@@ -99,7 +99,7 @@ def score_worlds(
     progress = progress or Progress()
     engines = Engines(engine, progress)
     first, *retries = attempts
-    source = Chunks[AnyWorld](iter(worlds), chunk_worlds)
+    source = _Chunks[AnyWorld](iter(worlds), chunk_worlds)
     waiting: list[tuple[AttemptRecipe, _Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
     besides = _Besides[AnyWorld](sim, engines)
@@ -159,6 +159,33 @@ def score_worlds(
     finally:
         source.close()
         besides.close()
+
+
+@dataclass(eq=False)
+class _Chunks(Generic[AnyWorld]):
+    """Worlds by the chunk. While an engine has a full one, a thread makes the next one: a GPU would wait for it."""
+
+    source: Iterator[AnyWorld]
+    most: int
+    _closed: bool = False
+    _maker: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-worlds"))
+    _next: Future[list[AnyWorld]] | None = None
+
+    def take(self) -> list[AnyWorld]:
+        """The next worlds; an empty list at the end."""
+        chunk = self._made() if self._next is None else self._next.result()
+        self._next = None
+        if len(chunk) == self.most:
+            self._next = self._maker.submit(self._made)
+        return chunk
+
+    def _made(self) -> list[AnyWorld]:
+        return list(takewhile(lambda _: not self._closed, islice(self.source, self.most)))
+
+    def close(self) -> None:
+        """Make no more worlds; one that is being made is waited for."""
+        self._closed = True
+        self._maker.shutdown()
 
 
 def _is_alone(world: World) -> bool:

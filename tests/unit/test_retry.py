@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -164,6 +165,22 @@ def test_worlds_are_drawn_a_chunk_at_a_time_while_the_one_before_is_simulated() 
     assert drawn == 8
     assert len(list(results)) == 9
     assert [len(jobs) for _, jobs in engine.calls] == [4, 4, 2]
+
+
+def test_a_run_that_is_cut_off_does_not_wait_for_the_rest_of_a_chunk() -> None:
+    """With Ctrl-C, for example. The second chunk would take 50 s."""
+
+    def source() -> Iterator[World]:
+        for number, world in enumerate(worlds_failing(*[0] * 200)):
+            time.sleep(0.5 if number >= 100 else 0.0)
+            yield world
+
+    results = score_worlds(source(), Simulation(), FailingEngine(), chunk_worlds=100)
+    assert isinstance(results, Generator)
+    next(results)
+    begin = time.monotonic()
+    results.close()
+    assert time.monotonic() - begin < 25
 
 
 def test_invalid_worlds_of_several_chunks_gather() -> None:
