@@ -38,6 +38,9 @@ _BETWEEN_PLANS: Final = re.compile(rb'\}[ \t\n\r]*+\][ \t\n\r]*+(,)[ \t\n\r]*+"'
 
 _CODE: Final = "from petmjx.plans.apart import main; main()"
 
+_MARK: Final = b"petmjx pieces\n"
+"""Before each answer. What the user's sitecustomize prints when an interpreter starts is none, and is not unpickled."""
+
 
 class ReadEntry(NamedTuple):
     """An entry of a file, read: a plan, a fault, or an order.
@@ -77,14 +80,17 @@ def read_in_pieces(data: bytes | bytearray, options: PieceOptions, unread: Unrea
     children: list[subprocess.Popen[bytes]] = []
     try:
         with ThreadPoolExecutor(len(pieces), thread_name_prefix="petmjx-read") as pool:
-            children += (_started() for _ in pieces)
-            read += pool.map(lambda child, piece: _answer(child, options, piece), children, pieces)
+            try:
+                children += (_started() for _ in pieces)
+                read += pool.map(lambda child, piece: _answer(child, options, piece), children, pieces)
+            finally:  # here: after ctrl-C the pool waits for its threads, and they for whole pieces
+                for child in children:
+                    with suppress(OSError):
+                        child.kill()
     except (OSError, RuntimeError):  # no memory for them or a thread, or an interpreter inside another program
         return None
     finally:
         for child in children:
-            with suppress(OSError):
-                child.kill()
             child.wait()
     if any(each is None for each in read):
         return None
@@ -121,7 +127,8 @@ def _started() -> subprocess.Popen[bytes]:
 def _answer(
     child: subprocess.Popen[bytes], options: PieceOptions, piece: Sequence[memoryview | bytes]
 ) -> tuple[list[ReadEntry], Unread] | None:
-    """What an interpreter made of a piece; None if that is no sound JSON, or the interpreter died."""
+    """What an interpreter made of a piece; None if that is no sound JSON, or the interpreter died or
+    printed something of its own."""
     assert child.stdin is not None
     assert child.stdout is not None
     try:
@@ -130,7 +137,7 @@ def _answer(
             for some in piece:
                 pipe.write(some)
         with child.stdout as pipe:
-            found = pickle.load(pipe)
+            found = pickle.load(pipe) if pipe.read(len(_MARK)) == _MARK else None
     except (OSError, EOFError, pickle.UnpicklingError):
         return None
     return None if found is None else (list(_unpacked(*found[:-1])), found[-1])
@@ -143,6 +150,7 @@ def main() -> None:
     with suppress(Exception):  # whoever reads the whole text says what is wrong
         unread = Unread()
         found = *_packed(list(_entries(sys.stdin.buffer.read(), options, unread))), unread
+    sys.stdout.buffer.write(_MARK)
     pickle.dump(found, sys.stdout.buffer, protocol=pickle.HIGHEST_PROTOCOL)
 
 

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import threading
+import time
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -89,3 +94,40 @@ def test_what_cannot_be_cut_is_read_in_one_go(what: str, tmp_path: Path, monkeyp
     whole, pieces, used = _both(_file(tmp_path, plans, text), monkeypatch)
     assert not used
     _same(whole, pieces)
+
+
+@pytest.mark.parametrize("says", ["Loading", "(lp0"])
+def test_what_interpreters_print_when_they_start_is_no_answer(
+    says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(f"print({says!r})")
+    monkeypatch.syspath_prepend(site)
+    whole, pieces, used = _both(_file(tmp_path, dict(generate_one(k, 7) for k in range(3))), monkeypatch)
+    assert not used
+    assert len(whole.plans) == 3
+    _same(whole, pieces)
+
+
+def test_ctrl_c_does_not_wait_for_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = _file(tmp_path, dict(generate_one(k, 7) for k in range(3)))
+    started: list[subprocess.Popen[bytes]] = []
+
+    def slow() -> subprocess.Popen[bytes]:
+        code = "import sys, time; sys.stdin.buffer.read(); time.sleep(30)"
+        started.append(subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE))
+        return started[-1]
+
+    monkeypatch.setattr(read, "WORTH_BYTES", 1)
+    monkeypatch.setattr(apart, "PIECE_BYTES", 1)
+    monkeypatch.setattr(apart, "cpu_threads", lambda: 2)
+    monkeypatch.setattr(apart, "_started", slow)
+    main = threading.main_thread().ident
+    assert main is not None
+    threading.Timer(0.5, signal.pthread_kill, (main, signal.SIGINT)).start()
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        load_plans(path)
+    assert time.monotonic() - began < 10
+    assert [each.poll() is not None for each in started] == [True, True]
