@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from petmjx.basics.arguments import flag_of, path_of
 from petmjx.basics.errors import InputError
+from petmjx.basics.processes import process_pool
 from petmjx.basics.text import counted, shown
 from petmjx.basics.units import PLAN_UNITS
 from petmjx.options.carrier import Carrier, OwnCarrier
@@ -148,8 +147,7 @@ def _answers(
         for chunk in chunks:
             yield from told(ask(chunk))
         return
-    # spawned, not forked: a fork copies locks that threads of JAX or of the caller hold
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with process_pool(processes) as pool:
         for answers in pool.map(ask, chunks):
             yield from told(answers)
 

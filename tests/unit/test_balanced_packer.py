@@ -214,7 +214,7 @@ def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_few_tasks_are_done_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel_module, "ProcessPoolExecutor", None)
+    monkeypatch.setattr(parallel_module, "process_pool", None)
     assert list(in_order(abs, range(-5, 0), workers=8)) == [5, 4, 3, 2, 1]
 
 

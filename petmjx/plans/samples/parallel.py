@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from itertools import chain, islice
-from multiprocessing import get_context
 from typing import Final, TypeVar
+
+from petmjx.basics.processes import process_pool
 
 ALONE: Final = 256
 """Fewer tasks of milliseconds are done in this process: other processes would take longer to start."""
@@ -43,8 +44,7 @@ def in_order(
     if len(first) < alone:
         yield from map(function, everything)
         return
-    # fresh processes: a forked one would hang where a thread of this one held a lock
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    pool = process_pool(workers)
     try:
         waiting: deque[Future[list[Result]]] = deque()
         while some := list(islice(everything, chunk)):
