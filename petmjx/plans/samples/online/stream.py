@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-from petmjx.plans.samples.balance import TOUCH_MM, Balance
+from petmjx.plans.samples.balance import Balance
 from petmjx.plans.samples.online.surface import Surface
 from petmjx.plans.samples.orders import Item
-from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
-from petmjx.plans.samples.packing import LEAST_SUPPORT, Next, Packing, Taste
+from petmjx.plans.samples.packer import Placed
+from petmjx.plans.samples.packing import Next, Packing, Taste
 
 MOST_LOOK_AHEAD: Final = 200
 
@@ -113,42 +113,6 @@ class Stream(Packing):
     def pile(self) -> Balance:
         """The balance of the boxes placed."""
         return self._pile
-
-    def places(self, least_support: float = LEAST_SUPPORT) -> Places:
-        """All candidates for the boxes that are seen, as far as height and support allow them; balance is looked at by
-        ``keeps_balance``.
-
-        Args:
-            least_support: least share of a base that rests on something.
-        """
-        table, kinds = self._table, set(self.seen)
-        seen = np.array([column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp)
-        z, support = table.z[:, seen], table.carried[:, seen] / table.area[seen]
-        low = z + table.height[seen] <= MAX_HEIGHT_MM + TOUCH_MM
-        point, column = np.nonzero(table.open[:, seen] & low & (support >= least_support - 1e-9))
-        shape = seen[column]
-        corner = np.concatenate([table.points[point], z[point, column, None]], axis=1)
-        size = np.concatenate([table.base[shape], table.height[shape, None]], axis=1)
-        own = self._base[shape].prod(axis=1)
-        return Places(
-            point, shape, self._kind_of[shape], corner, size, self._weight[shape], support[point, column], own
-        )
-
-    def keeps_balance(self, places: Places, row: int) -> Next | None:
-        """A candidate that may be placed; None: a box would lose its balance."""
-        point, shape = int(places.point[row]), int(places.shape[row])
-        x, y, z = places.corner_mm[row].tolist()
-        width, depth = self._base[shape].tolist()
-        rest = self._pile.rest((x, y, z), (width, depth), float(places.mass_kg[row]))
-        if rest is None:
-            self._table.open[point, shape] = False
-            return None
-        return Next(point, shape, (x, y, z), rest)
-
-    def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) which candidates have not been found to lose the balance."""
-        found: NDArray[np.bool_] = self._table.open[places.point, places.shape]
-        return found
 
     def put(self, chosen: Next) -> None:
         """Place a candidate."""
