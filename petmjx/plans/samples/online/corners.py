@@ -35,7 +35,7 @@ MIRRORS: Final = ((False, False), (True, False), (False, True), (True, True))
 """Whether x and y are mirrored, for each corner of the target."""
 
 _DECIMALS: Final = 9
-"""Corners that are as near as this are one, mm: sums in another sequence end in other digits."""
+"""Corners and costs in mm are rounded to so many decimals: sums in another sequence end in other digits."""
 
 
 class Mirrored(Candidates):
