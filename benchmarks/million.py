@@ -19,13 +19,15 @@ from typing import Any, Final
 
 from benchmarks.instant import Instant
 from benchmarks.record import Result, timed
-from petmjx.options.run_options import RunOptions
+from petmjx.basics.errors import InputError
+from petmjx.engines.choose import check_options, options_of
+from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import generate_one
 from petmjx.plans.validate import parse_plan
 from petmjx.simulate import RunStart, simulate
 from petmjx.study import FinishedWorld
-from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.file import Sweep, load_sweep
 from petmjx.sweeps.study import SweepStudy
 
 SWEEP: Final = Path(__file__).parent / "sweeps" / "placement-seeds.toml"
@@ -65,6 +67,7 @@ class Million:
 
 def measured(case: Million) -> Iterator[Result]:
     """Run it, kill it, go on with it, and read it: a line of results for each step, as soon as it is there."""
+    check(case)
     about = {"engine": case.engine, "plans": case.plans, "variants": case.variants, "boxes": [FEWEST, MOST]}
     about |= {"placing": case.placing, "options": dict(case.options)}
     if case.kill_at:
@@ -133,13 +136,32 @@ class Watch:
             print(f"{self.new:,} worlds in {self.last_s:.1f} s, {rate:,.0f} worlds/s", file=sys.stderr, flush=True)
 
 
+def check(case: Million) -> None:
+    """Look at the options before a run is begun, and killed.
+
+    Raises:
+        InputError: one of them is unusable.
+    """
+    _, options = _asked(case)
+    if case.engine not in ("instant", AUTO):
+        check_options(case.engine, **options_of(case.engine, options))
+    try:
+        case.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{case.folder}: cannot be written ({error.strerror})") from error
+
+
+def _asked(case: Million) -> tuple[Sweep, RunOptions]:
+    sweep = load_sweep(SWEEP, plans_given=True, simulation={"placing": case.placing})
+    engine: Any = Instant() if case.engine == "instant" else case.engine
+    options = RunOptions(engine=engine, out=case.out, resume=True, **dict(case.options))
+    return sweep.model_copy(update={"replicates": case.variants}), options
+
+
 def run(case: Million) -> Result:
     """Simulate what is missing."""
     plans = made(case.plans)
-    sweep = load_sweep(SWEEP, plans_given=True, simulation={"placing": case.placing})
-    sweep = sweep.model_copy(update={"replicates": case.variants})
-    engine: Any = Instant() if case.engine == "instant" else case.engine
-    options = RunOptions(engine=engine, out=case.out, resume=True, **dict(case.options))
+    sweep, options = _asked(case)
 
     def ask(some: Any, options: RunOptions) -> SweepStudy:
         return SweepStudy(sweep, some, options)

@@ -121,13 +121,19 @@ def _has_gpu() -> bool:
 
 
 def measured(plans: str, engine: str) -> dict[str, Any]:
-    """One run, from shell to shell: stage → s since its start, and the CPU time of the process until then."""
+    """One run, from shell to shell: stage → s since its start, and the CPU time of the process until then.
+
+    If the run fails, this process ends with its line and its exit code.
+    """
     with tempfile.TemporaryDirectory() as made:
         log = Path(made) / "stages.json"
         begin = time.time()
         given = [repr(begin), str(log), plans, engine, str(Path(made) / "out")]
-        done = subprocess.run([sys.executable, "-c", _CHILD, *given], check=True, capture_output=True, text=True)
+        done = subprocess.run([sys.executable, "-c", _CHILD, *given], capture_output=True, text=True)
         shell_s = time.time() - begin
+        if done.returncode:
+            sys.stderr.write(done.stderr)  # the command's own line
+            sys.exit(done.returncode)
         ended = json.loads(log.read_text())
         info = json.loads((Path(made) / "out" / "run.json").read_text())
     sys.stderr.write(done.stderr)

@@ -275,6 +275,8 @@ def test_chances_tell_safe_placements_from_others() -> None:
     assert (over[:2] == safe[:2]).all()
     corners[2, 2] += 500
     assert petmjx.placement_stability(replace(column, corner_mm=corners))[2] == 0
+    sunk = petmjx.placement_stability(replace(column, corner_mm=column.corner_mm - (0, 0, 5)))
+    assert sunk[0] == 0  # it begins inside the carrier
     with pytest.raises(InputError, match="plan must be a plan"):
         petmjx.placement_stability(leaning)  # type: ignore[arg-type]
 

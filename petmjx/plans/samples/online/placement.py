@@ -7,7 +7,7 @@ import numpy as np
 from petmjx.basics.arguments import instance_of
 from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples.balance import Balance, Rest
+from petmjx.plans.samples.balance import TOUCH_MM, Balance, Rest
 from petmjx.plans.samples.online.learned import published
 from petmjx.plans.samples.online.stability import likely, placing, stability_features
 
@@ -17,7 +17,8 @@ def placement_stability(plan: Plan) -> FloatArray:
     one fails first. The product is how likely the whole plan stands.
 
     A network's estimate in a millisecond a box, not a simulation: ``petmjx.score(plan, confidence=64)`` simulates it.
-    docs/packers.md says how far it can be trusted. A box that touches no top below it has 0.
+    docs/packers.md says how far it can be trusted. A box that touches no top below it has 0, as one
+    that begins below the carrier's.
 
     Raises:
         InputError: something else than a plan.
@@ -29,7 +30,7 @@ def placement_stability(plan: Plan) -> FloatArray:
     for i, (corner, size, mass) in enumerate(zip(low, plan.size_mm, plan.mass_kg.tolist(), strict=True)):
         box = placing(pile, low[:i], high[:i], plan.mass_kg[:i], corner, size, mass)
         rows.append(stability_features(box))
-        floats.append(box.margins.rest is None)
+        floats.append(box.margins.rest is None or corner[2] < -TOUCH_MM)
         x, y, z = corner.tolist()
         length, width, height = size.tolist()
         middle = np.array([1.0, (x + length / 2) / MM_PER_M, (y + width / 2) / MM_PER_M])

@@ -1,0 +1,45 @@
+"""Bad options of benchmarks that run in several processes are one line, before anything is run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command_line import only_line
+
+from benchmarks import shell
+from benchmarks.__main__ import main
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--placing", "thrown"], "placing"),
+        (["--engine", "abacus"], "unknown engine"),
+        (["--keep", "nothing"], "keep"),
+        (["--threads", "0"], "threads"),
+        (["--engine", "mjx-warp", "--threads", "2"], "threads"),
+    ],
+)
+def test_bad_options_of_a_million_worlds(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["million", str(tmp_path / "run"), *options, "--out", str(tmp_path / "out.jsonl")]) == 2
+    assert words in only_line(capsys.readouterr().err)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_million_worlds_need_a_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert main(["million", str(tmp_path / "file"), "--out", str(tmp_path / "out.jsonl")]) == 2
+    assert only_line(capsys.readouterr().err).endswith("file: cannot be written (File exists)")
+
+
+def test_a_run_that_fails_from_shell_to_shell(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["shell", str(tmp_path / "missing.json")])
+    with pytest.raises(SystemExit) as ended:
+        shell.main()
+    assert ended.value.code == 2
+    assert only_line(capsys.readouterr().err).endswith("missing.json: no such file or folder")
