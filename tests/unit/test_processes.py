@@ -1,4 +1,4 @@
-"""Processes that do a share of the work end with the process that started them, however it ends."""
+"""Processes that do a share of the work end with the one that started them, and do not keep it from ending."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.command_line import only_line
 
 from petmjx.basics.machine import own_environment
 
@@ -30,3 +31,13 @@ def test_none_is_left_when_their_parent_is_killed(number: int, tmp_path: Path) -
         parent.send_signal(number)
         parent.communicate(timeout=30)  # it ends when nobody has standard output any more
     assert parent.returncode == -number
+
+
+def test_the_command_ends_when_plans_cannot_be_written() -> None:
+    command = "import sys; sys.argv[0] = 'petmjx'; from petmjx.__main__ import command; command()"
+    asked = ["samples", "-n", "300", "--workers", "2", "-o", "/dev/full"]
+    ended = subprocess.run(
+        [sys.executable, "-c", command, *asked], env=own_environment(), capture_output=True, text=True, timeout=30
+    )
+    assert ended.returncode == 2
+    assert "/dev/full: cannot be written" in only_line(ended.stderr)

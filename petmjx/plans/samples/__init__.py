@@ -12,7 +12,7 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -179,6 +179,8 @@ def write_plans(
     if first is None:
         raise InputError(f"{printable(str(path))}: there is no plan to write")
     with whole_file(path) as temporary, ExitStack() as stack:
+        if isinstance(coming, Generator):
+            stack.callback(coming.close)  # now, whatever happens: processes that make plans would outlive an error
         out = _open_text(temporary, stack)
         out.write("{")
         for count, (plan_id, placements) in enumerate(chain([first], coming), start=1):
