@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-from petmjx.plans.samples.balance import TOUCH_MM
+from petmjx.plans.samples.candidates import corner_points
 
 _POINTS_PER_BOX: Final = 7
 
@@ -49,7 +49,7 @@ class Points:
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]
         points = np.concatenate([points, np.full((len(pallets), _POINTS_PER_BOX), np.nan)], axis=1)
-        for x, y in _beside(low, high, number):
+        for x, y in np.moveaxis(_piles_corner_points(low, high, number), 2, 1):
             point = x + 1j * y
             fresh = ~(points == point[:, None]).any(axis=1)
             points[rows[fresh], count[fresh]] = point[fresh]
@@ -76,33 +76,17 @@ class Points:
             setattr(self, name, values)
 
 
-def _beside(low: FloatArray, high: FloatArray, number: NDArray[np.int64]) -> list[tuple[FloatArray, FloatArray]]:
-    """The points of a box of each of m pallets, x and y (m,).
+def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.int64]) -> FloatArray:
+    """(7, m, 2) the points of a box of each of m pallets, mm.
 
     Args:
         low, high: (m, k, 3) ends of boxes; ``number``: (m,) which box, of those the ones before it are in the way.
     """
-    k, rows = low.shape[1], np.arange(len(low))
-    x, y, z = low[rows, number].T
-    x_end, y_end, top = high[rows, number].T
-    before = np.arange(k) < number[:, None]
-
-    def slid(axis: int, start: FloatArray, across: FloatArray, level: FloatArray) -> FloatArray:
-        """(m,) where points that slide along −axis meet a box, or 0 at the carrier's edge."""
-        other = 1 - axis
-        with np.errstate(invalid="ignore"):  # boxes that a pallet does not have
-            in_way = (low[..., other] <= across[:, None]) & (across[:, None] < high[..., other])
-            in_way &= (low[..., 2] <= level[:, None]) & (level[:, None] < high[..., 2])
-            in_way &= (high[..., axis] <= start[:, None] + TOUCH_MM) & before
-        found: FloatArray = np.where(in_way, high[..., axis], 0.0).max(axis=1, initial=0.0)
-        return found
-
-    return [
-        (x_end, y),
-        (x_end, slid(1, y, x_end, z)),
-        (x, y_end),
-        (slid(0, x, y_end, z), y_end),
-        (x, y),
-        (slid(0, x, y, top), y),
-        (x, slid(1, y, x, top)),
-    ]
+    rows, before = np.arange(len(low)), (np.arange(low.shape[1]) < number[:, None])[..., None]
+    piles = []
+    for ends in (low, high):
+        pile = np.where(before, ends, np.nan)
+        pile[:, -1] = ends[rows, number]  # no box of the pile stands there
+        piles.append(pile)
+    with np.errstate(invalid="ignore"):  # boxes that a pallet does not have
+        return corner_points(*piles)
