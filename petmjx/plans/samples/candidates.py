@@ -99,9 +99,7 @@ class Candidates:
             return
         points, inside = points[useful], inside[useful]
         area = overlap(points, self.base, self._low[: self._n, :2], self._high[: self._n, :2])
-        tops = self._high[: self._n, 2]
-        z = np.where(area > 0, tops, 0.0).max(axis=2, initial=0.0)
-        carried = np.where(np.abs(tops - z[:, :, None]) <= TOUCH_MM, area, 0.0).sum(axis=2)
+        z, carried = let_down(area, self._high[: self._n, 2])
         self.points = np.concatenate([self.points, points])
         self.z = np.concatenate([self.z, z])
         self.carried = np.concatenate([self.carried, np.where(z > 0, carried, self.area)])
@@ -146,6 +144,17 @@ def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArr
     ends = high[_SLIDING]
     reached: FloatArray = np.where(in_way & (ends <= start[..., None] + TOUCH_MM), ends, 0.0).max(axis=2)
     return reached
+
+
+def let_down(area: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How high the bottoms of boxes come to rest on n boxes, mm, and the area that carries them there, mm².
+
+    Args:
+        area: (…, n) that each shares with each of them, seen from above; ``tops``: (n,) mm.
+    """
+    z = np.where(area > 0, tops, 0.0).max(axis=-1, initial=0.0)
+    carried: FloatArray = np.where(np.abs(tops - z[..., None]) <= TOUCH_MM, area, 0.0).sum(axis=-1)
+    return z, carried
 
 
 def overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

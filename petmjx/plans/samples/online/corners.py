@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM
-from petmjx.plans.samples.candidates import Candidates, corner_points, overlap
+from petmjx.plans.samples.candidates import Candidates, corner_points, let_down, overlap
 from petmjx.plans.samples.online.stream import Places, Stream
 from petmjx.plans.samples.online.surface import Surface
 from petmjx.plans.samples.orders import Item
@@ -74,10 +74,8 @@ class Mirrored(Candidates):
             once = np.unique(at[:, 0] + 1j * at[:, 1])
             corner = np.stack([once.real, once.imag], axis=1)
             area = overlap(corner, base[None], low[:, :2], high[:, :2])[:, 0]
-            tops = high[:, 2]
-            z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
-            borne = np.where(np.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1) / self.area[shape]
-            parts.append((np.full(len(z), shape), corner, z, np.where(z > 0, borne, 1.0)))
+            z, carried = let_down(area, high[:, 2])
+            parts.append((np.full(len(z), shape), corner, z, np.where(z > 0, carried / self.area[shape], 1.0)))
         some: list[Any] = [np.concatenate(each) for each in zip(*parts, strict=True)]
         shape, self.corners, self.rests, support = some
         return shape, self.corners, self.rests, support
