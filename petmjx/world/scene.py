@@ -191,7 +191,10 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     half_size, target = half_size_and_target(plan.size_mm, plan.corner_mm, sim)
     boards = pallet(sim.carrier)
     stiffness = _stiffness(plan) if physics.has_own_friction else None
-    carrier = _slab(plan, sim) if boards is None else body_of(boards, physics)
+    if boards is None:
+        carrier = next(_slabs(plan.corner_mm, plan.size_mm, np.array([0]), sim))
+    else:
+        carrier = body_of(boards, physics)
     surfaces = find_surfaces(plan, sim, len(carrier.half_size))
     return Scene(
         half_size=half_size,
@@ -263,7 +266,8 @@ def _together(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
 def _slabs(
     corner_mm: NDArray[np.float64], size_mm: NDArray[np.float64], begins: NDArray[np.intp], sim: Simulation
 ) -> Iterator[Body]:
-    """The carriers of plans whose boxes begin at these rows: as large as their bounding boxes, or of a fixed size."""
+    """The carriers of plans whose boxes begin at these rows, each one box: as large as a plan's bounding box, or of a
+    fixed size, its front-left corner the origin."""
     extent, physics, n = extent_m(sim.carrier), sim.physics, len(begins)
     if extent is None:
         low_mm = np.minimum.reduceat(corner_mm[:, :2], begins)
@@ -273,10 +277,8 @@ def _slabs(
         corner, size = np.zeros((n, 2)), np.tile(np.array(extent), (n, 1))
     thick = np.full((n, 1), physics.carrier_half_height_m)
     half_size, place = np.hstack([size / 2, thick]), np.hstack([corner + size / 2, -thick])
-    middle, friction = np.zeros((n, 1, 3)), np.tile(physics.carrier_friction, (n, 1, 1))
-    mass = physics.carrier_mass_kg
     for k in range(n):
-        yield Body(place[k], mass, half_size[k : k + 1], middle[k], friction[k], half_size[k])
+        yield Body.solid(place[k], half_size[k], physics.carrier_mass_kg, physics.carrier_friction)
 
 
 def half_size_and_target(
@@ -300,19 +302,3 @@ def _directions(plan: Plan) -> NDArray[np.float64] | None:
         return None
     angle = np.radians(plan.approach_deg)
     return np.asarray(np.nan_to_num(np.stack([np.cos(angle), np.sin(angle)], axis=1)))
-
-
-def _slab(plan: Plan, sim: Simulation) -> Body:
-    """A carrier of one box: as large as the plan's bounding box, or of a fixed size, its front-left corner the
-    origin."""
-    extent = extent_m(sim.carrier)
-    if extent is None:
-        low_mm = plan.corner_mm[:, :2].min(axis=0)
-        extent_mm = (plan.corner_mm + plan.size_mm)[:, :2].max(axis=0) - low_mm
-        corner, size = low_mm / MM_PER_M, extent_mm / MM_PER_M
-    else:
-        corner, size = np.zeros(2), np.array(extent)
-    physics = sim.physics
-    half_size = np.array([*(size / 2), physics.carrier_half_height_m])
-    place = np.array([*(corner + size / 2), -physics.carrier_half_height_m])
-    return Body.solid(place, half_size, physics.carrier_mass_kg, physics.carrier_friction)
