@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +19,7 @@ from typing import Any, Final
 from benchmarks.instant import Instant
 from benchmarks.record import Result, timed
 from petmjx.basics.errors import InputError
+from petmjx.basics.processes import process_pool
 from petmjx.engines.choose import check_options, options_of
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.plans.plan import Plan
@@ -80,7 +80,7 @@ def measured(case: Million) -> Iterator[Result]:
 def _in_process(step: Callable[[Million], Result], case: Million) -> Result:
     """What a step returns, in a process of its own, with its largest memory. If that process dies, this raises; a
     ``multiprocessing.Pool`` would wait for ever."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+    with process_pool(1) as pool:
         return pool.submit(_measured_step, step, case).result()
 
 

@@ -18,10 +18,11 @@ def process_pool(processes: int) -> ProcessPoolExecutor:
 
 def _end_with_parent() -> None:
     parent = parent_process()
-    if parent is not None:
-        threading.Thread(target=_wait_for, args=(parent,), name="petmjx-parent", daemon=True).start()
+    if parent is None:
+        return
 
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
 
-def _wait_for(parent: object) -> None:
-    parent.join()  # type: ignore[attr-defined]  # a process, of a class without a name in public
-    os._exit(1)
+    threading.Thread(target=wait, name="petmjx-parent", daemon=True).start()

@@ -259,7 +259,9 @@ class SoftWorld(LiveWorld):
         return self._state()
 
     @classmethod
-    def resume(cls, scene: Scene, sim: Simulation, state: SoftState, time_s: float) -> SoftWorld:  # type: ignore[override]
+    def resume(  # type: ignore[override]  # with what ``body_state`` gave
+        cls, scene: Scene, sim: Simulation, state: SoftState, time_s: float
+    ) -> SoftWorld:
         live = cls(scene, sim, n_boxes=scene.n_boxes, shaken=True)
         live._put(state)
         live.data.time = time_s
