@@ -21,8 +21,8 @@ from petmjx.loop.closing import Closable
 from petmjx.loop.heights import height_maps
 from petmjx.loop.opening import MOST_PALLETS, OF_RUN, check_open, open_engine
 from petmjx.loop.places import Places, free_places
-from petmjx.loop.settled import SettledEngine, scene_key
-from petmjx.loop.stock import Stock
+from petmjx.loop.settled import SettledEngine
+from petmjx.loop.standing import Standing
 from petmjx.loop.told import Told
 from petmjx.loop.trials import Errors, drive_of, shares, told_driven
 from petmjx.options.carrier import AnyCarrier, extent_m
@@ -32,9 +32,6 @@ from petmjx.plans.plan import Plan
 from petmjx.results.reader import RunResults
 from petmjx.simulate import simulate
 from petmjx.study import Nominal
-from petmjx.world.job import Job
-from petmjx.world.next_boxes import Blank, NextBoxes
-from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 96
 """The default for a pallet."""
@@ -87,13 +84,8 @@ class Pallets(Closable):
         check_open(self.simulation)
         self._engine, self._own = open_engine(engine, self.n, of_run)
         self._lock = threading.RLock()
-        self._boxes = Stock(self.n)
-        self._before: NDArray[np.int64] = np.full(self.n, -1, np.int64)
-        self._dead: NDArray[np.bool_] = np.zeros(self.n, bool)
-        empty = Blank(self.simulation).scene
-        # pallet i is world i; world n + i is pallet i before its last box came; the last one stays empty
-        self._worlds = self._engine.open([empty] * (2 * self.n + 1), self.simulation, self.most_boxes)
-        self._worlds.go_on()
+        self._standing = Standing(self.n, self._engine, self.simulation, self.most_boxes)
+        self._worlds, self._boxes = self._standing.worlds, self._standing.boxes
 
     def __len__(self) -> int:
         return self.n
@@ -125,7 +117,7 @@ class Pallets(Closable):
     @property
     def ended(self) -> NDArray[np.bool_]:
         """(n,) whether a pallet has fallen, so that nothing can be put onto it until it is reset."""
-        return self._dead.copy()
+        return self._standing.dead.copy()
 
     # ------------------------------------------------------------------ placements
 
@@ -138,7 +130,7 @@ class Pallets(Closable):
         with self._using():
             asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
             once_each(asked.pallet)
-            return self._place(asked)
+            return self._standing.place(asked)
 
     def try_all(
         self,
@@ -173,7 +165,7 @@ class Pallets(Closable):
             asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
             if not len(asked):
                 return Told.of_readings(asked.pallet, self._worlds.readings([]), self.simulation.thresholds)
-            boxes, worlds = self._next(asked), asked.pallet.tolist()
+            boxes, worlds = self._standing.next_boxes(asked), asked.pallet.tolist()
             if shaken is None:
                 found = self._worlds.try_next(worlds, boxes)
                 told = Told.of_readings(asked.pallet, found, self.simulation.thresholds)
@@ -196,14 +188,7 @@ class Pallets(Closable):
             once_each(rows)
             if (bare := rows[self._boxes.count[rows] == 0]).size:
                 raise InputError(f"pallet: {bare[0]} has no box to take back")
-            left = self._boxes.count[rows] - 1
-            kept = self._before[rows] == left
-            if kept.any():
-                self._worlds.fork((self.n + rows[kept]).tolist(), rows[kept].tolist())
-            self._boxes.cut(rows, left)
-            self._dead[rows], self._before[rows] = False, -1
-            if not kept.all():
-                self._build(rows[~kept])
+            self._standing.take_back(rows)
 
     def fork(self, sources: Any, into: Any) -> None:
         """Make pallets copies of others, to the last bit. They go their own ways.
@@ -219,20 +204,15 @@ class Pallets(Closable):
             if len(these) != len(those):
                 raise InputError(f"into must name as many pallets as sources, {len(these)}, got {len(those)}")
             once_each(those, "into")
-            if not len(these):
-                return
-            both = [*these.tolist(), *(self.n + these).tolist()], [*those.tolist(), *(self.n + those).tolist()]
-            self._worlds.fork(*both)
-            self._boxes.copy(these, those)
-            self._before[those], self._dead[those] = self._before[these], self._dead[these]
+            if len(these):
+                self._standing.fork(these, those)
 
     def reset(self, pallet: Any = None) -> None:
         """Empty some pallets; None: all."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             once_each(rows)
-            self._empty_worlds(rows)
-            self._boxes.cut(rows, np.zeros(len(rows), np.int64))
+            self._standing.empty(rows)
 
     # ------------------------------------------------------------------ what is there
 
@@ -270,14 +250,10 @@ class Pallets(Closable):
             rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
             if not len(rows):
                 raise InputError("pallet: none has boxes")
-            plans = [self.plan(int(row)) for row in rows]
-            worlds: dict[bytes, int] = {}
-            if self._engine.name in ("mjx-warp", "mjx-warp-cpu"):
-                scenes = ((build_scene(plan, self.simulation), int(row)) for plan, row in zip(plans, rows, strict=True))
-                worlds = {scene_key(Job(scene)): row for scene, row in scenes}
-            settled = SettledEngine(self._engine, self._worlds, worlds, self.simulation)
+            plans = {row: self.plan(row) for row in rows.tolist()}
+            settled = SettledEngine(self._engine, self._worlds, plans, self.simulation)
             run = RunOptions(**{"engine": settled, **options})
-            return simulate(partial(Nominal, self.simulation), self.simulation, plans, run)
+            return simulate(partial(Nominal, self.simulation), self.simulation, list(plans.values()), run)
 
     def verdict(self, pallet: int = 0) -> str:
         """The verdict of a score of one pallet: "stable", "unstable" or "invalid". See ``score``."""
@@ -356,41 +332,13 @@ class Pallets(Closable):
 
     def _asked(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Asked:
         asked = asked_of(size_mm, corner_mm, mass_kg, pallet, self.n)
-        if (dead := asked.pallet[self._dead[asked.pallet]]).size:
+        if (dead := asked.pallet[self._standing.dead[asked.pallet]]).size:
             raise InputError(f"pallet: {dead[0]} has fallen; reset it, or take its last box back")
         if (full := asked.pallet[self._boxes.count[asked.pallet] >= self.most_boxes]).size:
             raise InputError(
                 f"pallet: {full[0]} has {self.most_boxes} boxes already; make pallets with a larger most_boxes"
             )
         return asked
-
-    def _next(self, asked: Asked) -> NextBoxes:
-        return NextBoxes.of(asked.size_mm, asked.corner_mm, asked.mass_kg, self.simulation)
-
-    def _place(self, asked: Asked) -> Told:
-        worlds = asked.pallet.tolist()
-        if worlds:
-            self._worlds.fork(worlds, (self.n + asked.pallet).tolist())
-            self._before[asked.pallet] = self._boxes.count[asked.pallet]
-            self._worlds.put_next(worlds, self._next(asked))
-            self._boxes.add(asked)
-            self._worlds.go_on()
-        told = Told.of_readings(asked.pallet, self._worlds.readings(worlds), self.simulation.thresholds)
-        self._dead[asked.pallet] = told.ended
-        return told
-
-    def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
-        self._worlds.fork([2 * self.n] * len(rows), rows.tolist())
-        self._dead[rows], self._before[rows] = False, -1
-
-    def _build(self, rows: NDArray[np.int64]) -> None:
-        """Place the boxes of some pallets anew, one after the other."""
-        self._empty_worlds(rows)
-        for number in range(int(self._boxes.count[rows].max(initial=0))):
-            some = rows[self._boxes.count[rows] > number]
-            box = self._boxes.box(some, number)
-            self._worlds.put_next(some.tolist(), self._next(box))
-            self._worlds.go_on()
 
     def _one(self, pallet: Any, *, may_be_empty: bool = False) -> int:
         (number,) = pallets_of(whole_of(pallet, "pallet"), self.n).tolist()

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.open import OpenWorlds
 from petmjx.options.config import Simulation
+from petmjx.plans.plan import Plan
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
 
 AT_ONCE = 4096
 """Worlds that are finished side by side."""
@@ -21,11 +23,14 @@ class SettledEngine(Engine):
     model, and with it in the last digits: there nothing is taken.
 
     Args:
-        worlds: (mass of boxes, half extents, targets) of a scene, as bytes → the open world that has it.
+        plans: open world → the plan whose boxes it has.
     """
 
-    def __init__(self, engine: Engine, open_worlds: OpenWorlds, worlds: Mapping[bytes, int], sim: Simulation) -> None:
-        self.name, self._engine, self._open, self._worlds, self._sim = engine.name, engine, open_worlds, worlds, sim
+    def __init__(self, engine: Engine, open_worlds: OpenWorlds, plans: Mapping[int, Plan], sim: Simulation) -> None:
+        self.name, self._engine, self._open, self._sim = engine.name, engine, open_worlds, sim
+        self._worlds: dict[bytes, int] = {}
+        if engine.name in ("mjx-warp", "mjx-warp-cpu"):
+            self._worlds = {_key(Job(build_scene(plan, sim))): world for world, plan in plans.items()}
 
     @property
     def device(self) -> str:
@@ -35,7 +40,7 @@ class SettledEngine(Engine):
         """As all engines."""
         own: dict[int, int] = {}
         if sim == self._sim:
-            named = {index: self._worlds.get(scene_key(job)) for index, job in enumerate(jobs) if job.record is None}
+            named = {index: self._worlds.get(_key(job)) for index, job in enumerate(jobs) if job.record is None}
             own = {index: world for index, world in named.items() if world is not None}
         numbers = list(own)
         for first in range(0, len(numbers), AT_ONCE):
@@ -50,7 +55,7 @@ class SettledEngine(Engine):
                 yield outcome
 
 
-def scene_key(job: Job) -> bytes:
+def _key(job: Job) -> bytes:
     """What tells the boxes of pallets of one carrier apart."""
     scene = job.scene
     return scene.mass.tobytes() + scene.half_size.tobytes() + scene.target.tobytes()

@@ -1,0 +1,83 @@
+"""Pallets in the open worlds of an engine: which world has which pallet, now and before its last box came."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.engines.base import Engine
+from petmjx.loop.asked import Asked
+from petmjx.loop.stock import Stock
+from petmjx.loop.told import Told
+from petmjx.options.config import Simulation
+from petmjx.world.next_boxes import Blank, NextBoxes
+
+
+class Standing:
+    """n pallets that stand in worlds. Called by one thread at a time.
+
+    Attributes:
+        worlds: pallet i is world i; world n + i is pallet i before its last box came; the last one stays empty.
+        boxes: which boxes they have, as they were asked for.
+        dead: (n,) whether a pallet has fallen.
+    """
+
+    def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
+        self._n, self._sim = n, sim
+        self.boxes = Stock(n)
+        self.dead: NDArray[np.bool_] = np.zeros(n, bool)
+        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in the world before the last; -1: none
+        self.worlds = engine.open([Blank(sim).scene] * (2 * n + 1), sim, most_boxes)
+        self.worlds.go_on()
+
+    def next_boxes(self, asked: Asked) -> NextBoxes:
+        """As worlds have them."""
+        return NextBoxes.of(asked.size_mm, asked.corner_mm, asked.mass_kg, self._sim)
+
+    def place(self, asked: Asked) -> Told:
+        """Put boxes onto pallets, one each, and wait until these rest."""
+        rows = asked.pallet
+        if len(rows):
+            self.worlds.fork(rows.tolist(), (self._n + rows).tolist())
+            self._before[rows] = self.boxes.count[rows]
+            self.worlds.put_next(rows.tolist(), self.next_boxes(asked))
+            self.boxes.add(asked)
+            self.worlds.go_on()
+        told = Told.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
+        self.dead[rows] = told.ended
+        return told
+
+    def take_back(self, rows: NDArray[np.int64]) -> None:
+        """Take the last boxes off pallets that have some."""
+        left = self.boxes.count[rows] - 1
+        kept = self._before[rows] == left
+        if kept.any():
+            self.worlds.fork((self._n + rows[kept]).tolist(), rows[kept].tolist())
+        self.boxes.cut(rows, left)
+        self.dead[rows], self._before[rows] = False, -1
+        if not kept.all():
+            self._build(rows[~kept])
+
+    def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
+        """Make pallets copies of others."""
+        these, those = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
+        self.worlds.fork(these, those)
+        self.boxes.copy(sources, into)
+        self._before[into], self.dead[into] = self._before[sources], self.dead[sources]
+
+    def empty(self, rows: NDArray[np.int64]) -> None:
+        """Pallets have no boxes."""
+        self._empty_worlds(rows)
+        self.boxes.cut(rows, np.zeros(len(rows), np.int64))
+
+    def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
+        self.worlds.fork([2 * self._n] * len(rows), rows.tolist())
+        self.dead[rows], self._before[rows] = False, -1
+
+    def _build(self, rows: NDArray[np.int64]) -> None:
+        """Place the boxes of some pallets anew, one after the other."""
+        self._empty_worlds(rows)
+        for number in range(int(self.boxes.count[rows].max(initial=0))):
+            some = rows[self.boxes.count[rows] > number]
+            self.worlds.put_next(some.tolist(), self.next_boxes(self.boxes.box(some, number)))
+            self.worlds.go_on()
