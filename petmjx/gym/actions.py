@@ -86,6 +86,11 @@ class Actions:
         self._grid = None if options.actions == CANDIDATES else corners
         self.count = options.n_candidates if self._grid is None else 2 * options.buffer * len(corners)
 
+    @property
+    def asks_physics(self) -> bool:
+        """Whether the mask tries places."""
+        return self._options.mask in (PHYSICS, LOADS)
+
     def fill(self, table: Table, rows: NDArray[np.int64], size_mm: FloatArray, mass_kg: FloatArray) -> None:
         """Work out the actions of some episodes.
 
@@ -117,7 +122,7 @@ class Actions:
         margin = np.zeros(len(chosen))
         stands = np.ones(len(chosen), bool)
         asked = places.row[chosen]
-        if self._options.mask in (PHYSICS, LOADS) and len(chosen):
+        if self.asks_physics and len(chosen):
             told = self._pallets.try_all(
                 size_mm=sizes[asked], corner_mm=places.corner_mm[chosen], mass_kg=masses[asked], pallet=rows[row]
             )

@@ -112,7 +112,7 @@ class Episodes:
             for name in set(terms) - {"illegal"}:
                 terms[name][legal] = found[name]
             terminated[legal] = ~told.stable
-            self._look(rows[legal][told.stable])
+            self._look(rows[legal][told.stable], known=not self._actions.asks_physics)
             self.table.clear(rows[legal][~told.stable])
             full = self.pallets.n_boxes[rows] >= self.pallets.most_boxes
             self.table.clear(rows[full])
@@ -124,15 +124,20 @@ class Episodes:
     def _place(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> tuple[Told, dict[str, FloatArray]]:
         table, at = self.table, (rows, actions)
         size, corner, mass, box = table.size_mm[at], table.corner_mm[at], table.mass_kg[at], table.box[at]
-        told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows)
-        last = self.pallets.n_boxes[rows] - 1
-        self._actions.strength_n[rows, last] = self._queues.take(rows, box)
+        last = self.pallets.n_boxes[rows]
+
+        def go_on() -> None:  # all that follows from where boxes were put
+            self._actions.strength_n[rows, last] = self._queues.take(rows, box)
+            self._maps.add(rows, last, size, corner)
+            if not self._actions.asks_physics:
+                self._actions.fill(self.table, rows, *self._queues.seen(rows))
+
+        told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows, meanwhile=go_on)
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)
         self._top[rows] += higher
         self._mass[rows] += mass
         self._volume[rows] += volume * told.stable
-        self._maps.add(rows, last, size, corner)
         self._maps.load(rows, told.top_force_n)
         self._verdict[rows], self._reason[rows] = told.verdict, told.reason
         self._culprit[rows], self._margin[rows] = told.culprit, np.nan_to_num(told.margin, nan=-1.0)
@@ -144,10 +149,13 @@ class Episodes:
         x, y = self.pallets.extent_mm
         return x * y * self.options.max_height_mm
 
-    def _look(self, rows: NDArray[np.int64]) -> None:
-        """Work out the actions of episodes. If there is none, the boxes that may come next are left out."""
+    def _look(self, rows: NDArray[np.int64], *, known: bool = False) -> None:
+        """Work out the actions of episodes, if they are not known yet. If there is none, the boxes that may come next
+        are left out."""
         while len(rows):
-            self._actions.fill(self.table, rows, *self._queues.seen(rows))
+            if not known:
+                self._actions.fill(self.table, rows, *self._queues.seen(rows))
+            known = False
             stuck = rows[~self.table.legal[rows].any(axis=1)]
             rows = stuck[self._queues.counts[stuck] > 0]
             self._queues.leave_out(rows, self.options.buffer)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, Final
@@ -91,11 +91,17 @@ class Pallets(Closable):
         return self.n
 
     @contextmanager
-    def _using(self) -> Iterator[None]:
-        """One thread at a time, until they are closed."""
+    def _using(self, *, worlds: bool = True) -> Iterator[None]:
+        """One thread at a time, until they are closed. ``worlds``: the engine is asked, or boxes change."""
         with self._lock:
             self._check_open()
+            if worlds:
+                self._check_placing()
             yield
+
+    def _check_placing(self) -> None:
+        if self._standing.placing:
+            raise InputError("meanwhile: pallets come to rest; ask for places, boxes and height maps only")
 
     @property
     def engine(self) -> str:
@@ -121,8 +127,20 @@ class Pallets(Closable):
 
     # ------------------------------------------------------------------ placements
 
-    def place(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> Told:
+    def place(
+        self,
+        *,
+        size_mm: Any,
+        corner_mm: Any,
+        mass_kg: Any,
+        pallet: Any = None,
+        meanwhile: Callable[[], object] | None = None,
+    ) -> Told:
         """Put one box each onto some pallets, and wait until these rest.
+
+        Args:
+            meanwhile: is called while they come to rest. Then ``places``, ``boxes`` and ``height_map`` know the new
+                boxes already, where they were put; nothing else can be asked.
 
         Raises:
             InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
@@ -130,7 +148,7 @@ class Pallets(Closable):
         with self._using():
             asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
             once_each(asked.pallet)
-            return self._standing.place(asked)
+            return self._standing.place(asked, meanwhile)
 
     def try_all(
         self,
@@ -265,14 +283,14 @@ class Pallets(Closable):
 
         A cell is covered by a box that covers more of it than its edge.
         """
-        with self._using():
+        with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as they were asked for; NaN
         behind a pallet's own."""
-        with self._using():
+        with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))
             return self._boxes.size_mm[rows, :k], self._boxes.corner_mm[rows, :k], self._boxes.mass_kg[rows, :k]
@@ -298,7 +316,7 @@ class Pallets(Closable):
         Raises:
             InputError: wrong shapes or numbers, corners off the carrier, or no such pallet.
         """
-        with self._using():
+        with self._using(worlds=False):
             asked = boxes_of(size_mm, pallet, self.n)
             highest = number_of(max_height_mm, "max_height_mm", 0.0)
             grid = None if grid_mm is None else grid_of(grid_mm, self.extent_mm)
@@ -324,6 +342,7 @@ class Pallets(Closable):
     def close(self) -> None:
         """Free what the engine holds. Whatever is asked afterwards is an InputError."""
         with self._lock:
+            self._check_placing()
             self._is_closed = True
             if self._own:
                 self._engine.close()

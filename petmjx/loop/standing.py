@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,12 +23,14 @@ class Standing:
         worlds: pallet i is world i; world n + i is pallet i before its last box came; the last one stays empty.
         boxes: which boxes they have, as they were asked for.
         dead: (n,) whether a pallet has fallen.
+        placing: whether an engine's thread lets pallets come to rest now: the worlds are its own until then.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
         self._n, self._sim = n, sim
         self.boxes = Stock(n)
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
+        self.placing = False
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in the world before the last; -1: none
         self.worlds = engine.open([Blank(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
@@ -34,14 +39,27 @@ class Standing:
         """As worlds have them."""
         return NextBoxes.of(asked.size_mm, asked.corner_mm, asked.mass_kg, self._sim)
 
-    def place(self, asked: Asked) -> Told:
-        """Put boxes onto pallets, one each, and wait until these rest."""
+    def place(self, asked: Asked, meanwhile: Callable[[], object] | None) -> Told:
+        """Put boxes onto pallets, one each, and wait until these rest; ``meanwhile`` is called while they do so."""
         rows = asked.pallet
         if len(rows):
             self.worlds.fork(rows.tolist(), (self._n + rows).tolist())
             self._before[rows] = self.boxes.count[rows]
             self.worlds.put_next(rows.tolist(), self.next_boxes(asked))
             self.boxes.add(asked)
+        if meanwhile is None:
+            return self._rested(rows)
+        self.placing = True
+        try:
+            with ThreadPoolExecutor(1) as pool:
+                told = pool.submit(self._rested, rows)
+                meanwhile()
+        finally:
+            self.placing = False
+        return told.result()
+
+    def _rested(self, rows: NDArray[np.int64]) -> Told:
+        if len(rows):
             self.worlds.go_on()
         told = Told.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
         self.dead[rows] = told.ended

@@ -151,6 +151,29 @@ def test_boxes_are_taken_back_pallets_forked_and_reset(pallets: Pallets) -> None
     assert pallets.told(0).n_boxes.tolist() == [0]
 
 
+def test_while_pallets_come_to_rest_others_ask_where_boxes_are_and_of_nothing_else(pallets: Pallets) -> None:
+    alone = pallets.place(**carton((0, 0, 0), (0, 0, 0), (1000, 0, 0)))
+    pallets.reset()
+    found = []
+
+    def meanwhile() -> None:
+        found.append((pallets.boxes()[1], pallets.places(size_mm=(400, 300, 200), pallet=0), pallets.height_map(400)))
+        for ask in (pallets.told, pallets.reset, pallets.close, lambda: pallets.place(**carton((0, 0, 0)), pallet=0)):
+            with pytest.raises(InputError, match="meanwhile: "):
+                ask()
+
+    told = pallets.place(**carton((0, 0, 0), (0, 0, 0), (1000, 0, 0)), meanwhile=meanwhile)
+    assert_same(told, alone)
+    ((corners, places, heights),) = found
+    np.testing.assert_array_equal(corners[:, 0, 0], [0, 0, 1000])
+    assert [400, 0, 0] in places.corner_mm.tolist()
+    assert [0, 0, 0] not in places.corner_mm.tolist()
+    assert heights[0, 0, 0] == 200
+    with pytest.raises(ZeroDivisionError):
+        pallets.place(**carton((400, 0, 0)), pallet=0, meanwhile=lambda: 1 / 0)
+    assert pallets.told(0).n_boxes == 2  # the box was placed all the same
+
+
 def test_errors_and_drives(pallets: Pallets) -> None:
     pallets.place(**carton((0, 0, 0)), pallet=0)
     corners = [(0, 0, 200), (198, 0, 200), (260, 0, 200)]
