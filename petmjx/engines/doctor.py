@@ -122,7 +122,7 @@ def _one_box() -> Plan:
 
 
 def _caches() -> dict[str, str]:
-    from petmjx.engines.batch.setup import cache_dir
+    from petmjx.basics.warp_setup import cache_dir
 
     folders = {
         "JAX programs": os.environ.get("JAX_COMPILATION_CACHE_DIR", str(cache_dir() / "jax")),

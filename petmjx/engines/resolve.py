@@ -13,6 +13,7 @@ from typing import Final
 from petmjx.basics.checked import got
 from petmjx.basics.errors import InputError
 from petmjx.basics.machine import cpu_threads, cuda_devices, device_name
+from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import Engine, Progress, Simulates
 from petmjx.engines.choose import Choice, choose, make_engine, options_of
 from petmjx.engines.cost import MEASURED, Costs, Work
@@ -79,9 +80,8 @@ def _bytes_of(plans: object) -> int:
 
 def _start_gpu() -> None:
     with suppress(Exception):  # whoever needs it says what is wrong
-        setup = importlib.import_module("petmjx.engines.batch.setup")
-        setup.set_up_jax()
-        setup.set_up_warp()
+        importlib.import_module("petmjx.engines.batch.setup").set_up_jax()
+        set_up_warp()
         importlib.import_module("petmjx.engines.warp.engine")
         importlib.import_module("warp").init()
         jax = importlib.import_module("jax")

@@ -23,7 +23,7 @@ from support.marching import OneStep
 from support.plans import Box, heap, on_boards
 from support.worlds import make_plan
 
-from petmjx.engines.batch.setup import set_up_warp
+from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.batch.upload import GRANULE
 from petmjx.engines.warp import launch, newton
 from petmjx.engines.warp.launch import Launch

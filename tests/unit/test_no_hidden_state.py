@@ -155,7 +155,7 @@ def test_a_batched_engine_in_the_middle_of_a_run_says_so() -> None:
 
 def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
     warp = pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
-    from petmjx.engines.batch.setup import cache_dir, set_up_warp
+    from petmjx.basics.warp_setup import cache_dir, set_up_warp
 
     monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
     warp.init()  # when Warp starts, it puts its version behind the folder's name

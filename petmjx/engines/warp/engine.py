@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.basics.machine import why_no_warp
+from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, RunLock
 from petmjx.engines.batch.outcomes import outcomes, pick
-from petmjx.engines.batch.setup import set_up_jax, set_up_warp
+from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, round_up, tables

@@ -1,0 +1,56 @@
+"""Sets up Warp for petmjx: where it keeps compiled kernels, and that it prints nothing.
+
+JAX's programs and Warp's kernels are kept under ``$PETMJX_CACHE_DIR`` (default: ``~/.cache/petmjx``). These are
+settings of the process. Who needs Warp first makes them; they stay, and they also apply to the caller's own Warp
+programs. If the caller has set one of them before, it is not changed.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from petmjx.basics.machine import cuda_devices
+
+
+def cache_dir() -> Path:
+    """Where compiled programs are kept."""
+    named = os.environ.get("PETMJX_CACHE_DIR")
+    return Path(named) if named else Path.home() / ".cache" / "petmjx"
+
+
+def set_up_warp() -> None:
+    """Put Warp's kernel cache beside JAX's, and stop Warp from printing.
+
+    Each setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) If tiles
+    are on the stack, Warp has one pointer to them for all threads of an x86 CPU: launches in several threads would
+    write through one another's.
+    """
+    import warp
+
+    if warp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ:
+        warp.config.kernel_cache_dir = str(cache_dir() / "warp")
+    if warp.config.enable_tiles_in_stack_memory:
+        warp.config.enable_tiles_in_stack_memory = None  # by architecture: on x86 they are not
+    if warp.config.log_level == warp.LOG_INFO:
+        warp.config.log_level = warp.LOG_ERROR
+    if not cuda_devices():
+        with _nothing_on_stderr():
+            warp.init()
+
+
+@contextmanager
+def _nothing_on_stderr() -> Iterator[None]:
+    """Keep off the terminal what native code writes there: that there is no CUDA driver, which is known."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
