@@ -8,15 +8,20 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context, parent_process
 
 
-def process_pool(processes: int) -> ProcessPoolExecutor:
+def process_pool(processes: int, *, gpu: bool = True) -> ProcessPoolExecutor:
     """So many fresh processes: a forked one would hang where a thread of this one held a lock.
 
     If this process is killed, they end, too. Those of the standard library would wait for tasks for ever.
+
+    Args:
+        gpu: whether they see GPUs. Where they use libraries on the CPU only, each would take some of its memory.
     """
-    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu,))
 
 
-def _end_with_parent() -> None:
+def _begin(gpu: bool) -> None:
+    if not gpu:
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
     parent = parent_process()
     if parent is None:
         return

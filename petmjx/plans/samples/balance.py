@@ -15,7 +15,8 @@ however high the pile is. Forces are in kg (without g, which cancels), lengths i
 from __future__ import annotations
 
 import copy
-from typing import Final, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +35,14 @@ least support of 0.6 all of 60 plans stood as well; the margin is for what a rob
 FAR_M: Final = 0.2
 """Margins are not said to be larger: that of a box on the carrier."""
 
-_SAME_PLACE_DECIMALS: Final = 9
+SAME_PLACE_DECIMALS: Final = 9
 """Corners are the same where they are as near as a nanometre. The hull takes points from left to right, and would lose
 one that is to the left of others by less than its products resolve."""
 
-_LEAST_TURN_M2: Final = 1e-12
+LEAST_TURN_M2: Final = 1e-12
 """A corner at which the hull turns by less lies on an edge: rounding errors of its coordinates' products."""
 
-_SLACK_KG_M: Final = 1e-9
+SLACK_KG_M: Final = 1e-9
 
 
 class Rest(NamedTuple):
@@ -95,6 +96,15 @@ class Balance:
         twin._passed[:n, :n] = self._passed[:n, :n]
         return twin
 
+    def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
+        """Write everything into the tables of :mod:`petmjx.plans.samples.compiled`."""
+        n, planes = self.n, len(self._planes)
+        tables["counts"][3] = planes
+        tables["low_m"][:n], tables["high_m"][:n] = self._low[:n], self._high[:n]
+        tables["top"][:n], tables["load"][:n] = self._top_mm[:n], self._load[:n]
+        tables["passed"][:n, :n] = self._passed[:n, :n].reshape(n, n, 9)
+        tables["planes"][:planes], tables["owner"][:planes] = self._planes, self._owner
+
     @property
     def loads(self) -> FloatArray:
         """(n, 3) own weight and all loads from above of each box: kg, kg·m, kg·m."""
@@ -105,10 +115,10 @@ class Balance:
         let_down = self._let_down(corner_mm, base_mm, mass_kg)
         if corner_mm[2] <= 0:
             return let_down
-        if let_down is None or (let_down.planes @ let_down.load).max() > 0:
+        if let_down is None or tips(let_down.planes, let_down.load):
             return None
         # the load of a plane's owner against that plane, for all hulls of the pile at a time
-        if len(self._planes) and self._over_planes(let_down).max() > _SLACK_KG_M:
+        if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
 
@@ -130,7 +140,7 @@ class Balance:
             return Margins(let_down, -FAR_M, FAR_M)
         own = pile = FAR_M
         if len(let_down.planes):
-            own = _margin_m(base_mm) - float((let_down.planes @ let_down.load).max()) / mass_kg
+            own = margin_m(base_mm) - float((let_down.planes @ let_down.load).max()) / mass_kg
         if len(self._planes) and let_down.passed is not None:
             after = self._load[:, 0][: self.n] + (let_down.passed @ let_down.load)[:, 0]
             beyond = self._over_planes(let_down) / after[self._owner]
@@ -162,7 +172,7 @@ class Balance:
         if not len(under):
             return None
         low, high = low[under], high[under]
-        planes = hull_planes(low, high, _margin_m(base_mm))
+        planes = hull_planes(low, high, margin_m(base_mm))
         if len(under) == 1:  # which takes the whole load
             passed = self._passed[under[0], :n]
         else:
@@ -184,12 +194,17 @@ class Balance:
             self._load[:n] += rest.passed @ rest.load
             self._planes = np.concatenate([self._planes, rest.planes])
             self._owner = np.concatenate([self._owner, np.full(len(rest.planes), n)])
-            moved = _margin_m((size_mm[0], size_mm[1]))
+            moved = margin_m((size_mm[0], size_mm[1]))
             self._moved = np.concatenate([self._moved, np.full(len(rest.planes), moved)])
         self.n += 1
 
 
-def _margin_m(base_mm: tuple[float, float]) -> float:
+def tips(planes: FloatArray, load: FloatArray) -> bool:
+    """Whether a box with that load tips over the edges of its hull."""
+    return bool((planes @ load).max() > 0)
+
+
+def margin_m(base_mm: tuple[float, float]) -> float:
     """How far inside its hull the load of a box with that base must act."""
     return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
@@ -214,9 +229,9 @@ def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
     Returns:
         (k, 3) rows (d, n_x, n_y): d + n · p is how far p lies beyond the edge that was moved.
     """
-    lows, highs = np.round(low, _SAME_PLACE_DECIMALS).tolist(), np.round(high, _SAME_PLACE_DECIMALS).tolist()
+    lows, highs = np.round(low, SAME_PLACE_DECIMALS).tolist(), np.round(high, SAME_PLACE_DECIMALS).tolist()
     corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]
-    ring = convex_hull(corners, _LEAST_TURN_M2)
+    ring = convex_hull(corners, LEAST_TURN_M2)
     planes = []
     for (ax, ay), (bx, by) in zip(ring, ring[1:] + ring[:1], strict=True):
         length = ((bx - ax) ** 2 + (by - ay) ** 2) ** 0.5

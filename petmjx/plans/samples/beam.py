@@ -11,14 +11,16 @@ Nothing is drawn at random, and nothing depends on the time that it takes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from math import ceil, inf
 from typing import Final, NamedTuple
 
+from petmjx.basics.machine import why_no_warp_on_cpu
 from petmjx.plans.samples.balanced import TASTES
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import Placed
-from petmjx.plans.samples.packing import Packing, Taste
+from petmjx.plans.samples.packing import Filled, Next, Packing, Taste
 
 MOST_STEPS: Final = 80
 """Steps of a search. With it an order of 162 boxes, all different, takes 12 s, without it 34 s."""
@@ -37,9 +39,9 @@ class Worth(NamedTuple):
     """How deep its masses are: of packings equally high, the one with lower masses stands better."""
 
     @classmethod
-    def of(cls, packing: Packing) -> Worth:
+    def of(cls, filled: Filled) -> Worth:
         """Of a packing that is filled up."""
-        return cls(round(packing.volume_m3, _VOLUME_DECIMALS), -packing.top_mm, -packing.moment_kg_mm)
+        return cls(round(filled.volume_m3, _VOLUME_DECIMALS), -filled.top_mm, -filled.moment_kg_mm)
 
 
 class Found(NamedTuple):
@@ -82,6 +84,25 @@ def search(
     return best
 
 
+Fills = Callable[[Packing, Next | None, float], Filled | None]
+"""What fills packings up, as ``Packing.filled``."""
+
+
+def fills_for(start: Packing) -> Fills:
+    """What fills up packings of an order: in machine code where Warp is installed, which compiles it. The packings are
+    the same.
+
+    Args:
+        start: the one without boxes.
+    """
+    if why_no_warp_on_cpu() is None:
+        from petmjx.plans.samples.compiled import Compiled
+
+        with suppress(Exception):  # a machine for which Warp does not compile
+            return Compiled(start)
+    return Packing.filled
+
+
 class _Way(NamedTuple):
     """A packing that the search may go on from, and what it is when it is filled up."""
 
@@ -89,49 +110,72 @@ class _Way(NamedTuple):
     filled: Found
 
 
+class _NextWay(NamedTuple):
+    """A packing with one box more, if there is a candidate, and what it is when it is filled up."""
+
+    packing: Packing
+    candidate: Next | None
+    filled: Found
+
+    def made(self) -> _Way:
+        """With that box placed."""
+        if self.candidate is None:
+            return _Way(self.packing, self.filled)
+        packing = self.packing.copy()
+        packing.put(self.candidate)
+        return _Way(packing, self.filled)
+
+
 def _search(
     items: Sequence[Item], extent_mm: tuple[float, float], clearance_mm: float, taste: Taste, width: int, branch: int
 ) -> Found:
     start = Packing(items, extent_mm, taste, clearance_mm)
-    first = _filled(start.copy())
+    fills = fills_for(start)
+    first = _filled(fills, start)
     assert first is not None
     ways, best, stride = [_Way(start, first)], first, ceil(len(items) / MOST_STEPS)
-    while ways := _step(ways, width, branch, stride):
+    while ways := _step(ways, width, branch, stride, fills):
         best = max(best, ways[0].filled, key=lambda found: found.worth)
     return best
 
 
-def _step(ways: Sequence[_Way], width: int, branch: int, stride: int) -> list[_Way]:
+def _step(ways: Sequence[_Way], width: int, branch: int, stride: int, fills: Fills) -> list[_Way]:
     """The best ways that lead on by ``stride`` boxes, the best first; none where nothing more can be placed."""
-    best: list[_Way] = []
+    best: list[_NextWay] = []
     known: set[frozenset[Placed]] = set()
     for way in ways:
+        before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing.copy()
-            packing.put(candidate)
-            packing.fill(most=stride - 1)
-            boxes = frozenset(packing.placed)
+            packing = way.packing  # copied only for the best
+            first: Next | None = candidate
+            boxes = before | {packing.box(candidate)}
+            if stride > 1:
+                packing, first = way.packing.copy(), None
+                packing.put(candidate)
+                packing.fill(most=stride - 1)
+                boxes = frozenset(packing.placed)
             if boxes in known:  # in another order
                 continue
             known.add(boxes)
             if number == 0:  # the best candidate is the one with which its packing was filled up
                 filled: Found | None = way.filled
             else:
-                filled = _filled(packing.copy(), _worst(best, width, packing.n_items))
+                filled = _filled(fills, packing, first, _worst(best, width, packing.n_items))
             if filled is not None:
-                best.append(_Way(packing, filled))
+                best.append(_NextWay(packing, first, filled))
                 best.sort(key=lambda each: each.filled.worth, reverse=True)
                 del best[width:]
-    return best
+    return [each.made() for each in best]
 
 
-def _worst(best: Sequence[_Way], width: int, n_items: int) -> float:
+def _worst(best: Sequence[_NextWay], width: int, n_items: int) -> float:
     """The height that another packing must not exceed to be one of the best, mm."""
     if len(best) < width or len(best[-1].filled.placed) < n_items:  # more boxes may be worth any height
         return inf
     return best[-1].filled.height_mm
 
 
-def _filled(packing: Packing, highest_mm: float = inf) -> Found | None:
+def _filled(fills: Fills, packing: Packing, first: Next | None = None, highest_mm: float = inf) -> Found | None:
     """The packing, filled up; None if it becomes higher than that."""
-    return Found(Worth.of(packing), tuple(packing.placed)) if packing.fill(highest_mm) else None
+    filled = fills(packing, first, highest_mm)
+    return None if filled is None else Found(Worth.of(filled), filled.placed)

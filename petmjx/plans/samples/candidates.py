@@ -8,7 +8,8 @@ and the few new points with all boxes.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,16 @@ class Candidates:
         # the other tables are replaced when they change
         twin._low, twin._high = _copied(self._low, self._n), _copied(self._high, self._n)
         return twin
+
+    def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
+        """Write everything into the tables of :mod:`petmjx.plans.samples.compiled`."""
+        points, shapes = self.z.shape
+        tables["counts"][:2] = self._n, points
+        tables["base"][:shapes], tables["area"][:shapes], tables["height"][:shapes] = self.base, self.area, self.height
+        tables["points"][:points] = self.points
+        for name, values in {"z": self.z, "carried": self.carried, "open": self.open, "inside": self._inside}.items():
+            tables[name][:points, :shapes] = values
+        tables["low"][: self._n], tables["high"][: self._n] = self.placed
 
     @property
     def placed(self) -> tuple[FloatArray, FloatArray]:

@@ -6,10 +6,10 @@ A packing can be copied, so that a search follows several ways on from it.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,11 +53,21 @@ class Next(NamedTuple):
     rest: Rest
 
 
+class Filled(NamedTuple):
+    """A packing on which nothing more has a place. ``placed`` and the other fields are those of ``Packing``."""
+
+    placed: tuple[Placed, ...]
+    top_mm: float
+    volume_m3: float
+    moment_kg_mm: float
+
+
 class Packing:
     """Boxes on a target, and items that are left.
 
     Attributes:
         n_items: boxes of the order.
+        extent_mm: of the target, with the free space of the last box.
         placed: boxes in packing order, as objects of the items.
         top_mm: highest top.
         volume_m3: of the boxes.
@@ -95,8 +105,8 @@ class Packing:
         # each takes up its free space too, on a target that has room for the last one's; it is borne by the box alone
         self._base = sizes[:, :2]
         length, width = extent_mm
-        extent = (length + clearance_mm, width + clearance_mm)
-        self._table = self._Table(self._base + clearance_mm, sizes[:, 2], extent, len(items))
+        self.extent_mm = (length + clearance_mm, width + clearance_mm)
+        self._table = self._Table(self._base + clearance_mm, sizes[:, 2], self.extent_mm, len(items))
         self._pile = Balance(len(items))
 
     def copy(self) -> Packing:
@@ -105,6 +115,20 @@ class Packing:
         twin.placed, twin._stock = list(self.placed), [list(same) for same in self._stock]
         twin._table, twin._pile = self._table.copy(), self._pile.copy()
         return twin
+
+    @property
+    def n_shapes(self) -> int:
+        """Kinds of boxes that are left, in each orientation."""
+        return len(self._kind_of)
+
+    @property
+    def grain_mm(self) -> float:
+        """The largest power of two, at most 1 mm, of which all sides and the free space are multiples."""
+        sizes = np.concatenate([self._base.ravel(), self._table.base.ravel(), self._table.height])
+        grain = 1.0
+        while grain > 0 and (sizes % grain).any():
+            grain /= 2
+        return grain
 
     def next(self, count: int = 1, kinds: Sequence[int] | None = None) -> list[Next]:
         """The best candidates that keep the pile in balance, at most ``count``, the best first.
@@ -135,13 +159,19 @@ class Packing:
                 found.append(Next(point, shape, corner, rest))
         return found
 
+    def box(self, chosen: Next) -> Placed:
+        """A candidate that ``next`` found last, as it would be placed."""
+        item = self._stock[int(self._kind_of[chosen.shape])][-1]
+        return Placed(item, int(self._turned[chosen.shape]), chosen.corner_mm)
+
     def put(self, chosen: Next) -> None:
         """Place one of the candidates that ``next`` found last."""
         point, shape, corner, rest = chosen
         kind, height = int(self._kind_of[shape]), float(self._table.height[shape])
         self._pile.add(corner, (*self._base[shape].tolist(), height), rest)
+        box = self.box(chosen)
         item = self._stock[kind].pop()
-        self.placed.append(Placed(item, int(self._turned[shape]), corner))
+        self.placed.append(box)
         self.top_mm = max(self.top_mm, corner[2] + height)
         self.volume_m3 += item.volume_m3
         self.moment_kg_mm += item.weight_kg * (corner[2] + height / 2)
@@ -163,6 +193,48 @@ class Packing:
                 return True
             self.put(best[0])
         return False
+
+    def filled(self, first: Next | None = None, highest_mm: float = inf) -> Filled | None:
+        """What this packing is when it is filled up; it stays as it is. None: a top would be higher than that.
+
+        Args:
+            first: the candidate, of those that ``next`` found last, that is placed first; None: the best one.
+        """
+        twin = self.copy()
+        if first is not None:
+            twin.put(first)
+        if not twin.fill(highest_mm):
+            return None
+        return Filled(tuple(twin.placed), twin.top_mm, twin.volume_m3, twin.moment_kg_mm)
+
+    def filled_with(self, shapes: Sequence[int], corners_mm: Sequence[Sequence[float]]) -> Filled:
+        """This packing, filled up by the boxes of these shapes at these corners, in this sequence."""
+        placed, top, volume, moment = list(self.placed), self.top_mm, self.volume_m3, self.moment_kg_mm
+        kinds, turned, heights = self._kind_of.tolist(), self._turned.tolist(), self._table.height.tolist()
+        left = [len(same) for same in self._stock]
+        for shape, (x, y, z) in zip(shapes, corners_mm, strict=True):
+            kind, height = kinds[shape], heights[shape]
+            left[kind] -= 1
+            item = self._stock[kind][left[kind]]
+            placed.append(Placed(item, turned[shape], (x, y, z)))
+            top = max(top, z + height)
+            volume += item.volume_m3
+            moment += item.weight_kg * (z + height / 2)
+        return Filled(tuple(placed), top, volume, moment)
+
+    def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
+        """Write everything into the tables of :mod:`petmjx.plans.samples.compiled`."""
+        shapes = len(self._kind_of)
+        tables["own_base"][:shapes] = self._base
+        tables["weight"][:shapes] = self._weight
+        tables["worth"][:shapes] = self._worth
+        tables["kind"][:shapes] = self._kind_of
+        tables["stock"][: len(self._stock)] = [len(same) for same in self._stock]
+        taste = self._taste
+        tables["numbers"][1:4] = self.top_mm, taste.per_overhang, taste.per_distance
+        tables["counts"][2] = shapes
+        self._table.write(tables)
+        self._pile.write(tables)
 
     def _keep_shapes(self, kept: NDArray[np.bool_]) -> None:
         self._table.keep_shapes(kept)

@@ -44,7 +44,7 @@ def in_order(
     if len(first) < alone:
         yield from map(function, everything)
         return
-    pool = process_pool(workers)
+    pool = process_pool(workers, gpu=False)
     try:
         waiting: deque[Future[list[Result]]] = deque()
         while some := list(islice(everything, chunk)):

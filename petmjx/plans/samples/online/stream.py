@@ -51,7 +51,6 @@ class Stream(Packing):
     """Boxes on a target, and those that are still to come.
 
     Attributes:
-        extent_mm: of the target, with the free space of the last box.
         clearance: (3,) free space of a box along x, y and z, mm.
         surface: heights of the pile.
         skipped: how many boxes were left out so far.
@@ -72,7 +71,6 @@ class Stream(Packing):
         taste: Taste | None = None,
     ) -> None:
         super().__init__(items, extent_mm, taste or Taste(), clearance_mm)
-        self.extent_mm = self._table.extent_mm
         self.look_ahead = look_ahead
         self.skipped = 0
         self._masses = np.zeros(len(items))

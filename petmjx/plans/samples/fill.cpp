@@ -1,0 +1,460 @@
+// Fills a packing up, best fit after best fit: what Packing.fill does (packing.py), in machine code.
+//
+// Every number that decides comes from the same operations in the same order as in candidates.py and packing.py, so that
+// packings are the same to the last bit. Balances (balance.py) differ in their last bits, and one may be so near to its
+// limit that this decides: often that of the new box itself, whose weight acts on the very edge. Then Python is asked,
+// and filling goes on from there. Of a box below, the end is UNSURE, and Packing.fill has to do it all.
+
+namespace petmjx {
+
+enum End { FILLED = 0, HIGHER = 1, UNSURE = 2, ASKS = 3 };
+enum Begin { WITH_BEST = 0, WITH_FIRST = 1, WITH_ANSWER = 2 };
+enum Balance { TIPS = 0, KEEPS = 1, UNKNOWN = 2, NEAR = 3 };
+
+// Places in Tables.counts; those of numbers are in the constructor below.
+enum Count { BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER };
+
+// Differences of balances that rounding may make, kg·m. Pallets have loads of some 100 kg·m.
+const double ROUNDING_KG_M = 4e-10;
+
+const double NONE = 1e300;  // cost of what is no candidate
+
+struct Rest {
+    int under = 0;       // boxes below
+    int planes = 0;      // edges of the hull
+    double load[3];      // its own weight
+};
+
+template <typename Tables>
+struct Filling {
+    const Tables& t;
+    const int most_boxes, most_shapes, most_points, most_planes;
+    int boxes, points, shapes, planes, made;
+    bool full = false;  // there is no room for more points or planes
+    // of Python's constants and options
+    const double highest, per_overhang, per_distance;
+    const double extent_x, extent_y, max_height, least_support;
+    const double touch_mm, margin_m, margin_share, slack, least_turn, decimals;
+    double top_mm;
+
+    CUDA_CALLABLE Filling(const Tables& tables)
+        : t(tables),
+          most_boxes(tables.low.shape[0]),
+          most_shapes(tables.z.shape[1]),
+          most_points(tables.points.shape[0]),
+          most_planes(tables.planes.shape[0]),
+          boxes(tables.counts.data[BOXES]),
+          points(tables.counts.data[POINTS]),
+          shapes(tables.counts.data[SHAPES]),
+          planes(tables.counts.data[PLANES]),
+          made(tables.counts.data[MADE]),
+          highest(tables.numbers.data[0]),
+          per_overhang(tables.numbers.data[2]),
+          per_distance(tables.numbers.data[3]),
+          extent_x(tables.numbers.data[4]),
+          extent_y(tables.numbers.data[5]),
+          max_height(tables.numbers.data[6]),
+          least_support(tables.numbers.data[7]),
+          touch_mm(tables.numbers.data[8]),
+          margin_m(tables.numbers.data[9]),
+          margin_share(tables.numbers.data[10]),
+          slack(tables.numbers.data[11]),
+          least_turn(tables.numbers.data[12]),
+          decimals(tables.numbers.data[13]),
+          top_mm(tables.numbers.data[1]) {}
+
+    static CUDA_CALLABLE double min_of(double a, double b) { return a < b ? a : b; }
+    static CUDA_CALLABLE double max_of(double a, double b) { return a > b ? a : b; }
+
+    CUDA_CALLABLE double* passed(int box, int below) const {
+        return t.passed.data + ((size_t)box * most_boxes + below) * 9;
+    }
+
+    // ------------------------------------------------------------------ candidates
+
+    CUDA_CALLABLE double cost(int point, int shape) const {
+        const size_t entry = (size_t)point * most_shapes + shape;
+        const double z = t.z.data[entry], support = t.carried.data[entry] / t.area.data[shape];
+        if (!(z + t.height.data[shape] <= max_height) || !(support >= least_support)) return NONE;
+        const double* at = t.points.data + 2 * point;
+        return z - t.worth.data[shape] + per_overhang * (1.0 - support) + per_distance * (at[0] + at[1]);
+    }
+
+    // Area that a shape at a point shares with a box, seen from above.
+    CUDA_CALLABLE double overlap(const double* at, int shape, const double* low, const double* high) const {
+        const double* base = t.base.data + 2 * shape;
+        const double x = min_of(at[0] + base[0], high[0]) - max_of(at[0], low[0]);
+        if (!(x > touch_mm)) return 0.0;
+        const double y = min_of(at[1] + base[1], high[1]) - max_of(at[1], low[1]);
+        return y > touch_mm ? x * y : 0.0;
+    }
+
+    // Lift the candidates that the newest box lies under.
+    CUDA_CALLABLE void cover(const double* low, const double* high) {
+        const double top = high[2];
+        for (int point = 0; point < points; ++point) {
+            const double* at = t.points.data + 2 * point;
+            if (!(high[0] - at[0] > touch_mm) || !(high[1] - at[1] > touch_mm)) continue;
+            for (int shape = 0; shape < shapes; ++shape) {
+                const double area = overlap(at, shape, low, high);
+                const size_t entry = (size_t)point * most_shapes + shape;
+                if (!(area > 0.0) || !t.inside.data[entry]) continue;
+                double& z = t.z.data[entry];
+                if (top > z + touch_mm) {
+                    t.carried.data[entry] = area;
+                    z = top;
+                } else if (top >= z - touch_mm) {
+                    t.carried.data[entry] += area;
+                } else {
+                    continue;
+                }
+                t.cost.data[entry] = cost(point, shape);
+            }
+        }
+    }
+
+    CUDA_CALLABLE void add_point(double x, double y) {
+        for (int point = 0; point < points; ++point)
+            if (t.points.data[2 * point] == x && t.points.data[2 * point + 1] == y) return;
+        if (points == most_points) {
+            full = true;
+            return;
+        }
+        const size_t row = (size_t)points * most_shapes;
+        bool useful = false;
+        for (int shape = 0; shape < shapes; ++shape) {
+            const double* base = t.base.data + 2 * shape;
+            const bool inside = t.stock.data[t.kind.data[shape]] > 0 && x + base[0] <= extent_x &&
+                                y + base[1] <= extent_y;
+            t.inside.data[row + shape] = inside;
+            useful = useful || inside;
+        }
+        if (!useful) return;
+        double* at = t.points.data + 2 * points;
+        at[0] = x;
+        at[1] = y;
+        for (int shape = 0; shape < shapes; ++shape) {
+            const size_t entry = row + shape;
+            t.cost.data[entry] = NONE;
+            if (!t.inside.data[entry]) continue;
+            double z = 0.0, carried = 0.0;
+            for (int box = 0; box < boxes; ++box) {
+                const double area = overlap(at, shape, t.low.data + 3 * box, t.high.data + 3 * box);
+                const double top = t.high.data[3 * box + 2];
+                if (area > 0.0) z = max_of(z, top);
+                t.areas.data[box] = area;
+            }
+            for (int box = 0; box < boxes; ++box)
+                if (fabs(t.high.data[3 * box + 2] - z) <= touch_mm) carried += t.areas.data[box];
+            t.z.data[entry] = z;
+            t.carried.data[entry] = z > 0.0 ? carried : t.area.data[shape];
+            t.cost.data[entry] = cost(points, shape);
+        }
+        ++points;
+    }
+
+    // Where a point that slides along −axis meets a box, or 0.
+    CUDA_CALLABLE double slid(int axis, double start, double across, double level) const {
+        double reached = 0.0;
+        for (int box = 0; box < boxes; ++box) {
+            const double *low = t.low.data + 3 * box, *high = t.high.data + 3 * box;
+            if (low[1 - axis] <= across && across < high[1 - axis] && low[2] <= level && level < high[2] &&
+                high[axis] <= start + touch_mm)
+                reached = max_of(reached, high[axis]);
+        }
+        return reached;
+    }
+
+    // ------------------------------------------------------------------ balance
+
+    // (corners, 2) points from `from` in steps of `step`: one half of a convex hull. Returns how many corners it has.
+    CUDA_CALLABLE int half_hull(const double* from, int count, int step, double* chain) const {
+        int length = 0;
+        for (int i = 0; i < count; ++i) {
+            const double x = from[2 * i * step], y = from[2 * i * step + 1];
+            while (length > 1) {
+                const double *a = chain + 2 * (length - 2), *b = chain + 2 * (length - 1);
+                if ((b[0] - a[0]) * (y - b[1]) - (b[1] - a[1]) * (x - b[0]) > least_turn) break;
+                --length;
+            }
+            chain[2 * length] = x;
+            chain[2 * length + 1] = y;
+            ++length;
+        }
+        return length - 1;
+    }
+
+    // The edges of the hull of (count, 4) rectangles, moved inward, into t.new_planes. Returns how many.
+    CUDA_CALLABLE int hull_planes(const double* rectangles, int count, double margin) const {
+        double *corners = t.corners.data, *chain = t.chain.data;
+        int found = 0;
+        for (int i = 0; i < count; ++i) {
+            double side[4];
+            for (int j = 0; j < 4; ++j) side[j] = rint(rectangles[4 * i + j] * decimals) / decimals;
+            for (int corner = 0; corner < 4; ++corner) {
+                const double x = side[corner & 2 ? 2 : 0], y = side[corner & 1 ? 3 : 1];
+                int place = found;  // sorted by x, then y; each once
+                while (place > 0 && (corners[2 * place - 2] > x ||
+                                     (corners[2 * place - 2] == x && corners[2 * place - 1] > y)))
+                    --place;
+                if (place > 0 && corners[2 * place - 2] == x && corners[2 * place - 1] == y) continue;
+                for (int k = found; k > place; --k) {
+                    corners[2 * k] = corners[2 * k - 2];
+                    corners[2 * k + 1] = corners[2 * k - 1];
+                }
+                corners[2 * place] = x;
+                corners[2 * place + 1] = y;
+                ++found;
+            }
+        }
+        int ring = half_hull(corners, found, 1, chain);
+        ring += half_hull(corners + 2 * (found - 1), found, -1, chain + 2 * ring);
+        for (int i = 0; i < ring; ++i) {
+            const double *a = chain + 2 * i, *b = chain + 2 * ((i + 1) % ring);
+            const double length = sqrt((b[0] - a[0]) * (b[0] - a[0]) + (b[1] - a[1]) * (b[1] - a[1]));
+            double* plane = t.new_planes.data + 3 * i;
+            plane[1] = (b[1] - a[1]) / length;
+            plane[2] = (a[0] - b[0]) / length;
+            plane[0] = margin - plane[1] * a[0] - plane[2] * a[1];
+        }
+        return ring;
+    }
+
+    // a⁻¹ of a 3 × 3 matrix, by Gauss and Jordan with pivots.
+    static CUDA_CALLABLE void invert(const double* a, double* inverse) {
+        double m[3][6];
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j) {
+                m[i][j] = a[3 * i + j];
+                m[i][3 + j] = i == j;
+            }
+        for (int column = 0; column < 3; ++column) {
+            int pivot = column;
+            for (int i = column + 1; i < 3; ++i)
+                if (fabs(m[i][column]) > fabs(m[pivot][column])) pivot = i;
+            for (int j = 0; j < 6; ++j) {
+                const double kept = m[column][j];
+                m[column][j] = m[pivot][j];
+                m[pivot][j] = kept;
+            }
+            const double scale = 1.0 / m[column][column];
+            for (int j = 0; j < 6; ++j) m[column][j] *= scale;
+            for (int i = 0; i < 3; ++i) {
+                if (i == column) continue;
+                const double factor = m[i][column];
+                for (int j = 0; j < 6; ++j) m[i][j] -= factor * m[column][j];
+            }
+        }
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j) inverse[3 * i + j] = m[i][3 + j];
+    }
+
+    static CUDA_CALLABLE void multiply(const double* a, const double* b, double* sum) {
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j)
+                sum[3 * i + j] += a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+    }
+
+    // What a box at a candidate would pass on to those below, into t.new_passed, and which it would reach at all.
+    CUDA_CALLABLE void pass_on(const Rest& rest, const double* rectangles) const {
+        double *sum = t.new_passed.data, total[9] = {};
+        for (int i = 0; i < 9 * boxes; ++i) sum[i] = 0.0;
+        for (int box = 0; box < boxes; ++box) t.reached.data[box] = 0;
+        const int* under = t.under.data;
+        double* moments = t.moments.data;
+        for (int i = 0; i < rest.under; ++i) {
+            const double* r = rectangles + 4 * i;
+            const double dx = r[2] - r[0], dy = r[3] - r[1], area = dx * dy;
+            const double one[3] = {1.0, (r[0] + r[2]) / 2, (r[1] + r[3]) / 2};
+            for (int a = 0; a < 3; ++a)
+                for (int b = 0; b < 3; ++b) moments[9 * i + 3 * a + b] = one[a] * one[b];
+            moments[9 * i + 4] += dx * dx / 12;
+            moments[9 * i + 8] += dy * dy / 12;
+            for (int j = 0; j < 9; ++j) total[j] += moments[9 * i + j] *= area;
+        }
+        double inverse[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+        if (rest.under > 1) invert(total, inverse);
+        for (int i = 0; i < rest.under; ++i) {
+            double share[9] = {};
+            if (rest.under > 1)
+                multiply(moments + 9 * i, inverse, share);
+            else  // which takes the whole load
+                share[0] = share[4] = share[8] = 1.0;
+            for (int box = 0; box <= under[i]; ++box) {
+                const double* from = passed(under[i], box);
+                if (from[0] == 0.0 && from[1] == 0.0 && from[2] == 0.0) continue;  // nothing of any force
+                multiply(from, share, sum + 9 * box);
+                t.reached.data[box] = 1;
+            }
+        }
+    }
+
+    static CUDA_CALLABLE void load_on(const double* passed, const double* load, double* sum) {
+        for (int i = 0; i < 3; ++i)
+            sum[i] += passed[3 * i] * load[0] + passed[3 * i + 1] * load[1] + passed[3 * i + 2] * load[2];
+    }
+
+    // Whether a box at a candidate keeps the balance, or it or a box below TIPS over. UNKNOWN: what of the box itself is
+    // (`own`) has to be asked; NEAR: what of one below is.
+    CUDA_CALLABLE int balance(int point, int shape, int own, Rest& rest) const {
+        const double *at = t.points.data + 2 * point, *size = t.own_base.data + 2 * shape;
+        const double z = t.z.data[(size_t)point * most_shapes + shape], mass = t.weight.data[shape];
+        const double corner[2] = {at[0] / 1000.0, at[1] / 1000.0}, base[2] = {size[0] / 1000.0, size[1] / 1000.0};
+        rest = Rest();
+        rest.load[0] = mass;
+        for (int axis = 0; axis < 2; ++axis) rest.load[1 + axis] = mass * (corner[axis] + base[axis] / 2);
+        if (z <= 0.0) return KEEPS;
+        double* rectangles = t.rectangles.data;
+        for (int box = 0; box < boxes; ++box) {
+            if (!(fabs(t.top.data[box] - z) <= touch_mm)) continue;
+            double* r = rectangles + 4 * rest.under;
+            for (int axis = 0; axis < 2; ++axis) {
+                r[axis] = max_of(t.low_m.data[2 * box + axis], corner[axis]);
+                r[2 + axis] = min_of(t.high_m.data[2 * box + axis], corner[axis] + base[axis]);
+            }
+            if (r[2] - r[0] > touch_mm / 1000.0 && r[3] - r[1] > touch_mm / 1000.0) t.under.data[rest.under++] = box;
+        }
+        if (!rest.under) return TIPS;
+        rest.planes = hull_planes(rectangles, rest.under, margin(shape));
+        double most = -NONE;
+        for (int i = 0; i < rest.planes; ++i) most = max_of(most, beyond(t.new_planes.data + 3 * i, rest.load));
+        if (own == UNKNOWN) {
+            if (fabs(most) < ROUNDING_KG_M) return UNKNOWN;
+            own = most > 0.0 ? TIPS : KEEPS;
+        }
+        if (own == TIPS) return TIPS;
+        pass_on(rest, rectangles);
+        most = -NONE;
+        for (int i = 0; i < planes; ++i) {
+            const int owner = t.owner.data[i];
+            if (!t.reached.data[owner]) continue;  // its load is as before
+            double after[3];
+            for (int j = 0; j < 3; ++j) after[j] = t.load.data[3 * owner + j];
+            load_on(t.new_passed.data + 9 * owner, rest.load, after);
+            most = max_of(most, beyond(t.planes.data + 3 * i, after));
+        }
+        if (fabs(most - slack) < ROUNDING_KG_M) return NEAR;
+        return most <= slack ? KEEPS : TIPS;
+    }
+
+    CUDA_CALLABLE double margin(int shape) const {
+        const double* own = t.own_base.data + 2 * shape;
+        return min_of(margin_m, margin_share * (min_of(own[0], own[1]) / 1000.0));
+    }
+
+    static CUDA_CALLABLE double beyond(const double* plane, const double* load) {
+        return plane[0] * load[0] + plane[1] * load[1] + plane[2] * load[2];
+    }
+
+    // ------------------------------------------------------------------ boxes
+
+    CUDA_CALLABLE void put_on_pile(int point, int shape, const Rest& rest) {
+        const double *at = t.points.data + 2 * point, *size = t.own_base.data + 2 * shape;
+        for (int axis = 0; axis < 2; ++axis) {
+            t.low_m.data[2 * boxes + axis] = at[axis] / 1000.0;
+            t.high_m.data[2 * boxes + axis] = at[axis] / 1000.0 + size[axis] / 1000.0;
+        }
+        t.top.data[boxes] = t.z.data[(size_t)point * most_shapes + shape] + t.height.data[shape];
+        for (int box = 0; box < boxes; ++box) {
+            double* to = passed(boxes, box);
+            for (int i = 0; i < 9; ++i) to[i] = rest.under ? t.new_passed.data[9 * box + i] : 0.0;
+            if (rest.under && t.reached.data[box]) load_on(to, rest.load, t.load.data + 3 * box);
+        }
+        double* self = passed(boxes, boxes);
+        for (int i = 0; i < 9; ++i) self[i] = i % 4 == 0;
+        for (int i = 0; i < 3; ++i) t.load.data[3 * boxes + i] = rest.load[i];
+        full = full || planes + rest.planes > most_planes;
+        for (int i = 0; i < rest.planes && !full; ++i, ++planes) {
+            for (int j = 0; j < 3; ++j) t.planes.data[3 * planes + j] = t.new_planes.data[3 * i + j];
+            t.owner.data[planes] = boxes;
+        }
+    }
+
+    CUDA_CALLABLE void put(int point, int shape, const Rest& rest) {
+        put_on_pile(point, shape, rest);
+        const double x = t.points.data[2 * point], y = t.points.data[2 * point + 1];
+        const double z = t.z.data[(size_t)point * most_shapes + shape], top = z + t.height.data[shape];
+        double *low = t.low.data + 3 * boxes, *high = t.high.data + 3 * boxes;
+        low[0] = x, low[1] = y, low[2] = z;
+        high[0] = x + t.base.data[2 * shape], high[1] = y + t.base.data[2 * shape + 1], high[2] = top;
+        t.made_shape.data[made] = shape;
+        for (int axis = 0; axis < 3; ++axis) t.made_corner.data[3 * made + axis] = low[axis];
+        ++made;
+        ++boxes;
+        top_mm = max_of(top_mm, top);
+        cover(low, high);
+        const double south = slid(1, y, high[0], z), west = slid(0, x, high[1], z);
+        const double west_on_top = slid(0, x, y, top), south_on_top = slid(1, y, x, top);
+        add_point(high[0], y);
+        add_point(high[0], south);
+        add_point(x, high[1]);
+        add_point(west, high[1]);
+        add_point(x, y);
+        add_point(west_on_top, y);
+        add_point(x, south_on_top);
+        if (--t.stock.data[t.kind.data[shape]]) return;
+        for (int other = 0; other < shapes; ++other)
+            if (t.kind.data[other] == t.kind.data[shape])
+                for (int each = 0; each < points; ++each) {
+                    const size_t entry = (size_t)each * most_shapes + other;
+                    t.cost.data[entry] = NONE;
+                    t.inside.data[entry] = 0;
+                }
+    }
+
+    CUDA_CALLABLE void begin() {
+        for (int point = 0; point < points; ++point)
+            for (int shape = 0; shape < shapes; ++shape) {
+                const size_t entry = (size_t)point * most_shapes + shape;
+                t.cost.data[entry] = t.open.data[entry] ? cost(point, shape) : NONE;
+            }
+    }
+
+    CUDA_CALLABLE bool find_best(int& point, int& shape) const {
+        double least = NONE;
+        for (int each = 0; each < points; ++each)
+            for (int other = 0; other < shapes; ++other) {
+                const double value = t.cost.data[(size_t)each * most_shapes + other];
+                if (value < least) least = value, point = each, shape = other;
+            }
+        return least < NONE;
+    }
+
+    // `own`: what is known of the balance of a box at `point` itself; of WITH_FIRST it is known to keep it.
+    CUDA_CALLABLE int fill(int& point, int& shape, int how, int own) {
+        if (how != WITH_ANSWER) begin();
+        bool chosen = how != WITH_BEST;
+        while (chosen || top_mm <= highest) {
+            if (full) return UNSURE;
+            if (!chosen && !find_best(point, shape)) return FILLED;
+            Rest rest;
+            const int kept = balance(point, shape, chosen ? own : UNKNOWN, rest);
+            if (kept == NEAR || (kept == TIPS && how == WITH_FIRST && !made)) return UNSURE;
+            if (kept == UNKNOWN) {
+                t.counts.data[UNDER] = rest.under;
+                for (int i = 0; i < 3; ++i) t.own_load.data[i] = rest.load[i];
+                return ASKS;
+            }
+            if (kept == TIPS)
+                t.cost.data[(size_t)point * most_shapes + shape] = NONE;
+            else
+                put(point, shape, rest);
+            chosen = false;
+        }
+        return HIGHER;
+    }
+};
+
+template <typename Tables>
+inline CUDA_CALLABLE void fill(const Tables& tables) {
+    Filling<Tables> filling(tables);
+    int* counts = tables.counts.data;
+    counts[END] = filling.fill(counts[POINT], counts[SHAPE], counts[HOW], counts[OWN]);
+    counts[BOXES] = filling.boxes;
+    counts[POINTS] = filling.points;
+    counts[PLANES] = filling.planes;
+    counts[MADE] = filling.made;
+    tables.numbers.data[1] = filling.top_mm;
+}
+
+}  // namespace petmjx

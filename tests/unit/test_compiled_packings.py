@@ -1,0 +1,104 @@
+"""Packings filled up in machine code are those that Python makes, to the last bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.packings import orders, targets
+
+import petmjx.plans.samples.beam as beam_module
+from petmjx.plans.samples.balanced import TASTES
+from petmjx.plans.samples.beam import search
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, draw_order
+from petmjx.plans.samples.packing import Packing, Taste
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+compiled = pytest.importorskip("petmjx.plans.samples.compiled")
+
+DRAWN = draw_order(33, 1)
+EXTENT = TARGET_EXTENT_MM[DRAWN.target]
+
+
+def grown(packing: Packing, boxes: int) -> Packing:
+    """With so many boxes more, not always the best candidates, if there are any."""
+    for number in range(boxes):
+        if found := packing.next(2 + number % 2):
+            packing.put(found[-1])
+    return packing
+
+
+@settings(max_examples=40, deadline=None)
+@given(orders, targets, st.sampled_from(TASTES), st.sampled_from([0.0, 2.5, 6.0, 1 / 3]), st.integers(0, 12))
+def test_they_are_the_same(
+    items: list[Item], extent: tuple[int, int], taste: Taste, clearance_mm: float, boxes: int
+) -> None:
+    packing = Packing(items, extent, taste, clearance_mm)
+    fills = compiled.Compiled(packing)
+    grown(packing, boxes)
+    first = packing.next(3)[-1:]
+    filled = fills(packing, *first)
+    assert filled == packing.filled(*first)
+    assert filled is not None
+    assert fills(packing) == packing.filled()
+
+
+def test_one_that_becomes_too_high_is_given_up() -> None:
+    packing = grown(Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), 5)
+    fills, filled = compiled.Compiled(packing), packing.filled()
+    assert filled is not None
+    assert fills(packing, None, filled.top_mm) == filled
+    assert fills(packing, None, filled.top_mm - 1) is None
+    assert fills(packing) == filled  # nothing is left of the one before
+
+
+def test_python_says_whether_a_box_tips_over_whose_weight_acts_on_an_edge(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    tips = compiled.tips
+
+    def noted(*arguments: Any) -> bool:
+        asked.append(tips(*arguments))
+        return asked[-1]
+
+    monkeypatch.setattr(compiled, "tips", noted)
+    order = draw_order(33, 9)
+    for taste in TASTES:
+        packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste)
+        assert compiled.Compiled(packing)(packing) == packing.filled()
+    assert set(asked) == {True, False}
+
+
+@pytest.mark.parametrize("room", [{"POINTS": 9, "POINTS_PER_BOX": 0}, {"PLANES_PER_BOX": 1}])
+def test_where_there_is_no_room_python_fills_up(monkeypatch: pytest.MonkeyPatch, room: dict[str, int]) -> None:
+    for name, number in room.items():
+        monkeypatch.setattr(compiled, name, number)
+    packing, asked = Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), []
+    monkeypatch.setattr(packing, "filled", lambda *arguments: asked.append(arguments))
+    assert compiled.Compiled(packing)(packing) is None
+    assert asked == [(None, inf)]
+
+
+def test_areas_without_an_exact_sum_are_left_to_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    third = [replace(item, length_mm=item.length_mm + 1 / 3) for item in DRAWN.items]
+    assert Packing(third, EXTENT, TASTES[0]).grain_mm < compiled.GRAIN_MM
+    assert Packing(DRAWN.items, EXTENT, TASTES[0], 2.25).grain_mm == 0.25
+    asked = []
+    monkeypatch.setattr(Packing, "filled", lambda *arguments: asked.append(arguments[1:]))
+    packing = Packing(third, EXTENT, TASTES[0])
+    assert compiled.Compiled(packing)(packing) is None
+    assert asked == [(None, inf)]
+
+
+def test_a_search_finds_the_same_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also in steps of several boxes."""
+    items = DRAWN.items[:18]
+    for steps in (80, 6):
+        monkeypatch.setattr(beam_module, "MOST_STEPS", steps)
+        found = search(items, EXTENT, 3.0, width=2, branch=3)
+        with monkeypatch.context() as without:
+            without.setattr(beam_module, "why_no_warp_on_cpu", lambda: "Warp is not installed")
+            assert search(items, EXTENT, 3.0, width=2, branch=3) == found
