@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-from petmjx.gym.options import CANDIDATES, CENTRE, GEOMETRY, LOADS, PHYSICS, SUPPORT, PalletizingOptions
+from petmjx.gym.options import CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, PalletizingOptions
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.places import Places
 
@@ -113,6 +113,7 @@ class Actions:
             pallet=rows[at],
             max_height_mm=self._options.max_height_mm,
             grid_mm=self._grid,
+            least_support=SUPPORT.get(self._options.mask, 0.0),
             hulls=self._options.mask == CENTRE,
         )
         legal = self._geometric(places)
@@ -144,12 +145,9 @@ class Actions:
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
         """(c,) which places the mask allows before physics is asked."""
-        mask = self._options.mask
-        if mask in SUPPORT:
-            return places.support >= SUPPORT[mask] - 1e-9
         if places.centred is not None:
             return places.centred
-        return np.ones(len(places.row), bool) if mask == GEOMETRY else places.support > 0
+        return places.support > 0 if self.asks_physics else np.ones(len(places.row), bool)
 
     def _numbered(
         self,

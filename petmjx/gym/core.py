@@ -112,7 +112,6 @@ class Episodes:
             for name in set(terms) - {"illegal"}:
                 terms[name][legal] = found[name]
             terminated[legal] = ~told.stable
-            self._look(rows[legal][told.stable], known=not self._actions.asks_physics)
             self.table.clear(rows[legal][~told.stable])
             full = self.pallets.n_boxes[rows] >= self.pallets.most_boxes
             self.table.clear(rows[full])
@@ -125,14 +124,20 @@ class Episodes:
         table, at = self.table, (rows, actions)
         size, corner, mass, box = table.size_mm[at], table.corner_mm[at], table.mass_kg[at], table.box[at]
         last = self.pallets.n_boxes[rows]
+        queues: list[NDArray[Any]] = []
 
         def go_on() -> None:  # all that follows from where boxes were put
             self._actions.strength_n[rows, last] = self._queues.take(rows, box)
             self._maps.add(rows, last, size, corner)
+            queues.extend(self._queues.kept(rows))
             if not self._actions.asks_physics:
-                self._actions.fill(self.table, rows, *self._queues.seen(rows))
+                self._look(rows)
 
         told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows, meanwhile=go_on)
+        if self._actions.asks_physics:
+            self._look(rows[told.stable])
+        fallen = ~told.stable  # no box is left out where none comes any more
+        self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)
         self._top[rows] += higher
@@ -149,13 +154,10 @@ class Episodes:
         x, y = self.pallets.extent_mm
         return x * y * self.options.max_height_mm
 
-    def _look(self, rows: NDArray[np.int64], *, known: bool = False) -> None:
-        """Work out the actions of episodes, if they are not known yet. If there is none, the boxes that may come next
-        are left out."""
+    def _look(self, rows: NDArray[np.int64]) -> None:
+        """Work out the actions of episodes. If there is none, the boxes that may come next are left out."""
         while len(rows):
-            if not known:
-                self._actions.fill(self.table, rows, *self._queues.seen(rows))
-            known = False
+            self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]
             rows = stuck[self._queues.counts[stuck] > 0]
             self._queues.leave_out(rows, self.options.buffer)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Iterable
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,19 @@ class Queues:
         gone = np.minimum(self.counts[rows], count)
         self.left_out[rows] += gone
         self._go_on(rows, gone)
+
+    def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
+        """How queues are now, for ``restore``."""
+        return [values[rows] for values in self._arrays]
+
+    def restore(self, rows: NDArray[np.int64], kept: Iterable[NDArray[Any]]) -> None:
+        """Queues are as they were."""
+        for values, before in zip(self._arrays, kept, strict=True):
+            values[rows] = before
+
+    @property
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the boxes that are seen; 0 where there are fewer."""

@@ -302,6 +302,7 @@ class Pallets(Closable):
         pallet: Any = None,
         max_height_mm: float = 2000.0,
         grid_mm: FloatArray | None = None,
+        least_support: float = 0.0,
         hulls: bool = True,
     ) -> Places:
         """Where boxes could go: the extreme points of pallets that lie inside the carrier, at the heights on which a
@@ -311,6 +312,7 @@ class Pallets(Closable):
             size_mm: (m, 3) extents as they would stand; ``pallet``: (m,).
             max_height_mm: highest top.
             grid_mm: (p, 2) corners on the carrier instead of the extreme points.
+            least_support: share of its base that must be borne, from 0 to 1.
             hulls: whether ``Places.centred`` is asked for, which takes as long as the rest.
 
         Raises:
@@ -320,7 +322,8 @@ class Pallets(Closable):
             asked = boxes_of(size_mm, pallet, self.n)
             highest = number_of(max_height_mm, "max_height_mm", 0.0)
             grid = None if grid_mm is None else grid_of(grid_mm, self.extent_mm)
-            return free_places(self._boxes, asked, self.extent_mm, highest, grid, hulls=flag_of(hulls, "hulls"))
+            least, centred = number_of(least_support, "least_support", 0.0, 1.0), flag_of(hulls, "hulls")
+            return free_places(self._boxes, asked, self.extent_mm, highest, grid, least_support=least, hulls=centred)
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
         """(height, width, 3) a picture of a pallet as it stands. Boxes have colours by their order.

@@ -23,6 +23,8 @@ _AT_ONCE: Final = 200_000
 _WORTH_A_THREAD: Final = 50_000
 """Fewer pairs take less time than a thread to begin."""
 
+_SUPPORT_EDGE: Final = 1e-9
+
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
 
@@ -51,12 +53,14 @@ def free_places(
     max_height_mm: float,
     grid: FloatArray | None = None,
     *,
+    least_support: float = 0.0,
     hulls: bool = True,
 ) -> Places:
     """Places for boxes on pallets; ``asked.corner_mm`` is not read.
 
     Args:
         grid: (p, 2) points, mm, instead of the extreme ones.
+        least_support: share of its base that must be borne.
         hulls: whether ``centred`` is asked for.
     """
     pallets, which = np.unique(asked.pallet, return_inverse=True)
@@ -76,7 +80,8 @@ def free_places(
         own, k = asked.pallet[rows], int(count[rows].max())
         low, size = stock.corner_mm[own, :k], asked.size_mm[rows]
         high = low + stock.size_mm[own, :k]
-        box, corner, support, centred = _lowered(points[which[rows]], low, high, size, extent_mm, max_height_mm, hulls)
+        limits = extent_mm, max_height_mm, least_support
+        box, corner, support, centred = _lowered(points[which[rows]], low, high, size, *limits, hulls)
         return rows[box], corner, support, centred
 
     if len(chunks) <= 2:
@@ -100,6 +105,7 @@ def _lowered(
     size: FloatArray,
     extent_mm: tuple[float, float],
     max_height_mm: float,
+    least_support: float,
     hulls: bool,
 ) -> _Lowered:
     """Boxes lowered at points of their pallets: which box, its corner, the supported share of its base, and whether its
@@ -130,7 +136,7 @@ def _lowered(
     end = np.column_stack([np.minimum(x_end[at], high_x), np.minimum(y_end[at], high_y)])
     carried = np.bincount(at, (end - start).prod(axis=1), len(box))
     support = np.where(z > 0, carried / (length_x * length_y), 1.0)
-    kept = np.flatnonzero(useful)
+    kept = np.flatnonzero(useful & (support >= least_support - _SUPPORT_EDGE))
     kept = kept[np.lexsort((y[kept], x[kept], z[kept], box[kept]))]
     corner = np.column_stack([x[kept], y[kept], z[kept]])
     if not hulls:

@@ -122,7 +122,7 @@ def test_the_vector_environment_is_as_many_single_ones(mode: AutoresetMode) -> N
 
 
 def test_masks_and_what_ends_an_episode() -> None:
-    tall = [order((200, 200, 600), (600, 600, 200))]
+    tall = [order((200, 200, 600), (600, 600, 200), (2000, 300, 200))]
     chosen: dict[str, int] = {}
     for mask in ("geometry", "support_50", "centre", "physics"):
         env = PalletizingEnv(**{**SMALL, "orders": tall, "n_candidates": 30, "mask": mask})
@@ -138,6 +138,8 @@ def test_masks_and_what_ends_an_episode() -> None:
             assert reward < 0
             assert info["verdict"] == "unstable"
             assert info["culprit"] == 1
+            assert info["left_out"] == 0  # the last box fits nowhere, but after a fall nobody looks for its place
+            assert observed["boxes"][0, 0] == 2000
             assert not observed["action_mask"].any()
     assert chosen["geometry"] > 0
     assert chosen["support_50"] == chosen["centre"] == chosen["physics"] == 0

@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
 
+import petmjx.gym.maps
 from petmjx.gym.maps import Maps
 from petmjx.gym.queues import Queues
 from petmjx.loop.orders import Boxes
@@ -30,6 +31,10 @@ def test_queues_are_lists_of_boxes() -> None:
             np.testing.assert_array_equal(np.column_stack([size[row], mass[row]]), expected)
         rows = np.array([row for row in rng.permutation(n) if lists[row]])
         if rng.random() < 0.2:
+            before = queues.kept(rows)
+            for _ in range(10):
+                queues.leave_out(rows, seen)
+            queues.restore(rows, before)
             queues.leave_out(rows, 3)
             for row in rows:
                 left_out[row] += len(lists[row][:3])
@@ -42,7 +47,8 @@ def test_queues_are_lists_of_boxes() -> None:
     np.testing.assert_array_equal(queues.left_out, left_out)
 
 
-def test_maps_have_the_highest_top_and_the_largest_force_over_each_cell() -> None:
+def test_maps_have_the_highest_top_and_the_largest_force_over_each_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(petmjx.gym.maps, "_AT_ONCE", 3)
     rng, n, cells, cell_mm = np.random.default_rng(1), 4, (12, 8), 100.0
     maps, boxes = Maps(n, cells, cell_mm), [[] for _ in range(n)]
     for step in range(20):

@@ -74,6 +74,16 @@ def test_places_of_a_pallet_depend_on_its_boxes_alone(monkeypatch: pytest.Monkey
             assert_same(found_for(stock, asked, grid), together)
 
 
+def test_places_with_less_support_are_left_out() -> None:
+    rng, n = np.random.default_rng(2), 7
+    stock, asked = lively_stock(rng, n), boxes(rng.uniform(100, 600, (n, 3)), np.arange(n))
+    found = found_for(stock, asked)
+    borne = found.support >= 0.6
+    assert 0 < borne.sum() < len(borne)
+    some = free_places(stock, asked, EXTENT_MM, 9000.0, least_support=0.6)
+    assert_same(some, Places(*(values[borne] for values in found)))
+
+
 def part(found: Places, row: int) -> Places:
     which = found.row == row
     assert which.any()
