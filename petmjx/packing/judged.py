@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Final
 
-from petmjx.api import score
 from petmjx.packing.finalists import Finalist
 from petmjx.packing.options import PhysicalOptions
 from petmjx.plans.plan import Plan
@@ -16,6 +15,9 @@ from petmjx.verdict import Verdict
 
 SOURCE = "pack"
 """In place of a file's name."""
+
+FIRST_WORLDS: Final = 4
+"""Worlds with errors that are simulated first. Of packings that fall too often most are found out by these."""
 
 
 @dataclass(frozen=True)
@@ -51,34 +53,73 @@ class Judged:
         return self.stands and self.share >= options.least_share
 
 
-def judge(packings: Mapping[str, Finalist], options: PhysicalOptions, how: Mapping[str, Any]) -> dict[str, Judged]:
-    """What physics says of packings, all in one run.
+class Trial:
+    """A packing while it is simulated: nominal world first, then those with errors.
+
+    Attributes:
+        plan: its plan.
+        asked: worlds that were asked for.
+        n_worlds, n_standing: as of ``Judged``, so far.
+    """
+
+    def __init__(self, plan_id: str, finalist: Finalist) -> None:
+        self.finalist, self.plan = finalist, plan_of(plan_id, finalist)
+        self.asked = self.n_worlds = self.n_standing = 0
+        self._nominal: Verdict | None = None
+
+    def ask(self, n_worlds: int) -> range:
+        """The variants that are missing of the nominal world and so many with errors."""
+        first, self.asked = self.asked, 1 + n_worlds
+        return range(first, self.asked)
+
+    def take(self, variant: int, verdict: Verdict) -> None:
+        """What came of a world."""
+        if variant == 0:
+            self._nominal = verdict
+        elif verdict is not Verdict.INVALID:
+            self.n_worlds += 1
+            self.n_standing += verdict is Verdict.STABLE
+
+    def is_hopeless(self, options: PhysicalOptions) -> bool:
+        """Whether it does not stand as often as asked for, whatever comes of the worlds that are missing."""
+        fallen = self.n_worlds - self.n_standing
+        most = (options.worlds - fallen) / options.worlds if options.worlds else 1.0
+        return not self.judged.stands or most < options.least_share
+
+    @property
+    def judged(self) -> Judged:
+        """What physics says of it, so far."""
+        assert self._nominal is not None
+        return Judged(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing)
+
+
+Asks = list[tuple[Trial, range]]
+"""Worlds that shall be simulated: packings, with variants of each."""
+
+
+def judging(plan_id: str, found: Sequence[Finalist], options: PhysicalOptions) -> Generator[Asks, None, list[Judged]]:
+    """Ask for the worlds that an order needs, and go on when they have verdicts; return the packings that were judged.
+
+    Of a packing some worlds come first. Those that cannot be good any more are given up, unless none is good: then the
+    packing that stands most often is taken, which takes all worlds of all of them.
 
     Args:
-        packings: plan id → packing.
-        how: options of ``petmjx.score``.
-
-    Raises:
-        InputError: unusable options.
-        EngineUnavailable: the engine asked for cannot run here.
+        found: the best packings first.
     """
-    plans = {plan_id: plan_of(plan_id, finalist) for plan_id, finalist in packings.items()}
-    sure = {"confidence": options.worlds} if options.worlds else {}
-    worlds = score([*plans.values()], **{**how, **sure}).worlds
-    exact = worlds[worlds["variant"] == 0].set_index("plan_id")["verdict"]
-    known = worlds[(worlds["variant"] > 0) & (worlds["verdict"] != Verdict.INVALID.value)]
-    count = known.groupby("plan_id").size()
-    standing = known[known["verdict"] == Verdict.STABLE.value].groupby("plan_id").size()
-    return {
-        plan_id: Judged(
-            packings[plan_id],
-            plan,
-            Verdict(exact[plan_id]),
-            int(count.get(plan_id, 0)),
-            int(standing.get(plan_id, 0)),
-        )
-        for plan_id, plan in plans.items()
-    }
+    tried: list[Trial] = []
+    first, by_share = min(FIRST_WORLDS, options.worlds), options.maximise == "share"
+    for some in [found] if by_share and found else [[each] for each in found]:
+        now = [Trial(plan_id, each) for each in some]
+        tried += now
+        yield [(each, each.ask(first)) for each in now]
+        if rest := [each for each in now if first < options.worlds and not each.is_hopeless(options)]:
+            yield [(each, each.ask(options.worlds)) for each in rest]
+        if not by_share and now[0].judged.is_good(options) and now[0].asked > options.worlds:
+            break  # the others are less dense
+    good = [each for each in tried if each.asked > options.worlds and each.judged.is_good(options)]
+    if not good and (rest := [each for each in tried if each.asked <= options.worlds]):
+        yield [(each, each.ask(options.worlds)) for each in rest]
+    return [each.judged for each in tried]
 
 
 def plan_of(plan_id: str, finalist: Finalist) -> Plan:

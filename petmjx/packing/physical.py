@@ -1,29 +1,27 @@
 """The packer ``physical``: dense packings, found by rules, of which physics takes one.
 
 Rules find packings that are dense and in balance (:mod:`petmjx.plans.samples.beam`), with more or less free space
-between neighbours. Simulation says which of them stand, exactly placed and as a robot places them. Many orders are
-judged in one run, since worlds side by side are what engines are fast at.
+between neighbours. Simulation says which of them stand, exactly placed and as a robot places them. Orders are searched
+in processes of their own. One engine simulates the packings of all orders, and gets those of an order as soon as they
+are known: worlds side by side are what engines are fast at, and no order waits for another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
-from itertools import islice
-from typing import Any, Final
+from typing import Any
 
 from petmjx.basics.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.engines.resolve import engine_for
 from petmjx.options.run_options import AUTO
 from petmjx.packing.finalists import Finalist, finalists, learned_finalists
-from petmjx.packing.judged import Judged, judge
+from petmjx.packing.flow import CPU, GPU, Flow
 from petmjx.packing.options import PhysicalOptions
 from petmjx.packing.packed import PackedOrder
+from petmjx.packing.worlds import WorldsOfPlans
 from petmjx.plans.samples.orders import Order
-from petmjx.plans.samples.parallel import in_order
-
-AT_ONCE_CPU: Final = 16
-AT_ONCE_GPU: Final = 512
-"""Orders that are judged in one run: a GPU is busy with thousands of worlds, and on CPUs results come soon."""
+from petmjx.plans.samples.parallel import AsTheyCome
 
 
 def pack_physical(
@@ -48,9 +46,10 @@ def pack_physical(
     engine = how.get("engine", AUTO)
     if engine == AUTO:
         engine = fastest()
-    searched = in_order(partial(_searched, options=options, look_ahead=look_ahead), orders, workers, alone=1, chunk=1)
-    while batch := list(islice(searched, AT_ONCE_GPU if engine == "mjx-warp" else AT_ONCE_CPU)):
-        yield from _packed(batch, options, {**how, "engine": engine})
+    worlds = WorldsOfPlans(options.worlds, {**how, "engine": engine})
+    searching = partial(_searched, options=options, look_ahead=look_ahead)
+    with AsTheyCome(searching, orders, workers) as searched, engine_for(worlds.run, worlds.work) as (own, _):
+        yield from Flow(searched, options, worlds, GPU if engine == "mjx-warp" else CPU).packed(own)
 
 
 def fastest() -> str:
@@ -61,21 +60,9 @@ def fastest() -> str:
     return "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
 
 
-_Searched = tuple[str, Order, list[Finalist]]
-
-
-def _searched(numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None) -> _Searched:
+def _searched(
+    numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None
+) -> tuple[str, Order, list[Finalist]]:
     order_id, order = numbered
     found = finalists(order, options) if look_ahead is None else learned_finalists(order, look_ahead)
     return order_id, order, found
-
-
-def _packed(batch: Sequence[_Searched], options: PhysicalOptions, how: Mapping[str, Any]) -> list[PackedOrder]:
-    judged: dict[str, list[Judged]] = {order_id: [] for order_id, _, _ in batch}
-    waiting = {order_id: list(found) for order_id, _, found in batch}
-    while asked := {order_id: found.pop(0) for order_id, found in waiting.items() if found}:
-        for order_id, each in judge(asked, options, how).items():
-            judged[order_id].append(each)
-            if options.maximise == "utilisation" and each.is_good(options):
-                waiting[order_id].clear()  # the others are less dense
-    return [PackedOrder.of(order_id, order, found, judged[order_id], options) for order_id, order, found in batch]

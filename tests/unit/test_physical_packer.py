@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,17 +11,19 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from support.command_line import only_line, run, write
+from support.outcomes import make_outcome
 from support.packings import check_sound, orders, targets
 from support.plan_files import order
 from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.basics.errors import InputError
+from petmjx.options.config import Simulation
 from petmjx.packing import physical as physical_module
 from petmjx.packing.finalists import Finalist, finalists
-from petmjx.packing.judged import Judged, choose
+from petmjx.packing.judged import Judged, choose, judging
 from petmjx.packing.options import PhysicalOptions
-from petmjx.packing.packed import FALLS, NO_PLACE
+from petmjx.packing.packed import FALLS, NO_PLACE, PackedOrder
 from petmjx.packing.physical import pack_physical
 from petmjx.plans.samples import beam as beam_module
 from petmjx.plans.samples.balanced import TASTES, pack_balanced
@@ -28,7 +31,8 @@ from petmjx.plans.samples.beam import search
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order, draw_order
 from petmjx.plans.samples.packing import Packing
 from petmjx.results.reader import RunResults
-from petmjx.verdict import Verdict
+from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.world.job import Job
 
 CLEARANCE_MM = 7.0
 DRAWN = draw_order(5, 2)
@@ -147,42 +151,101 @@ def test_if_none_stands_often_enough_the_surest_is_taken() -> None:
     assert choose(each, OPTIONS).finalist.utilisation == 0.7
 
 
-def physically(
-    monkeypatch: pytest.MonkeyPatch, found: list[Finalist], shares: dict[float, int], **options: Any
-) -> tuple[Any, list[float]]:
-    """What ``pack_physical`` makes of one order with these finalists, of which so many of 16 worlds stand."""
-    asked: list[float] = []
+def tried(
+    found: list[Finalist], standing: dict[float, int], *, fall_first: bool = True, **options: Any
+) -> tuple[PackedOrder, list[tuple[float, range]]]:
+    """What is made of an order with these finalists, of which so many of 16 worlds stand, and which worlds are asked
+    for: utilisation, variants."""
+    how = OPTIONS.changed(**options)
+    asking, asked = judging("o", found, how), []
+    try:
+        while True:
+            for trial, variants in next(asking):
+                asked.append((trial.finalist.utilisation, variants))
+                falls = 16 - standing[trial.finalist.utilisation]
+                fallen = range(1, 1 + falls) if fall_first else range(17 - falls, 17)
+                for variant in variants:
+                    trial.take(variant, Verdict.UNSTABLE if variant in fallen else Verdict.STABLE)
+    except StopIteration as end:
+        return PackedOrder.of("o", ORDER, found, end.value, how), asked
 
-    def judge(packings: dict[str, Finalist], options: PhysicalOptions, how: object) -> dict[str, Judged]:
-        ((order_id, each),) = packings.items()
-        asked.append(each.utilisation)
-        return {order_id: judged(each.utilisation, shares[each.utilisation], len(each.placed))}
 
-    monkeypatch.setattr(physical_module, "judge", judge)
-    monkeypatch.setattr(physical_module, "finalists", lambda order, options: list(found))
-    (packed,) = pack_physical([("o", ORDER)], OPTIONS.changed(**options), {"engine": "mujoco"}, workers=1)
-    return packed, asked
+FEW, REST, ALL = range(5), range(5, 17), range(17)
 
 
-def test_no_packing_is_simulated_that_would_not_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, shares = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 3, 0.6: 13, 0.5: 16}
-    packed, asked = physically(monkeypatch, found, shares)
+def test_no_packing_is_simulated_that_would_not_be_taken() -> None:
+    found, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 11, 0.6: 13, 0.5: 16}
+    packed, asked = tried(found, standing, fall_first=False)
     assert (packed.taken.finalist.utilisation, packed.good, packed.tried) == (0.6, True, 2)
-    assert asked == [0.7, 0.6]
-    packed, asked = physically(monkeypatch, found, shares, maximise="share")
-    assert (packed.taken.finalist.utilisation, packed.good) == (0.5, True)
-    assert asked == [0.7, 0.6, 0.5]
+    assert asked == [(0.7, FEW), (0.7, REST), (0.6, FEW), (0.6, REST)]
+    packed, asked = tried(found, standing, fall_first=False, maximise="share")
+    assert (packed.taken.finalist.utilisation, packed.good, packed.tried) == (0.5, True, 3)
+    assert asked == [(each, worlds) for worlds in (FEW, REST) for each in (0.7, 0.6, 0.5)]
+    assert tried(found[:1], {0.7: 12}, worlds=4, fall_first=False)[1] == [(0.7, FEW)]
 
 
-def test_it_says_what_is_left_out_and_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_packing_that_cannot_be_good_any_more_is_given_up() -> None:
+    """The first 4 of 16 worlds fall: too many for a share of 0.8, not yet for one of 0.75."""
+    found = [finalist(0.7), finalist(0.6), finalist(0.5)]
+    packed, asked = tried(found, {0.7: 3, 0.6: 16}, least_share=0.8)
+    assert (packed.taken.finalist.utilisation, packed.taken.n_worlds, packed.tried) == (0.6, 16, 2)
+    assert asked == [(0.7, FEW), (0.6, FEW), (0.6, REST)]
+    assert tried(found, {0.7: 11, 0.6: 16})[1] == [(0.7, FEW), (0.7, REST), (0.6, FEW), (0.6, REST)]
+
+
+def test_if_none_is_good_all_worlds_say_which_stands_most_often() -> None:
+    found, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 9, 0.6: 10, 0.5: 2}
+    packed, asked = tried(found, standing, least_share=0.9)
+    assert (packed.taken.finalist.utilisation, packed.taken.n_standing, packed.good) == (0.6, 10, False)
+    assert asked == [*((each, FEW) for each in (0.7, 0.6, 0.5)), *((each, REST) for each in (0.7, 0.6, 0.5))]
+
+
+def test_it_says_what_is_left_out_and_why() -> None:
     fuller, less = finalist(0.7), finalist(0.6, boxes=1)
-    packed, _ = physically(monkeypatch, [fuller, less], {0.7: 3, 0.6: 16})
+    packed, _ = tried([fuller, less], {0.7: 3, 0.6: 16})
     assert (packed.left_out.numbers, packed.why) == ((2,), FALLS)
-    packed, _ = physically(monkeypatch, [less], {0.6: 16})
+    packed, _ = tried([less], {0.6: 16})
     assert (packed.left_out.numbers, packed.why) == ((2,), NO_PLACE)
-    packed, asked = physically(monkeypatch, [], {})
+    packed, asked = tried([], {})
     assert (packed.taken, packed.plan, packed.good, asked) == (None, None, False, [])
     assert packed.row()["boxes"] == 0
+    assert tried([], {}, maximise="share")[1] == []
+
+
+class SmallestFirst:
+    """An engine that simulates the smallest plans first, also of those that follow; two boxes do not stand."""
+
+    name = "smallest-first"
+
+    def __init__(self, takes_more: bool) -> None:
+        self.takes_more = takes_more
+        self.boxes: list[int] = []
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Any = None) -> Iterator[Outcome]:
+        done: set[int] = set()
+        while left := set(range(len(jobs))) - done:
+            number = min(left, key=lambda job: (jobs[job].scene.n_boxes, job))
+            done.add(number)
+            n = jobs[number].scene.n_boxes
+            self.boxes.append(n)
+            falls = {"reason": Reason.DROP, "culprit": n - 1, "first_sign_s": 0.5}
+            outcome = make_outcome(n, Verdict.UNSTABLE, **falls) if n == 2 else make_outcome(n)
+            yield replace(outcome, job=number)
+
+
+@pytest.mark.parametrize("takes_more", [True, False])
+def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, takes_more: bool) -> None:
+    """The second order's packing of two boxes falls, and that of one box is tried. The engine still has the worlds of
+    the first order then, if it takes more while it runs."""
+    large = Order(ORDER.target, (JAM,) * 3)
+    three = finalists(large, PhysicalOptions(width=1))[:1]
+    found = {large: three, ORDER: [finalist(0.7), finalist(0.6, boxes=1)]}
+    monkeypatch.setattr(physical_module, "finalists", lambda order, options: found[order])
+    engine = SmallestFirst(takes_more)
+    packed = list(pack_physical([("a", large), ("b", ORDER)], OPTIONS, {"engine": engine}, workers=1))
+    assert [(each.order_id, len(each.taken.finalist.placed)) for each in packed] == [("a", 3), ("b", 1)]
+    several = [2] * 5 + [1] * 17 + [3] * 17
+    assert engine.boxes == (several if takes_more else [2] * 5 + [3] * 5 + [1] * 5 + [3] * 12 + [1] * 12)
 
 
 # ---------------------------------------------------------------------- the whole

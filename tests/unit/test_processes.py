@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from support.command_line import only_line
 
 from petmjx.basics.machine import own_environment
+from petmjx.plans.samples.parallel import AsTheyCome
 
 _SCRIPT = """
 from petmjx.plans.samples.parallel import in_order
@@ -41,3 +44,37 @@ def test_the_command_ends_when_plans_cannot_be_written() -> None:
     )
     assert ended.returncode == 2
     assert "/dev/full: cannot be written" in only_line(ended.stderr)
+
+
+def test_results_are_taken_as_they_come() -> None:
+    with AsTheyCome(gpus_and_square, range(30), workers=2) as coming:
+        found = dict(coming.take(waits=True))
+        assert found
+        while some := coming.take(waits=True):
+            found.update(some)
+    assert found == {number: ("", number**2) for number in range(30)}
+    with AsTheyCome(gpus_and_square, range(2), workers=1) as coming:
+        assert coming.alone
+        assert coming.take(waits=False) == []
+        taken = [coming.take(waits=True) for _ in range(3)]
+    assert [[(number, square) for number, (_, square) in some] for some in taken] == [[(0, 0)], [(1, 1)], []]
+
+
+def test_what_tasks_raise_is_raised() -> None:
+    def tasks() -> Iterator[int]:
+        yield 1
+        raise ValueError("the second task")
+
+    def take_all(workers: int) -> None:
+        with AsTheyCome(abs, tasks(), workers) as coming:
+            while coming.take(waits=True):
+                pass
+
+    for workers in (1, 2):
+        with pytest.raises(ValueError, match="the second task"):
+            take_all(workers)
+
+
+def gpus_and_square(number: int) -> tuple[str | None, int]:
+    """Which GPUs the process may use, and a square."""
+    return os.environ.get("CUDA_VISIBLE_DEVICES"), number**2

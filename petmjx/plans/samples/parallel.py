@@ -1,12 +1,12 @@
-"""A function over many tasks in several processes, results in the order of the tasks."""
+"""A function over many tasks in several processes: results in the order of the tasks, or as they come."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from itertools import chain, islice
-from typing import Final, TypeVar
+from typing import Final, Generic, Self, TypeVar
 
 from petmjx.basics.processes import process_pool
 
@@ -59,3 +59,55 @@ def in_order(
 
 def _each(function: Callable[[Task], Result], tasks: list[Task]) -> list[Result]:
     return [function(task) for task in tasks]
+
+
+class AsTheyCome(Generic[Task, Result]):
+    """``function`` of each task, when it is known. Within a ``with`` block.
+
+    Args:
+        function, tasks: as of ``in_order``.
+        workers: how many processes; 1: this one, when a result is waited for.
+    """
+
+    def __init__(self, function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> None:
+        self._function, self._tasks = function, enumerate(tasks)
+        self._ahead = _CHUNKS_AHEAD * workers
+        self._pool = process_pool(workers, gpu=False) if workers > 1 else None
+        self._numbers: dict[Future[Result], int] = {}
+
+    @property
+    def alone(self) -> bool:
+        """Whether it is done in this process."""
+        return self._pool is None
+
+    def take(self, *, waits: bool) -> list[tuple[int, Result]]:
+        """Results that are there and have not been taken, each with the number of its task.
+
+        Args:
+            waits: for one at least, as long as there is any.
+        """
+        if self._pool is None:
+            return [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
+        self._submit(self._pool)
+        there, _ = wait(self._numbers, None if waits else 0, FIRST_COMPLETED)
+        found = [(self._numbers.pop(future), future.result()) for future in there]
+        self._submit(self._pool)
+        return found
+
+    def _submit(self, pool: ProcessPoolExecutor) -> None:
+        for number, task in islice(self._tasks, self._ahead - len(self._numbers)):
+            self._numbers[pool.submit(self._function, task)] = number
+
+    def __enter__(self) -> Self:
+        try:
+            if self._pool is not None:
+                self._submit(self._pool)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the processes, whatever they do."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)

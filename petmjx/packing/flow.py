@@ -1,0 +1,137 @@
+"""Orders on their way through search and simulation: each goes on when what it waits for is there."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from petmjx.engines.base import Engine
+from petmjx.engines.retry import World, score_worlds
+from petmjx.packing.finalists import Finalist
+from petmjx.packing.judged import Asks, Judged, Trial, judging
+from petmjx.packing.options import PhysicalOptions
+from petmjx.packing.packed import PackedOrder
+from petmjx.packing.worlds import WorldsOfPlans
+from petmjx.plans.samples.orders import Order
+from petmjx.plans.samples.parallel import AsTheyCome
+
+
+class Orders(NamedTuple):
+    """How many orders are simulated at a time.
+
+    Attributes:
+        few: with fewer an engine is idle, if they are all that it has: with these it begins.
+        most: with more it is not faster.
+    """
+
+    few: int
+    most: int
+
+
+CPU: Final = Orders(4, 16)
+GPU: Final = Orders(256, 1024)
+
+FEW_ALONE: Final = 16
+"""``Orders.few``, at most, where the process that simulates also searches."""
+
+Searched = tuple[str, Order, list[Finalist]]
+"""Id, order, packings among which physics decides."""
+
+
+@dataclass(eq=False)
+class _Open:
+    """An order whose packings are simulated.
+
+    Attributes:
+        asking: says which worlds it needs.
+        unanswered: worlds that it waits for.
+    """
+
+    number: int
+    order_id: str
+    order: Order
+    found: Sequence[Finalist]
+    asking: Generator[Asks, None, list[Judged]]
+    unanswered: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried(World):
+    """A world of a packing."""
+
+    of: _Open
+    trial: Trial
+
+
+class Flow:
+    """Orders from their search to their packing.
+
+    Args:
+        searched: what was found of each order.
+        worlds: makes their worlds.
+        at_a_time: orders.
+    """
+
+    def __init__(
+        self,
+        searched: AsTheyCome[tuple[str, Order], Searched],
+        options: PhysicalOptions,
+        worlds: WorldsOfPlans,
+        at_a_time: Orders,
+    ) -> None:
+        self._searched, self._options, self._worlds = searched, options, worlds
+        self._most = at_a_time.most
+        self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
+        self._open = self._unanswered = self._given = 0
+        self._following: list[World] = []
+        self._packed: dict[int, PackedOrder] = {}
+
+    def packed(self, engine: Engine) -> Iterator[PackedOrder]:
+        """Each order, packed, in the order given."""
+        for result in score_worlds((), self._worlds.sim, engine, more=self._more):
+            world = result.world
+            assert isinstance(world, _Tried)
+            self._unanswered -= 1
+            world.trial.take(world.variant, result.outcome.verdict)
+            world.of.unanswered -= 1
+            if not world.of.unanswered:
+                self._go_on(world.of)
+            yield from self._in_sequence()
+        yield from self._in_sequence()
+
+    def _in_sequence(self) -> Iterator[PackedOrder]:
+        while (packed := self._packed.pop(self._given, None)) is not None:
+            self._given += 1
+            yield packed
+
+    def _more(self) -> list[World]:
+        """The worlds that are asked for now, also of orders that begin now. They are waited for if there is no other
+        work."""
+        while self._open < self._most:
+            idle = self._unanswered == len(self._following)
+            found = self._searched.take(waits=self._open < self._few and (idle or self._searched.alone))
+            if not found:
+                break
+            for number, (order_id, order, packings) in found:
+                self._open += 1
+                asking = judging(order_id, packings, self._options)
+                self._go_on(_Open(number, order_id, order, packings, asking))
+        worlds, self._following = self._following, []
+        return worlds
+
+    def _go_on(self, order: _Open) -> None:
+        """Ask for an order's next worlds. If it needs no more, it is packed."""
+        try:
+            asked = next(order.asking)
+        except StopIteration as end:
+            self._open -= 1
+            self._packed[order.number] = PackedOrder.of(
+                order.order_id, order.order, order.found, end.value, self._options
+            )
+            return
+        for trial, variants in asked:
+            for world in self._worlds.of(trial.plan, variants):
+                self._following.append(_Tried(world.plan, world.variant, world.job, order, trial))
+                order.unanswered += 1
+                self._unanswered += 1
