@@ -17,7 +17,7 @@ from petmjx.loop.asked import Asked
 from petmjx.loop.stock import Stock
 from petmjx.plans.samples.balance import TOUCH_MM
 
-_AT_ONCE: Final = 200_000
+_AT_ONCE: Final = 100_000
 """Pairs of a point and a box that are compared at a time: their tables stay in a core's cache."""
 
 _WORTH_A_THREAD: Final = 50_000
@@ -63,14 +63,14 @@ def free_places(
         least_support: share of its base that must be borne.
         hulls: whether ``centred`` is asked for.
     """
-    pallets, which = np.unique(asked.pallet, return_inverse=True)
     count = stock.count[asked.pallet]
     if grid is None:
-        points = stock.points(pallets)
+        points = stock.find_points(asked.pallet)
+        of_each = points.count(asked.pallet)
     else:
-        points = np.broadcast_to(grid[:, 0] + 1j * grid[:, 1], (len(pallets), len(grid)))
+        of_each = np.full(len(asked), len(grid))
     order = np.argsort(count, kind="stable")  # pallets with few boxes cost little, if they are together
-    done = np.cumsum(points.shape[1] * (count[order] + 1))
+    done = np.cumsum((of_each * (count + 1))[order])
     threads = cpu_threads()
     share = int(done[-1] // (2 * threads)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
@@ -80,8 +80,9 @@ def free_places(
         own, k = asked.pallet[rows], int(count[rows].max())
         low, size = stock.corner_mm[own, :k], asked.size_mm[rows]
         high = low + stock.size_mm[own, :k]
+        at = points.of(own) if grid is None else np.tile(grid[:, 0] + 1j * grid[:, 1], (len(own), 1))
         limits = extent_mm, max_height_mm, least_support
-        box, corner, support, centred = _lowered(points[which[rows]], low, high, size, *limits, hulls)
+        box, corner, support, centred = _lowered(at, low, high, size, *limits, hulls=hulls)
         return rows[box], corner, support, centred
 
     if len(chunks) <= 2:
@@ -106,6 +107,7 @@ def _lowered(
     extent_mm: tuple[float, float],
     max_height_mm: float,
     least_support: float,
+    *,
     hulls: bool,
 ) -> _Lowered:
     """Boxes lowered at points of their pallets: which box, its corner, the supported share of its base, and whether its

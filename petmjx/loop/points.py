@@ -31,9 +31,14 @@ class Points:
         self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # x + iy, mm
         self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)  # (n, k) points of the first 0, 1, … boxes
 
+    def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(m,) points of pallets."""
+        found: NDArray[np.int64] = self._count[pallets, self.boxes[pallets]]
+        return found
+
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
         """(m, p) points of pallets, x + iy, mm; NaN behind a pallet's own."""
-        count = self._count[pallets, self.boxes[pallets]]
+        count = self.count(pallets)
         p = int(count.max(initial=1))
         found = self._at[pallets, :p]
         found[np.arange(p) >= count[:, None]] = np.nan

@@ -15,6 +15,9 @@ from petmjx.plans.plan import Plan
 
 _FIRST_ROOM = 16
 
+_AT_ONCE = 512
+"""Pallets whose points are found at a time."""
+
 
 class Stock:
     """The boxes of n pallets.
@@ -60,14 +63,15 @@ class Stock:
             values[into] = values[sources]
         self._points.copy(sources, into)
 
-    def points(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """(m, p) extreme points of pallets, x + iy, mm; NaN behind a pallet's own. Those of boxes that came since they
-        were last asked for are found now."""
-        rows = np.unique(pallets)
-        while len(rows := rows[self._points.boxes[rows] < self.count[rows]]):
-            low = self.corner_mm[rows, : int(self._points.boxes[rows].max()) + 1]
-            self._points.add(rows, low, low + self.size_mm[rows, : low.shape[1]])
-        return self._points.of(pallets)
+    def find_points(self, pallets: NDArray[np.int64]) -> Points:
+        """The extreme points, with those of all boxes of these pallets."""
+        found, rows = self._points, np.unique(pallets)
+        rows = rows[np.argsort(self.count[rows], kind="stable")]  # pallets with few boxes have few points: together
+        while len(rows := rows[found.boxes[rows] < self.count[rows]]):
+            for some in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
+                low = self.corner_mm[some, : int(found.boxes[some].max()) + 1]
+                found.add(some, low, low + self.size_mm[some, : low.shape[1]])
+        return found
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Asked:
         """Box ``number`` of some pallets that have it."""
