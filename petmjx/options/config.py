@@ -185,7 +185,9 @@ class Simulation(Checked):
         0.2, gt=0, description="rest_top_force_n is averaged over this at the end, s"
     )
     early_stop: Annotated[bool, CliFlag("--early-stop/--no-early-stop")] = Field(
-        True, description="stop a world once a box has dropped, instead of going on to the end of the schedule"
+        True,
+        description="stop a world once a box has dropped, or with random errors is lost, instead of going on to the "
+        "end of the schedule",
     )
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,

@@ -25,6 +25,7 @@ from petmjx.sweeps.search import Bisection, Probe
 from petmjx.sweeps.swept import Answer, Settled
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
+from petmjx.world.placing import begins_near
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
@@ -212,7 +213,9 @@ class SweepRun:
         self.tally.placement_s += time.perf_counter() - begin
 
     def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
-        return Job(scene, keep_state=keep_state, record=self.recording.of(group.plan))
+        """Worlds with errors are asked whether they stand: they end when a box is lost."""
+        asked = group.placement.placement.random and begins_near(scene, self.sim)
+        return Job(scene, keep_state=keep_state, record=self.recording.of(group.plan), ends_when_lost=asked)
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Worlds without a drive: they have the placement's outcome, with rest window."""

@@ -26,7 +26,7 @@ from petmjx.metrics.motion_np import lowest_z, tilt_deg
 from petmjx.options.carrier import Carrier
 from petmjx.options.config import Schedule, Simulation, Thresholds
 from petmjx.options.physics import PHYSICS, Cone
-from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
+from petmjx.verdict import LOST_EXCESS, Flag, Outcome, Reason, Verdict, judge, margin_of
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mjcf import to_mjcf
 from petmjx.world.model import build_spec
@@ -207,6 +207,18 @@ def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
     assert early.sim_time_s < whole.sim_time_s
     assert np.isnan(early.boxes.rest_top_force_n).all()
     assert np.isfinite(whole.boxes.rest_top_force_n).all()
+
+
+def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
+    """With the verdict, the culprit and the first sign that it would have had, and without what follows."""
+    asked, whole = (run_one(Job(falling(), ends_when_lost=asked), Simulation()) for asked in (True, False))
+    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
+    assert asked.first_sign_s <= asked.sim_time_s < whole.sim_time_s
+    assert asked.flags & Flag.EARLY_STOP
+    assert margin_of(asked.verdict, asked.boxes, asked.n_placed, Simulation().thresholds) < 1 - LOST_EXCESS
+    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
+    on = run_one(Job(falling(), ends_when_lost=True), Simulation(early_stop=False))
+    assert on.sim_time_s > whole.sim_time_s
 
 
 # ---------------------------------------------------------------------- forking

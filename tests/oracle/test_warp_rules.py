@@ -62,7 +62,10 @@ def kernel() -> Any:
 
 def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, State, State]:
     """Worlds of one to four boxes, states after some step, and those at its beginning (poses)."""
-    jobs = [Job(fake_scene(*[1.0] * (1 + k % BOXES)), keep_state=bool(k % 3 == 0)) for k in range(WORLDS)]
+    jobs = [
+        Job(fake_scene(*[1.0] * (1 + k % BOXES)), keep_state=k % 3 == 0, ends_when_lost=k % 5 == 0)
+        for k in range(WORLDS)
+    ]
     worlds = upload_worlds(jobs, WORLDS, BOXES, {}, sim)
     aside = rng.normal(0, 0.02, (WORLDS, BOXES, 3)) * (np.arange(WORLDS) % 2)[:, None, None]
     worlds = worlds._replace(middle=jnp.asarray(aside, jnp.float32))
@@ -185,6 +188,10 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     assert (found["rest_from"] != np.asarray(after.rest_from)).any()
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):
         assert (found["flags"] & int(flag)).any(), flag
+    stopped, dropped = found["flags"] & int(Flag.EARLY_STOP) != 0, (found["drop_step"] >= 0).any(axis=1)
+    lost, asked = stopped & ~dropped, np.asarray(worlds.ends_when_lost)
+    assert not lost[~asked].any()
+    assert lost.any() == sim.early_stop
 
 
 def device_record(kind: Any, values: Any) -> Any:

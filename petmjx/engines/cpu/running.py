@@ -14,6 +14,7 @@ from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Thresholds
+from petmjx.verdict import LOST_EXCESS
 from petmjx.world.give import sinks_m
 from petmjx.world.scene import Scene
 
@@ -34,6 +35,7 @@ class OracleMetrics:
         self.max_sway_m = np.full(n, np.nan)
         self.culprit = -1
         self.first_sign_s = float("nan")
+        self.lost = False
         self._rest_sum_n = np.zeros(n)
         self._rest_steps = 0
         self._sway_origin: FloatArray | None = None
@@ -92,11 +94,11 @@ class OracleMetrics:
         if self._sway_origin is not None:
             sway = np.hypot(*(pos - self._sway_origin)[:, :2].T)
             self.max_sway_m[:k] = np.fmax(self.max_sway_m[:k], sway)
-        if self.culprit < 0:
-            over, crossed = self._excess(pos, tilt, dropped)
-            if crossed.any():
-                self.culprit = int(np.argmax(np.where(crossed, over, -np.inf)))
-                self.first_sign_s = time_s
+        over, crossed = self._excess(pos, tilt, dropped)
+        self.lost = self.lost or bool((over > LOST_EXCESS).any())
+        if self.culprit < 0 and crossed.any():
+            self.culprit = int(np.argmax(np.where(crossed, over, -np.inf)))
+            self.first_sign_s = time_s
         return tilt
 
     def add_rest(self, top_force_n: FloatArray) -> None:

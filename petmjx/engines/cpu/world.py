@@ -219,7 +219,8 @@ class WorldRun:
         if not self._driving and self._explosion.seen(step, placing_at, too_fast):
             self._flags |= Flag.EXPLOSION
             return False
-        if self._sim.early_stop and self._metrics.any_dropped and step < self._end:
+        stops = self._metrics.any_dropped or (self._job.ends_when_lost and self._metrics.lost)
+        if self._sim.early_stop and stops and step < self._end:
             self._flags |= Flag.EARLY_STOP
             return False
         return True
