@@ -136,6 +136,33 @@ def balance(
     )
 
 
+@app.command("physical")
+@opt.takes("engine", "threads", "lanes")
+def physical_speed(
+    n: Annotated[int, typer.Option("-n", metavar="N", min=1, help="Drawn orders.")] = 8,
+    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Of drawn orders.")] = 33,
+    searched: Annotated[int, typer.Option(metavar="N", help="Orders of which the search alone is measured.")] = 30,
+    workers: Annotated[int | None, typer.Option(metavar="N", help="Processes that search.")] = None,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """How fast the packer physical is."""
+    from benchmarks.physical_speed import packing_speed, search_speed
+    from benchmarks.record import append_line, environment
+    from petmjx.basics.machine import cpu_threads
+    from petmjx.packing.pack import orders_of
+
+    how = {name: value for name, value in options.items() if value is not None}
+    parts: dict[str, Any] = {}
+    if searched:
+        parts["search"] = search_speed(list(orders_of(None, searched, seed)))
+    parts["packing"] = packing_speed(list(orders_of(None, n, seed)), workers or cpu_threads(), how)
+    for name, told in parts.items():
+        print(f"{name}: {told}", flush=True)
+    case = {"case": "packer-physical", "engine": how.get("engine", "auto"), "seed": seed}
+    append_line(out, {**case, **parts, **environment()})
+
+
 @app.command("packers")
 @opt.takes("engine", "threads")
 def packers(

@@ -28,6 +28,7 @@ class Judged:
         plan: its plan.
         verdict: placed exactly.
         n_worlds: worlds with errors that have a verdict; ``n_standing``: those that stand.
+        n_simulated: worlds that were simulated, the nominal one and invalid ones, too.
     """
 
     finalist: Finalist
@@ -35,6 +36,7 @@ class Judged:
     verdict: Verdict
     n_worlds: int
     n_standing: int
+    n_simulated: int = 0
 
     @property
     def stands(self) -> bool:
@@ -90,7 +92,7 @@ class Trial:
     def judged(self) -> Judged:
         """What physics says of it, so far."""
         assert self._nominal is not None
-        return Judged(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing)
+        return Judged(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing, self.asked)
 
 
 Asks = list[tuple[Trial, range]]

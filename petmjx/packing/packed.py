@@ -28,7 +28,7 @@ class PackedOrder:
         order_id: the order's, and the plan's.
         n_items: boxes of the order.
         taken: the packing; None where no box has a place.
-        tried: how many packings were simulated.
+        tried: how many packings were simulated, in how many worlds (``n_simulated``).
         good: whether it stands as often as asked for.
         left_out: what it leaves out; None: nothing. ``why``: the reason, or "".
     """
@@ -37,6 +37,7 @@ class PackedOrder:
     n_items: int
     taken: Judged | None
     tried: int
+    n_simulated: int
     good: bool
     left_out: LeftOut | None
     why: str
@@ -56,7 +57,8 @@ class PackedOrder:
         fuller = taken is not None and max(each.volume_m3 for each in found) > taken.finalist.volume_m3
         why = "" if left_out is None else FALLS if fuller else NO_PLACE
         good = taken is not None and taken.is_good(options)
-        return cls(order_id, len(order.items), taken, len(judged), good, left_out, why)
+        simulated = sum(each.n_simulated for each in judged)
+        return cls(order_id, len(order.items), taken, len(judged), simulated, good, left_out, why)
 
     @property
     def plan(self) -> Plan | None:

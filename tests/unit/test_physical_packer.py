@@ -189,6 +189,7 @@ def test_a_packing_that_cannot_be_good_any_more_is_given_up() -> None:
     found = [finalist(0.7), finalist(0.6), finalist(0.5)]
     packed, asked = tried(found, {0.7: 3, 0.6: 16}, least_share=0.8)
     assert (packed.taken.finalist.utilisation, packed.taken.n_worlds, packed.tried) == (0.6, 16, 2)
+    assert packed.n_simulated == 5 + 17
     assert asked == [(0.7, FEW), (0.6, FEW), (0.6, REST)]
     assert tried(found, {0.7: 11, 0.6: 16})[1] == [(0.7, FEW), (0.7, REST), (0.6, FEW), (0.6, REST)]
 
