@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from petmjx.engines.base import Engine
 from petmjx.engines.retry import World, score_worlds
@@ -23,20 +23,34 @@ class Orders(NamedTuple):
     Attributes:
         few: with fewer an engine is idle, if they are all that it has: with these it begins.
         most: with more it is not faster.
+        rows: of the tables of ``mjx-warp``, at least. When they are full, all worlds end before it goes on.
     """
 
     few: int
     most: int
+    rows: int
 
 
-CPU: Final = Orders(4, 16)
-GPU: Final = Orders(256, 1024)
+CPU: Final = Orders(4, 16, 1024)
+GPU: Final = Orders(64, 1024, 8192)
+
+GRANULE: Final = 96
+"""Tables have room for a multiple of so many boxes. With less, an order with more boxes than those before would wait
+until their worlds have ended, and the orders behind it as well."""
 
 FEW_ALONE: Final = 16
 """``Orders.few``, at most, where the process that simulates also searches."""
 
 Searched = tuple[str, Order, list[Finalist]]
 """Id, order, packings among which physics decides."""
+
+
+@runtime_checkable
+class HasTables(Protocol):
+    """An engine that has worlds in tables: ``mjx-warp`` and ``mjx-warp-cpu``."""
+
+    least_rows: int
+    granule: int
 
 
 @dataclass(eq=False)
@@ -81,7 +95,7 @@ class Flow:
         at_a_time: Orders,
     ) -> None:
         self._searched, self._options, self._worlds = searched, options, worlds
-        self._most = at_a_time.most
+        self._most, self._rows = at_a_time.most, at_a_time.rows
         self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
         self._open = self._unanswered = self._given = 0
         self._following: list[World] = []
@@ -89,6 +103,8 @@ class Flow:
 
     def packed(self, engine: Engine) -> Iterator[PackedOrder]:
         """Each order, packed, in the order given."""
+        if isinstance(engine, HasTables):
+            engine.least_rows, engine.granule = self._rows, GRANULE
         for result in score_worlds((), self._worlds.sim, engine, more=self._more):
             world = result.world
             assert isinstance(world, _Tried)

@@ -183,6 +183,16 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
             growing += [Job(jobs[name]) for name in names[1:]]
     assert sorted(found) == list(range(len(names)))
     assert [len(group) for group in groups] == [3, 3]
+    groups.clear()
+    some.least_rows = some.granule = 16
+    growing = GrowingJobs([Job(jobs[names[0]])])
+    found = []
+    for outcome in some.run(growing, SHORT):
+        found.append(outcome.job)
+        if len(growing) == 1:
+            growing += [Job(jobs[name]) for name in names[1:]]
+    assert sorted(found) == list(range(len(names)))
+    assert [len(group) for group in groups] == [len(names)]
 
 
 @pytest.mark.slow

@@ -118,6 +118,7 @@ class MjxWarpEngine(Engine):
 
     Attributes:
         granule: tables have room for a multiple of so many boxes.
+        least_rows: of a table when more jobs may follow, for runs that begin with few and go on for long.
 
     Raises:
         EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
@@ -140,7 +141,7 @@ class MjxWarpEngine(Engine):
         set_up_warp()
         set_up_jax()
         self.lanes, self.group_size, self.slice_ns = lanes, group_size, slice_ns
-        self.granule = GRANULE
+        self.granule, self.least_rows = GRANULE, 0
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
         """The last rollout for each kind of launches, and what it depends on."""
@@ -235,7 +236,8 @@ class MjxWarpEngine(Engine):
         worlds that ended in the one before, and from these more jobs may follow. Where none can, and no world is
         recorded, the next slice is under way already, so that the device does not wait for the host. With ``simulate``
         off all worlds are given up, since memory has run out."""
-        rows = min(SPARE_ROWS * len(jobs), self.group_size) if isinstance(run.jobs, GrowingJobs) else 0
+        rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
+        rows = rows if isinstance(run.jobs, GrowingJobs) else 0
         run = replace(run, widths={size: run.widths[size] for size in {_size(job) for job in jobs}})
         group = self._load_group(run, jobs, rows)
         queues = Queues(_sizes(run), _size, len(group.table.status))
