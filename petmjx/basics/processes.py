@@ -8,18 +8,21 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context, parent_process
 
 
-def process_pool(processes: int, *, gpu: bool = True) -> ProcessPoolExecutor:
+def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """So many fresh processes: a forked one would hang where a thread of this one held a lock.
 
     If this process is killed, they end, too. Those of the standard library would wait for tasks for ever.
 
     Args:
         gpu: whether they see GPUs. Where they use libraries on the CPU only, each would take some of its memory.
+        nice: how much later they come than this process, where the system knows that.
     """
-    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu,))
+    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
 
-def _begin(gpu: bool) -> None:
+def _begin(gpu: bool, nice: int) -> None:
+    if nice and hasattr(os, "nice"):
+        os.nice(nice)
     if not gpu:
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
     parent = parent_process()

@@ -47,17 +47,18 @@ def test_the_command_ends_when_plans_cannot_be_written() -> None:
 
 
 def test_results_are_taken_as_they_come() -> None:
-    with AsTheyCome(gpus_and_square, range(30), workers=2) as coming:
+    with AsTheyCome(told, range(30), workers=2) as coming:
         found = dict(coming.take(waits=True))
         assert found
         while some := coming.take(waits=True):
             found.update(some)
-    assert found == {number: ("", number**2) for number in range(30)}
-    with AsTheyCome(gpus_and_square, range(2), workers=1) as coming:
+    own = os.nice(0)
+    assert found == {number: ("", own + 5, number**2) for number in range(30)}
+    with AsTheyCome(told, range(2), workers=1) as coming:
         assert coming.alone
         assert coming.take(waits=False) == []
         taken = [coming.take(waits=True) for _ in range(3)]
-    assert [[(number, square) for number, (_, square) in some] for some in taken] == [[(0, 0)], [(1, 1)], []]
+    assert [[(number, square) for number, (*_, square) in some] for some in taken] == [[(0, 0)], [(1, 1)], []]
 
 
 def test_what_tasks_raise_is_raised() -> None:
@@ -75,6 +76,6 @@ def test_what_tasks_raise_is_raised() -> None:
             take_all(workers)
 
 
-def gpus_and_square(number: int) -> tuple[str | None, int]:
-    """Which GPUs the process may use, and a square."""
-    return os.environ.get("CUDA_VISIBLE_DEVICES"), number**2
+def told(number: int) -> tuple[str | None, int, int]:
+    """Which GPUs the process may use, how late it comes, and a square."""
+    return os.environ.get("CUDA_VISIBLE_DEVICES"), os.nice(0), number**2

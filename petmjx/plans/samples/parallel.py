@@ -17,6 +17,9 @@ _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
 """Chunks for each process that are under way, which bounds the memory."""
 
+_NICE: Final = 5
+"""How much later processes come than the one that takes their results as they come: it keeps an engine at work."""
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -72,7 +75,7 @@ class AsTheyCome(Generic[Task, Result]):
     def __init__(self, function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> None:
         self._function, self._tasks = function, enumerate(tasks)
         self._ahead = _CHUNKS_AHEAD * workers
-        self._pool = process_pool(workers, gpu=False) if workers > 1 else None
+        self._pool = process_pool(workers, gpu=False, nice=_NICE) if workers > 1 else None
         self._numbers: dict[Future[Result], int] = {}
 
     @property
