@@ -58,8 +58,8 @@ LARGE: Final = 1000
 
 MOST_TOGETHER: Final = 64
 MOST_DELAY_S: Final = 0.1
-"""Answers that come within so many seconds are looked at together, up to so many; those of an engine that says how many
-are at hand, as long as there are more."""
+"""Answers that come within so many seconds are looked at together, up to so many, unless more worlds may follow from
+them; those of an engine that says how many are at hand, as long as there are more."""
 
 _Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts: with the outcome of the last one, and the records of all before."""
@@ -349,8 +349,8 @@ class _Making(Generic[AnyWorld]):
             unanswered.remove(answer.job)
             came.append((batch[answer.job], answer))
             at_hand = self.engines.progress.at_hand if engine is self.engines.own else None
-            waits = time.monotonic() - looked_s < MOST_DELAY_S if at_hand is None else at_hand > 0
-            if takes_more or len(came) == MOST_TOGETHER or not waits:
+            soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
+            if len(came) == MOST_TOGETHER or not (soon if at_hand is None else at_hand > 0):
                 yield from self.made(came, engine.name)
                 came, looked_s = [], time.monotonic()
             for world in self._following(engine) if takes_more else ():

@@ -12,6 +12,7 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
+import petmjx.engines.retry as retry_module
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -87,6 +88,36 @@ def test_worlds_that_follow_from_results_are_simulated_too(takes_more: bool) -> 
     assert seen[0] == "p0"
     assert seen.index("p3") > seen.index("p1")
     assert [len(jobs) for _, jobs in engine.calls][:2] == ([1, 1] if takes_more else [1, 2])
+
+
+def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class InSlices(FailingEngine):
+        takes_more = True
+
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            done = 0
+            while done < len(jobs):
+                ended = range(done, len(jobs))
+                done = len(jobs)
+                for index in ended:
+                    assert progress is not None
+                    progress.at_hand = ended[-1] - index
+                    yield outcome_of(index, Verdict.STABLE)
+
+    together: list[int] = []
+    monkeypatch.setattr(retry_module, "note_edges", lambda outcomes, jobs: together.append(len(outcomes)))
+    queue, worlds = [], worlds_failing(0, 0, 0, 0, 0)
+
+    def more() -> list[World]:
+        found = queue.copy()
+        queue.clear()
+        return found
+
+    for result in score_worlds(worlds[:3], Simulation(), InSlices(), more=more):
+        queue += worlds[3:] if result.world is worlds[2] else []
+    assert [number for number in together if number] == [3, 2]
 
 
 def test_valid_worlds_run_once() -> None:
