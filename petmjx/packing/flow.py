@@ -23,16 +23,18 @@ class Orders(NamedTuple):
     Attributes:
         few: with fewer an engine is idle, if they are all that it has: with these it begins.
         most: with more it is not faster.
+        worlds: with fewer an engine has room for more.
         rows: of the tables of ``mjx-warp``, at least. When they are full, all worlds end before it goes on.
     """
 
     few: int
     most: int
+    worlds: int
     rows: int
 
 
-CPU: Final = Orders(4, 16, 1024)
-GPU: Final = Orders(64, 1024, 8192)
+CPU: Final = Orders(4, 16, 0, 1024)
+GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
 """Tables have room for a multiple of so many boxes. With less, an order with more boxes than those before would wait
@@ -95,7 +97,7 @@ class Flow:
         at_a_time: Orders,
     ) -> None:
         self._searched, self._options, self._worlds = searched, options, worlds
-        self._most, self._rows = at_a_time.most, at_a_time.rows
+        self._at_a_time = at_a_time
         self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
         self._open = self._unanswered = self._given = 0
         self._following: list[World] = []
@@ -104,7 +106,7 @@ class Flow:
     def packed(self, engine: Engine) -> Iterator[PackedOrder]:
         """Each order, packed, in the order given."""
         if isinstance(engine, HasTables):
-            engine.least_rows, engine.granule = self._rows, GRANULE
+            engine.least_rows, engine.granule = self._at_a_time.rows, GRANULE
         for result in score_worlds((), self._worlds.sim, engine, more=self._more):
             world = result.world
             assert isinstance(world, _Tried)
@@ -124,17 +126,21 @@ class Flow:
     def _more(self) -> list[World]:
         """The worlds that are asked for now, also of orders that begin now. They are waited for if there is no other
         work."""
-        while self._open < self._most:
+        while self._open < self._at_a_time.most:
             idle = self._unanswered == len(self._following)
             found = self._searched.take(waits=self._open < self._few and (idle or self._searched.alone))
             if not found:
                 break
             for number, (order_id, order, packings) in found:
                 self._open += 1
-                asking = judging(order_id, packings, self._options)
+                asking = judging(order_id, packings, self._options, self._has_spare)
                 self._go_on(_Open(number, order_id, order, packings, asking))
         worlds, self._following = self._following, []
         return worlds
+
+    def _has_spare(self) -> bool:
+        """Whether the engine has room for worlds that may not be needed: at the end, when few orders are left."""
+        return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _Open) -> None:
         """Ask for an order's next worlds. If it needs no more, it is packed."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -88,6 +88,10 @@ class Trial:
         most = (options.worlds - fallen) / options.worlds if options.worlds else 1.0
         return not self.judged.stands or most < options.least_share
 
+    def is_whole(self, options: PhysicalOptions) -> bool:
+        """Whether all its worlds were asked for."""
+        return self.asked > options.worlds
+
     @property
     def judged(self) -> Judged:
         """What physics says of it, so far."""
@@ -99,29 +103,44 @@ Asks = list[tuple[Trial, range]]
 """Worlds that shall be simulated: packings, with variants of each."""
 
 
-def judging(plan_id: str, found: Sequence[Finalist], options: PhysicalOptions) -> Generator[Asks, None, list[Judged]]:
+def judging(
+    plan_id: str, found: Sequence[Finalist], options: PhysicalOptions, spare: Callable[[], bool] = lambda: False
+) -> Generator[Asks, None, list[Judged]]:
     """Ask for the worlds that an order needs, and go on when they have verdicts; return the packings that were judged.
 
-    Of a packing some worlds come first. Those that cannot be good any more are given up, unless none is good: then the
-    packing that stands most often is taken, which takes all worlds of all of them.
+    Packings come one after the other, until one is good. Of each some worlds come first. Those that cannot be good any
+    more are given up, unless none is good: then the packing that stands most often is taken, which takes all worlds of
+    all of them.
 
     Args:
         found: the best packings first.
+        spare: whether an engine has nothing better to do. Then worlds are asked for before it is known whether they
+            are needed.
     """
     tried: list[Trial] = []
-    first, by_share = min(FIRST_WORLDS, options.worlds), options.maximise == "share"
-    for some in [found] if by_share and found else [[each] for each in found]:
-        now = [Trial(plan_id, each) for each in some]
+    by_share = options.maximise == "share"
+    while len(tried) < len(found):
+        hurries = spare()
+        first = options.worlds if hurries else min(FIRST_WORLDS, options.worlds)
+        left = found[len(tried) :]
+        now = [Trial(plan_id, each) for each in (left if hurries or by_share else left[:1])]
         tried += now
         yield [(each, each.ask(first)) for each in now]
         if rest := [each for each in now if first < options.worlds and not each.is_hopeless(options)]:
             yield [(each, each.ask(options.worlds)) for each in rest]
-        if not by_share and now[0].judged.is_good(options) and now[0].asked > options.worlds:
-            break  # the others are less dense
-    good = [each for each in tried if each.asked > options.worlds and each.judged.is_good(options)]
-    if not good and (rest := [each for each in tried if each.asked <= options.worlds]):
-        yield [(each, each.ask(options.worlds)) for each in rest]
+        if any(each.is_whole(options) and each.judged.is_good(options) for each in tried):
+            break
+    else:
+        if rest := [each for each in tried if not each.is_whole(options)]:
+            yield [(each, each.ask(options.worlds)) for each in rest]
     return [each.judged for each in tried]
+
+
+def needed(judged: Sequence[Judged], options: PhysicalOptions) -> Sequence[Judged]:
+    """Those among which is chosen, however many more were simulated: up to the first good one, since the others are
+    less dense; all of them if the share is maximised."""
+    good = next((number for number, each in enumerate(judged) if each.is_good(options)), None)
+    return judged if good is None or options.maximise == "share" else judged[: good + 1]
 
 
 def plan_of(plan_id: str, finalist: Finalist) -> Plan:

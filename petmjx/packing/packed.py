@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from petmjx.packing.finalists import Finalist
-from petmjx.packing.judged import Judged, choose
+from petmjx.packing.judged import Judged, choose, needed
 from petmjx.packing.options import PhysicalOptions
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import LeftOut, Placement, as_placements, left_out_of
@@ -28,7 +28,8 @@ class PackedOrder:
         order_id: the order's, and the plan's.
         n_items: boxes of the order.
         taken: the packing; None where no box has a place.
-        tried: how many packings were simulated, in how many worlds (``n_simulated``).
+        tried: how many packings were simulated before one was good.
+        n_simulated: worlds that were simulated. It may depend on other orders.
         good: whether it stands as often as asked for.
         left_out: what it leaves out; None: nothing. ``why``: the reason, or "".
     """
@@ -52,13 +53,14 @@ class PackedOrder:
         options: PhysicalOptions,
     ) -> PackedOrder:
         """The packing that is taken of those that were found and judged."""
-        taken = choose(judged, options) if judged else None
+        tried = needed(judged, options)
+        taken = choose(tried, options) if tried else None
         left_out = left_out_of(order_id, order, taken.finalist.placed if taken else ())
         fuller = taken is not None and max(each.volume_m3 for each in found) > taken.finalist.volume_m3
         why = "" if left_out is None else FALLS if fuller else NO_PLACE
         good = taken is not None and taken.is_good(options)
         simulated = sum(each.n_simulated for each in judged)
-        return cls(order_id, len(order.items), taken, len(judged), simulated, good, left_out, why)
+        return cls(order_id, len(order.items), taken, len(tried), simulated, good, left_out, why)
 
     @property
     def plan(self) -> Plan | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -152,12 +152,17 @@ def test_if_none_stands_often_enough_the_surest_is_taken() -> None:
 
 
 def tried(
-    found: list[Finalist], standing: dict[float, int], *, fall_first: bool = True, **options: Any
+    found: list[Finalist],
+    standing: dict[float, int],
+    *,
+    fall_first: bool = True,
+    spare: Callable[[], bool] = lambda: False,
+    **options: Any,
 ) -> tuple[PackedOrder, list[tuple[float, range]]]:
     """What is made of an order with these finalists, of which so many of 16 worlds stand, and which worlds are asked
     for: utilisation, variants."""
     how = OPTIONS.changed(**options)
-    asking, asked = judging("o", found, how), []
+    asking, asked = judging("o", found, how, spare), []
     try:
         while True:
             for trial, variants in next(asking):
@@ -199,6 +204,19 @@ def test_if_none_is_good_all_worlds_say_which_stands_most_often() -> None:
     packed, asked = tried(found, standing, least_share=0.9)
     assert (packed.taken.finalist.utilisation, packed.taken.n_standing, packed.good) == (0.6, 10, False)
     assert asked == [*((each, FEW) for each in (0.7, 0.6, 0.5)), *((each, REST) for each in (0.7, 0.6, 0.5))]
+
+
+def test_an_engine_with_room_simulates_what_may_not_be_needed() -> None:
+    """The packing that is taken, and how many came before it, are the same."""
+    found, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 3, 0.6: 13, 0.5: 16}
+    packed, asked = tried(found, standing, spare=lambda: True)
+    assert asked == [(each, ALL) for each in (0.7, 0.6, 0.5)]
+    assert (packed.taken.finalist.utilisation, packed.tried, packed.n_simulated) == (0.6, 2, 51)
+    answers = iter([False, True])
+    packed, asked = tried(found, standing, spare=lambda: next(answers))
+    assert asked == [(0.7, FEW), (0.7, REST), (0.6, ALL), (0.5, ALL)]
+    assert (packed.taken.finalist.utilisation, packed.tried, packed.n_simulated) == (0.6, 2, 51)
+    assert tried(found, standing, maximise="share", spare=lambda: True)[0].tried == 3
 
 
 def test_it_says_what_is_left_out_and_why() -> None:

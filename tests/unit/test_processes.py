@@ -50,14 +50,18 @@ def test_results_are_taken_as_they_come() -> None:
     with AsTheyCome(told, range(30), workers=2) as coming:
         found = dict(coming.take(waits=True))
         assert found
+        assert not coming.ended
         while some := coming.take(waits=True):
             found.update(some)
+        assert coming.ended
     own = os.nice(0)
     assert found == {number: ("", own + 5, number**2) for number in range(30)}
     with AsTheyCome(told, range(2), workers=1) as coming:
         assert coming.alone
         assert coming.take(waits=False) == []
+        assert not coming.ended
         taken = [coming.take(waits=True) for _ in range(3)]
+        assert coming.ended
     assert [[(number, square) for number, (*_, square) in some] for some in taken] == [[(0, 0)], [(1, 1)], []]
 
 

@@ -77,6 +77,12 @@ class AsTheyCome(Generic[Task, Result]):
         self._ahead = _CHUNKS_AHEAD * workers
         self._pool = process_pool(workers, gpu=False, nice=_NICE) if workers > 1 else None
         self._numbers: dict[Future[Result], int] = {}
+        self._all_begun = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is known that all results have been taken."""
+        return self._all_begun and not self._numbers
 
     @property
     def alone(self) -> bool:
@@ -90,7 +96,9 @@ class AsTheyCome(Generic[Task, Result]):
             waits: for one at least, as long as there is any.
         """
         if self._pool is None:
-            return [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
+            found = [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
+            self._all_begun = waits and not found
+            return found
         self._submit(self._pool)
         there, _ = wait(self._numbers, None if waits else 0, FIRST_COMPLETED)
         found = [(self._numbers.pop(future), future.result()) for future in there]
@@ -98,7 +106,9 @@ class AsTheyCome(Generic[Task, Result]):
         return found
 
     def _submit(self, pool: ProcessPoolExecutor) -> None:
-        for number, task in islice(self._tasks, self._ahead - len(self._numbers)):
+        some = list(islice(self._tasks, self._ahead - len(self._numbers)))
+        self._all_begun = len(some) < self._ahead - len(self._numbers)
+        for number, task in some:
             self._numbers[pool.submit(self._function, task)] = number
 
     def __enter__(self) -> Self:
