@@ -61,4 +61,4 @@ class WorldsOfPlans:
         placements = [*self._variants.placements()]
         groups = (PlacementGroup(plan, number, *placements[number]) for number in variants)
         for group, scene in self._variants.scenes(groups):
-            yield World(plan, group.index, Job(scene))
+            yield World(plan, group.index, self._variants.job(group, scene))

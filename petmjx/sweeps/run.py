@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -25,7 +25,6 @@ from petmjx.sweeps.search import Bisection, Probe
 from petmjx.sweeps.swept import Answer, Settled
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
-from petmjx.world.placing import begins_near
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
@@ -213,9 +212,7 @@ class SweepRun:
         self.tally.placement_s += time.perf_counter() - begin
 
     def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
-        """Worlds with errors are asked whether they stand: they end when a box is lost."""
-        asked = group.placement.placement.random and begins_near(scene, self.sim)
-        return Job(scene, keep_state=keep_state, record=self.recording.of(group.plan), ends_when_lost=asked)
+        return replace(self.plan.job(group, scene), keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Worlds without a drive: they have the placement's outcome, with rest window."""

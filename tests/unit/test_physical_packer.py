@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from support.command_line import only_line, run, write
@@ -25,6 +26,7 @@ from petmjx.packing.judged import Judged, choose, judging
 from petmjx.packing.options import PhysicalOptions
 from petmjx.packing.packed import FALLS, NO_PLACE, PackedOrder
 from petmjx.packing.physical import pack_physical
+from petmjx.packing.worlds import WorldsOfPlans
 from petmjx.plans.samples import beam as beam_module
 from petmjx.plans.samples.balanced import TASTES, pack_balanced
 from petmjx.plans.samples.beam import search
@@ -239,6 +241,7 @@ class SmallestFirst:
     def __init__(self, takes_more: bool) -> None:
         self.takes_more = takes_more
         self.boxes: list[int] = []
+        self.jobs: list[Job] = []
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Any = None) -> Iterator[Outcome]:
         done: set[int] = set()
@@ -247,6 +250,7 @@ class SmallestFirst:
             done.add(number)
             n = jobs[number].scene.n_boxes
             self.boxes.append(n)
+            self.jobs.append(jobs[number])
             falls = {"reason": Reason.DROP, "culprit": n - 1, "first_sign_s": 0.5}
             outcome = make_outcome(n, Verdict.UNSTABLE, **falls) if n == 2 else make_outcome(n)
             yield replace(outcome, job=number)
@@ -265,6 +269,19 @@ def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, takes_more:
     assert [(each.order_id, len(each.taken.finalist.placed)) for each in packed] == [("a", 3), ("b", 1)]
     several = [2] * 5 + [1] * 17 + [3] * 17
     assert engine.boxes == (several if takes_more else [2] * 5 + [3] * 5 + [1] * 5 + [3] * 12 + [1] * 12)
+
+
+def test_worlds_are_those_of_a_score() -> None:
+    """With errors, and without; those with errors end when a box is lost."""
+    plan = make_plan("p", 3)
+    engine = SmallestFirst(takes_more=False)
+    petmjx.score([plan], confidence=4, engine=engine)
+    worlds = [world.job for world in WorldsOfPlans(4, {"engine": engine}).of(plan, range(5))]
+    assert [job.ends_when_lost for job in worlds] == [False, True, True, True, True]
+    for own, other in zip(worlds, engine.jobs, strict=True):
+        assert own.ends_when_lost == other.ends_when_lost
+        np.testing.assert_array_equal(own.scene.start_pos, other.scene.start_pos)
+    assert [job.ends_when_lost for job in (world.job for world in WorldsOfPlans(0, {}).of(plan, [0]))] == [False]
 
 
 # ---------------------------------------------------------------------- the whole
