@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.hull import convex_hull
 from petmjx.basics.units import MM_PER_M, FloatArray
+from petmjx.plans.samples.tables import Count
 
 TOUCH_MM: Final = 1e-6
 """Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
@@ -97,9 +98,9 @@ class Balance:
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write everything into the tables of :mod:`petmjx.plans.samples.compiled`."""
+        """Write everything into :mod:`petmjx.plans.samples.tables`."""
         n, planes = self.n, len(self._planes)
-        tables["counts"][3] = planes
+        tables["counts"][Count.PLANES] = planes
         tables["low_m"][:n], tables["high_m"][:n] = self._low[:n], self._high[:n]
         tables["top"][:n], tables["load"][:n] = self._top_mm[:n], self._load[:n]
         tables["passed"][:n, :n] = self._passed[:n, :n].reshape(n, n, 9)

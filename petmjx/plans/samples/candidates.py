@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.plans.samples.balance import TOUCH_MM
+from petmjx.plans.samples.tables import Count
 
 _SLIDING = np.array([1, 0, 0, 1])
 _OTHER = 1 - _SLIDING
@@ -57,9 +58,9 @@ class Candidates:
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write everything into the tables of :mod:`petmjx.plans.samples.compiled`."""
+        """Write everything into :mod:`petmjx.plans.samples.tables`."""
         points, shapes = self.z.shape
-        tables["counts"][:2] = self._n, points
+        tables["counts"][Count.BOXES], tables["counts"][Count.POINTS] = self._n, points
         tables["base"][:shapes], tables["area"][:shapes], tables["height"][:shapes] = self.base, self.area, self.height
         tables["points"][:points] = self.points
         for name, values in {"z": self.z, "carried": self.carried, "open": self.open, "inside": self._inside}.items():

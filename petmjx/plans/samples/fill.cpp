@@ -4,15 +4,10 @@
 // packings are the same to the last bit. Balances (balance.py) differ in their last bits, and one may be so near to its
 // limit that this decides: often that of the new box itself, whose weight acts on the very edge. Then Python is asked,
 // and filling goes on from there. Of a box below, the end is UNSURE, and Packing.fill has to do it all.
+//
+// Names in capitals that are not defined here, and the tables, are those of tables.py.
 
 namespace petmjx {
-
-enum End { FILLED = 0, HIGHER = 1, UNSURE = 2, ASKS = 3 };
-enum Begin { WITH_BEST = 0, WITH_FIRST = 1, WITH_ANSWER = 2 };
-enum Balance { TIPS = 0, KEEPS = 1, UNKNOWN = 2, NEAR = 3 };
-
-// Places in Tables.counts; those of numbers are in the constructor below.
-enum Count { BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER };
 
 // Differences of balances that rounding may make, kg·m. Pallets have loads of some 100 kg·m.
 const double ROUNDING_KG_M = 4e-10;
@@ -28,43 +23,22 @@ struct Rest {
 template <typename Tables>
 struct Filling {
     const Tables& t;
-    const int most_boxes, most_shapes, most_points, most_planes;
-    int boxes, points, shapes, planes, made;
+    const int most_boxes = t.low.shape[0], most_shapes = t.z.shape[1];
+    const int most_points = t.points.shape[0], most_planes = t.planes.shape[0];
+    int boxes = t.counts.data[BOXES], points = t.counts.data[POINTS], shapes = t.counts.data[SHAPES];
+    int planes = t.counts.data[PLANES], made = t.counts.data[MADE];
     bool full = false;  // there is no room for more points or planes
     // of Python's constants and options
-    const double highest, per_overhang, per_distance;
-    const double extent_x, extent_y, max_height, least_support;
-    const double touch_mm, margin_m, margin_share, slack, least_turn, decimals;
-    double top_mm;
+    const double highest = t.numbers.data[HIGHEST], per_overhang = t.numbers.data[PER_OVERHANG];
+    const double per_distance = t.numbers.data[PER_DISTANCE];
+    const double extent_x = t.numbers.data[EXTENT_X], extent_y = t.numbers.data[EXTENT_Y];
+    const double max_height = t.numbers.data[MOST_HEIGHT], least_support = t.numbers.data[LEAST_SUPPORT];
+    const double touch_mm = t.numbers.data[TOUCH], slack = t.numbers.data[SLACK];
+    const double margin_m = t.numbers.data[MARGIN], margin_share = t.numbers.data[MARGIN_SHARE];
+    const double least_turn = t.numbers.data[LEAST_TURN], decimals = t.numbers.data[DECIMALS];
+    double top_mm = t.numbers.data[TOP];
 
-    CUDA_CALLABLE Filling(const Tables& tables)
-        : t(tables),
-          most_boxes(tables.low.shape[0]),
-          most_shapes(tables.z.shape[1]),
-          most_points(tables.points.shape[0]),
-          most_planes(tables.planes.shape[0]),
-          boxes(tables.counts.data[BOXES]),
-          points(tables.counts.data[POINTS]),
-          shapes(tables.counts.data[SHAPES]),
-          planes(tables.counts.data[PLANES]),
-          made(tables.counts.data[MADE]),
-          highest(tables.numbers.data[0]),
-          per_overhang(tables.numbers.data[2]),
-          per_distance(tables.numbers.data[3]),
-          extent_x(tables.numbers.data[4]),
-          extent_y(tables.numbers.data[5]),
-          max_height(tables.numbers.data[6]),
-          least_support(tables.numbers.data[7]),
-          touch_mm(tables.numbers.data[8]),
-          margin_m(tables.numbers.data[9]),
-          margin_share(tables.numbers.data[10]),
-          slack(tables.numbers.data[11]),
-          least_turn(tables.numbers.data[12]),
-          decimals(tables.numbers.data[13]),
-          top_mm(tables.numbers.data[1]) {}
-
-    static CUDA_CALLABLE double min_of(double a, double b) { return a < b ? a : b; }
-    static CUDA_CALLABLE double max_of(double a, double b) { return a > b ? a : b; }
+    explicit CUDA_CALLABLE Filling(const Tables& tables) : t(tables) {}
 
     CUDA_CALLABLE double* passed(int box, int below) const {
         return t.passed.data + ((size_t)box * most_boxes + below) * 9;
@@ -167,23 +141,6 @@ struct Filling {
 
     // ------------------------------------------------------------------ balance
 
-    // (corners, 2) points from `from` in steps of `step`: one half of a convex hull. Returns how many corners it has.
-    CUDA_CALLABLE int half_hull(const double* from, int count, int step, double* chain) const {
-        int length = 0;
-        for (int i = 0; i < count; ++i) {
-            const double x = from[2 * i * step], y = from[2 * i * step + 1];
-            while (length > 1) {
-                const double *a = chain + 2 * (length - 2), *b = chain + 2 * (length - 1);
-                if ((b[0] - a[0]) * (y - b[1]) - (b[1] - a[1]) * (x - b[0]) > least_turn) break;
-                --length;
-            }
-            chain[2 * length] = x;
-            chain[2 * length + 1] = y;
-            ++length;
-        }
-        return length - 1;
-    }
-
     // The edges of the hull of (count, 4) rectangles, moved inward, into t.new_planes. Returns how many.
     CUDA_CALLABLE int hull_planes(const double* rectangles, int count, double margin) const {
         double *corners = t.corners.data, *chain = t.chain.data;
@@ -207,8 +164,8 @@ struct Filling {
                 ++found;
             }
         }
-        int ring = half_hull(corners, found, 1, chain);
-        ring += half_hull(corners + 2 * (found - 1), found, -1, chain + 2 * ring);
+        int ring = half_hull(corners, found, 1, least_turn, chain);
+        ring += half_hull(corners + 2 * (found - 1), found, -1, least_turn, chain + 2 * ring);
         for (int i = 0; i < ring; ++i) {
             const double *a = chain + 2 * i, *b = chain + 2 * ((i + 1) % ring);
             const double length = sqrt((b[0] - a[0]) * (b[0] - a[0]) + (b[1] - a[1]) * (b[1] - a[1]));
@@ -218,41 +175,6 @@ struct Filling {
             plane[0] = margin - plane[1] * a[0] - plane[2] * a[1];
         }
         return ring;
-    }
-
-    // a⁻¹ of a 3 × 3 matrix, by Gauss and Jordan with pivots.
-    static CUDA_CALLABLE void invert(const double* a, double* inverse) {
-        double m[3][6];
-        for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j) {
-                m[i][j] = a[3 * i + j];
-                m[i][3 + j] = i == j;
-            }
-        for (int column = 0; column < 3; ++column) {
-            int pivot = column;
-            for (int i = column + 1; i < 3; ++i)
-                if (fabs(m[i][column]) > fabs(m[pivot][column])) pivot = i;
-            for (int j = 0; j < 6; ++j) {
-                const double kept = m[column][j];
-                m[column][j] = m[pivot][j];
-                m[pivot][j] = kept;
-            }
-            const double scale = 1.0 / m[column][column];
-            for (int j = 0; j < 6; ++j) m[column][j] *= scale;
-            for (int i = 0; i < 3; ++i) {
-                if (i == column) continue;
-                const double factor = m[i][column];
-                for (int j = 0; j < 6; ++j) m[i][j] -= factor * m[column][j];
-            }
-        }
-        for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j) inverse[3 * i + j] = m[i][3 + j];
-    }
-
-    static CUDA_CALLABLE void multiply(const double* a, const double* b, double* sum) {
-        for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j)
-                sum[3 * i + j] += a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
     }
 
     // What a box at a candidate would pass on to those below, into t.new_passed, and which it would reach at all.
@@ -287,11 +209,6 @@ struct Filling {
                 t.reached.data[box] = 1;
             }
         }
-    }
-
-    static CUDA_CALLABLE void load_on(const double* passed, const double* load, double* sum) {
-        for (int i = 0; i < 3; ++i)
-            sum[i] += passed[3 * i] * load[0] + passed[3 * i + 1] * load[1] + passed[3 * i + 2] * load[2];
     }
 
     // Whether a box at a candidate keeps the balance, or it or a box below TIPS over. UNKNOWN: what of the box itself is
@@ -340,10 +257,6 @@ struct Filling {
     CUDA_CALLABLE double margin(int shape) const {
         const double* own = t.own_base.data + 2 * shape;
         return min_of(margin_m, margin_share * (min_of(own[0], own[1]) / 1000.0));
-    }
-
-    static CUDA_CALLABLE double beyond(const double* plane, const double* load) {
-        return plane[0] * load[0] + plane[1] * load[1] + plane[2] * load[2];
     }
 
     // ------------------------------------------------------------------ boxes
@@ -454,7 +367,7 @@ inline CUDA_CALLABLE void fill(const Tables& tables) {
     counts[POINTS] = filling.points;
     counts[PLANES] = filling.planes;
     counts[MADE] = filling.made;
-    tables.numbers.data[1] = filling.top_mm;
+    tables.numbers.data[TOP] = filling.top_mm;
 }
 
 }  // namespace petmjx

@@ -19,6 +19,7 @@ from petmjx.plans.samples.balance import TOUCH_MM, Balance, Rest
 from petmjx.plans.samples.candidates import Candidates
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
+from petmjx.plans.samples.tables import Count, Number
 
 LEAST_SUPPORT: Final = 0.5
 """Least share of a base that rests on something. The balance is the rule that counts; this one keeps overhangs few."""
@@ -223,7 +224,7 @@ class Packing:
         return Filled(tuple(placed), top, volume, moment)
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write everything into the tables of :mod:`petmjx.plans.samples.compiled`."""
+        """Write everything into :mod:`petmjx.plans.samples.tables`."""
         shapes = len(self._kind_of)
         tables["own_base"][:shapes] = self._base
         tables["weight"][:shapes] = self._weight
@@ -231,8 +232,9 @@ class Packing:
         tables["kind"][:shapes] = self._kind_of
         tables["stock"][: len(self._stock)] = [len(same) for same in self._stock]
         taste = self._taste
-        tables["numbers"][1:4] = self.top_mm, taste.per_overhang, taste.per_distance
-        tables["counts"][2] = shapes
+        numbers = tables["numbers"]
+        numbers[Number.TOP], tables["counts"][Count.SHAPES] = self.top_mm, shapes
+        numbers[Number.PER_OVERHANG], numbers[Number.PER_DISTANCE] = taste.per_overhang, taste.per_distance
         self._table.write(tables)
         self._pile.write(tables)
 

@@ -1,0 +1,96 @@
+"""What Python and fill.cpp share: the tables of a packing, and names for numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+
+
+class End(IntEnum):
+    """How filling up ended. ``UNSURE``: Python has to do it all; ``ASKS``: Python has to say whether the box that comes
+    next tips over."""
+
+    FILLED, HIGHER, UNSURE, ASKS = range(4)
+
+
+class Begin(IntEnum):
+    """How it begins: by the best candidate, by one that is known to keep the balance, or where it ended to ask."""
+
+    WITH_BEST, WITH_FIRST, WITH_ANSWER = range(3)
+
+
+class Answer(IntEnum):
+    """What is known of a balance. ``UNKNOWN``: Python has to say whether the box itself tips over; ``NEAR``: one below is
+    too near to its limit."""
+
+    TIPS, KEEPS, UNKNOWN, NEAR = range(4)
+
+
+class Count(IntEnum):
+    """Places in the table ``counts``: what there is; what was put; how it begins; how it ended."""
+
+    BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER = range(11)
+
+
+class Number(IntEnum):
+    """Places in the table ``numbers``: the height at which a packing is given up, its top, its taste; constants."""
+
+    HIGHEST, TOP, PER_OVERHANG, PER_DISTANCE, EXTENT_X, EXTENT_Y, MOST_HEIGHT, LEAST_SUPPORT = range(8)
+    TOUCH, MARGIN, MARGIN_SHARE, SLACK, LEAST_TURN, DECIMALS = range(8, 14)
+
+
+def names_in_cpp() -> str:
+    """All of these for C++."""
+    kinds = (End, Begin, Answer, Count, Number)
+    enums = (f"enum {kind.__name__} {{ {', '.join(kind.__members__)} }};" for kind in kinds)
+    return "namespace petmjx {\n" + "\n".join(enums) + "\n}\n"
+
+
+_F, _I, _B = np.float64, np.int32, np.bool_
+
+AXES: Final[Mapping[str, tuple[Any, str]]] = {
+    "counts": (_I, str(len(Count))),
+    "numbers": (_F, str(len(Number))),
+    "base": (_F, "shape 2"),
+    "own_base": (_F, "shape 2"),
+    "height": (_F, "shape"),
+    "area": (_F, "shape"),
+    "weight": (_F, "shape"),
+    "worth": (_F, "shape"),
+    "kind": (_I, "shape"),
+    "stock": (_I, "shape"),
+    "points": (_F, "point 2"),
+    "z": (_F, "point shape"),
+    "carried": (_F, "point shape"),
+    "cost": (_F, "point shape"),
+    "open": (_B, "point shape"),
+    "inside": (_B, "point shape"),
+    "low": (_F, "box 3"),
+    "high": (_F, "box 3"),
+    "low_m": (_F, "box 2"),
+    "high_m": (_F, "box 2"),
+    "top": (_F, "box"),
+    "load": (_F, "box 3"),
+    "passed": (_F, "box box 9"),
+    "planes": (_F, "plane 3"),
+    "owner": (_I, "plane"),
+    "made_shape": (_I, "box"),
+    "made_corner": (_F, "box 3"),
+    "areas": (_F, "box"),
+    "under": (_I, "box"),
+    "reached": (_I, "box"),
+    "rectangles": (_F, "box 4"),
+    "own_load": (_F, "3"),
+    "moments": (_F, "box 9"),
+    "new_passed": (_F, "box 9"),
+    "new_planes": (_F, "corner 3"),
+    "corners": (_F, "corner 2"),
+    "chain": (_F, "corner 2"),
+}
+"""The tables of a packing: element type and axes, with room for what will be placed.
+
+``base`` is with the free space, ``own_base`` without; ``stock`` are the boxes left by kind. Lengths are in mm, in
+balances (``low_m`` to ``owner``) in m. From ``made_shape`` on: what was put, and scratch."""
