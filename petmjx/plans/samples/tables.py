@@ -23,8 +23,8 @@ class Begin(IntEnum):
 
 
 class Answer(IntEnum):
-    """What is known of a balance. ``UNKNOWN``: Python has to say whether the box itself tips over; ``NEAR``: one below is
-    too near to its limit."""
+    """What is known of a balance. ``UNKNOWN``: Python has to say whether the box itself tips over; ``NEAR``: one below
+    is too near to its limit."""
 
     TIPS, KEEPS, UNKNOWN, NEAR = range(4)
 
