@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import numpy as np
@@ -14,6 +16,9 @@ _FIRST_ROOM: Final = 16
 
 _AT_ONCE: Final = 512
 """Pallets whose maps are made at a time: they stay in a core's cache."""
+
+_THREADS: Final = 2
+"""As in petmjx/loop/places.py."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
 
@@ -61,7 +66,8 @@ class Maps:
         force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
         count = (force > 0).sum(axis=1)
         fullest = np.argsort(-count, kind="stable")  # together, so that the others take less time
-        for some in np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)):
+
+        def load(some: NDArray[np.intp]) -> None:
             most = int(count[some].max(initial=0))
             bearing = np.argsort(force[some] <= 0, axis=1, kind="stable")[:, :most]
             each, own = self._spans[rows[some, None], bearing], np.take_along_axis(force[some], bearing, axis=1)
@@ -70,6 +76,13 @@ class Maps:
                 over_x, over_y = self._over(each[:, number])
                 np.maximum(loads, (own[:, number] * over_x)[:, None] * over_y, out=loads)
             self.loads[rows[some]] = loads.transpose(2, 0, 1)
+
+        pieces = np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE))
+        if len(pieces) == 1:
+            load(fullest)
+        else:  # NumPy works on arrays without the GIL
+            with ThreadPoolExecutor(_THREADS) as pool:
+                deque(pool.map(load, pieces), maxlen=0)
 
     def _over(self, each: NDArray[np.integer]) -> tuple[Map, Map]:
         """(x, m) and (y, m) 1 where boxes stand over these columns and rows of cells, else 0.
