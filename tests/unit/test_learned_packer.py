@@ -91,6 +91,28 @@ def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
     assert pack_stream(stream, by_taste) == packing.placed
 
 
+def test_a_copy_of_a_stream_goes_its_own_way() -> None:
+    """It packs as the first one did, which has gone on."""
+
+    def go_on(stream: AllSides) -> None:
+        for _ in range(6):
+            chosen = lowest_first(stream)
+            assert chosen is not None
+            stream.put(chosen)
+
+    stream = AllSides(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
+    go_on(stream)
+    twin = stream.copy()
+    go_on(stream)
+    assert len(twin.placed) == 6
+    go_on(twin)
+    assert twin.placed == stream.placed
+    np.testing.assert_array_equal(twin.masses, stream.masses)
+    for name in ("surface", "coarse"):
+        np.testing.assert_array_equal(getattr(twin, name).height, getattr(stream, name).height)
+    np.testing.assert_array_equal(twin.places().corner_mm, stream.places().corner_mm)
+
+
 def test_places_say_where_the_box_would_rest() -> None:
     stream = AllSides(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
     for _ in range(12):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,7 @@ class Candidates:
         self._known: set[tuple[float, float]] = set()
         self._add_points([(0.0, 0.0)])
 
-    def copy(self) -> Candidates:
+    def copy(self) -> Self:
         """The same table, which goes its own way."""
         twin = copy.copy(self)
         twin.open, twin._known = self.open.copy(), set(self._known)

@@ -9,7 +9,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +110,7 @@ class Packing:
         self._table = self._Table(self._base + clearance_mm, sizes[:, 2], self.extent_mm, len(items))
         self._pile = Balance(len(items))
 
-    def copy(self) -> Packing:
+    def copy(self) -> Self:
         """The same packing, which goes its own way."""
         twin = copy.copy(self)
         twin.placed, twin._stock = list(self.placed), [list(same) for same in self._stock]

@@ -8,7 +8,7 @@ those of the pile seen from the target's three other corners, as in a mirror.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,10 +55,9 @@ class Mirrored(Candidates):
         self._points = np.zeros((len(MIRRORS), 2))
         self._in = np.array(MIRRORS)
 
-    def copy(self) -> Mirrored:
+    def copy(self) -> Self:
         """The same table, which goes its own way."""
         twin = super().copy()
-        assert isinstance(twin, Mirrored)
         twin._lows, twin._highs = self._lows.copy(), self._highs.copy()
         return twin
 
@@ -121,6 +120,12 @@ class AllSides(Stream):
         super().__init__(items, extent_mm, clearance_mm, look_ahead)
         self.coarse = Surface(self.extent_mm, COARSE_MM)
         self._refused: set[int] = set()
+
+    def copy(self) -> Self:
+        """The same stream, which goes its own way."""
+        twin = super().copy()
+        twin.coarse, twin._refused = self.coarse.copy(), set(self._refused)
+        return twin
 
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
         """All candidates for the boxes that are seen, as far as height and support allow them; balance is looked at by

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,12 @@ class Stream(Packing):
             numbers.setdefault(item, len(numbers))
         self._coming = [numbers[item] for item in items]
         self.clearance = np.array([clearance_mm, clearance_mm, 0.0])
+
+    def copy(self) -> Self:
+        """The same stream, which goes its own way."""
+        twin = super().copy()
+        twin._coming, twin._masses, twin.surface = list(self._coming), self._masses.copy(), self.surface.copy()
+        return twin
 
     @property
     def seen(self) -> list[int]:
