@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import Future, ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from labels import Labels, collect
 
+from petmjx.basics.processes import process_pool
 from petmjx.plans.samples.online.learned import Policy
 
 
@@ -37,8 +37,8 @@ class Labeller:
             policy.save(kept)
         if round_ in self._coming or self._path(round_).exists():
             return
-        if self._process is None:  # fresh, since it starts an engine
-            self._process = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        if self._process is None:
+            self._process = process_pool(1)
         job = (round_, self._path(round_), kept, self._how)
         self._coming[round_] = self._process.submit(_write, *job)
 

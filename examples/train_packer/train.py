@@ -23,7 +23,6 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from rule import scaled, spread
 from search import Search
 
 from petmjx.basics.machine import cpu_threads
+from petmjx.basics.processes import process_pool
 from petmjx.plans.samples.online.learned import Policy
 from petmjx.plans.samples.online.network import Network
 from petmjx.plans.samples.orders import stream
@@ -245,7 +245,7 @@ def main() -> None:
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
     how = {"seed": plan.seed, "pallets": plan.label_pallets, "steps": plan.label_steps, "engine": plan.engine}
     labeller = Labeller(out, how)
-    with ProcessPoolExecutor(arguments["workers"], mp_context=get_context("spawn")) as pool:
+    with process_pool(arguments["workers"]) as pool:
         state = Training(plan, out, pool, labeller).run(deadline, arguments["save_every"])
     labeller.close()
     result = {**asdict(plan), "updates": state.update, "seconds": round(time.monotonic() - begin, 1)}

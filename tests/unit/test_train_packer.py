@@ -81,7 +81,7 @@ def trained(monkeypatch: pytest.MonkeyPatch, out: Path, *stops: int) -> Any:
         return labels(np.random.default_rng(round_))
 
     monkeypatch.setattr(labeller, "collect", collected)
-    monkeypatch.setattr(labeller, "ProcessPoolExecutor", lambda *arguments, **options: Here())
+    monkeypatch.setattr(labeller, "process_pool", lambda processes: Here())
     out.mkdir(exist_ok=True)
     state = None
     for updates in stops:
