@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
+from petmjx.loop.columns import FIRST_COLUMNS, widened
 from petmjx.loop.heights import spans
-
-_FIRST_ROOM: Final = 16
 
 _AT_ONCE: Final = 512
 """Pallets whose maps are made at a time: they stay in a core's cache."""
@@ -36,7 +35,7 @@ class Maps:
         self._cell_mm = cell_mm
         self.heights: Map = np.zeros((n, *cells), np.float32)
         self.loads: Map = np.zeros((n, *cells), np.float32)
-        self._spans: NDArray[np.int32] = np.zeros((n, _FIRST_ROOM, 2, 2), np.int32)  # of each box
+        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)  # of each box
 
     def clear(self, rows: NDArray[np.int64]) -> None:
         """Pallets have no boxes."""
@@ -50,8 +49,7 @@ class Maps:
         Args:
             number: (m,) which box of its pallet it is, counted from 0; ``size_mm``, ``corner_mm``: (m, 3).
         """
-        while number.max(initial=0) >= self._spans.shape[1]:
-            self._spans = np.concatenate([self._spans, np.zeros_like(self._spans)], axis=1)
+        self._spans = widened(self._spans, int(number.max(initial=0)) + 1)
         self._spans[rows, number] = each = spans(size_mm, corner_mm, self._cell_mm)
         tops = (corner_mm[:, 2] + size_mm[:, 2]).astype(np.float32)
         over_x, over_y = self._over(each)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
+from petmjx.loop.columns import widened
 from petmjx.plans.samples.candidates import corner_points
 
 _POINTS_PER_BOX: Final = 7
@@ -59,7 +60,8 @@ class Points:
             fresh = ~(points == point[:, None]).any(axis=1)
             points[rows[fresh], count[fresh]] = point[fresh]
             count += fresh
-        self._make_room(int(count.max()), int(number.max()) + 2)
+        self._at = widened(self._at, int(count.max()))
+        self._count = widened(self._count, int(number.max()) + 2)
         self._at[pallets, : points.shape[1]] = points[:, : self._at.shape[1]]
         self._count[pallets, number + 1] = count
         self.boxes[pallets] += 1
@@ -72,13 +74,6 @@ class Points:
         """Give pallets the points of others."""
         for values in (self.boxes, self._at, self._count):
             values[into] = values[sources]
-
-    def _make_room(self, points: int, boxes: int) -> None:
-        for name, width in (("_at", points), ("_count", boxes)):
-            values = getattr(self, name)
-            while values.shape[1] < width:
-                values = np.concatenate([values, np.zeros_like(values)], axis=1)
-            setattr(self, name, values)
 
 
 def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.int64]) -> FloatArray:

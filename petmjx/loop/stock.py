@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
+from petmjx.loop.columns import FIRST_COLUMNS, widened
 from petmjx.loop.points import Points
 from petmjx.plans.plan import Plan
 
-_FIRST_ROOM = 16
-
-_AT_ONCE = 512
+_AT_ONCE: Final = 512
 """Pallets whose points are found at a time."""
 
 
@@ -29,18 +28,16 @@ class Stock:
 
     def __init__(self, n: int) -> None:
         self.count: NDArray[np.int64] = np.zeros(n, np.int64)
-        self.size_mm: FloatArray = np.full((n, _FIRST_ROOM, 3), np.nan)
-        self.corner_mm: FloatArray = np.full((n, _FIRST_ROOM, 3), np.nan)
-        self.mass_kg: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
+        self.size_mm: FloatArray = np.full((n, FIRST_COLUMNS, 3), np.nan)
+        self.corner_mm: FloatArray = np.full((n, FIRST_COLUMNS, 3), np.nan)
+        self.mass_kg: FloatArray = np.full((n, FIRST_COLUMNS), np.nan)
         self._points = Points(n)
 
     def add(self, asked: Asked) -> None:
         """Put one box on each of some pallets."""
         rows, at = asked.pallet, self.count[asked.pallet]
-        while at.max(initial=0) >= self.size_mm.shape[1]:
-            for name in ("size_mm", "corner_mm", "mass_kg"):
-                values = getattr(self, name)
-                setattr(self, name, np.concatenate([values, np.full_like(values, np.nan)], axis=1))
+        for name in ("size_mm", "corner_mm", "mass_kg"):
+            setattr(self, name, widened(getattr(self, name), int(at.max(initial=0)) + 1, np.nan))
         self.size_mm[rows, at], self.corner_mm[rows, at] = asked.size_mm, asked.corner_mm
         self.mass_kg[rows, at] = asked.mass_kg
         self.count[rows] += 1
