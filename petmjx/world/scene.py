@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,34 +187,25 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     front-left-bottom corner stays. Half sizes and centres are rounded half up to 1 µm, as the reference implementation
     writes them.
     """
-    physics = sim.physics
-    half_size, target = half_size_and_target(plan.size_mm, plan.corner_mm, sim)
     boards = pallet(sim.carrier)
-    stiffness = _stiffness(plan) if physics.has_own_friction else None
+    stiffness = _stiffness(plan) if sim.physics.has_own_friction else None
     if boards is None:
         carrier = next(_slabs(plan.corner_mm, plan.size_mm, np.array([0]), sim))
     else:
-        carrier = body_of(boards, physics)
+        carrier = body_of(boards, sim.physics)
     surfaces = find_surfaces(plan, sim, len(carrier.half_size))
+    boxes = _of_boxes(plan.size_mm, plan.corner_mm, plan.mass_kg.copy(), sim)
     return Scene(
-        half_size=half_size,
-        mass=plan.mass_kg.copy(),
-        target=target,
-        start_pos=target.copy(),
-        start_quat=np.tile(np.array(IDENTITY_QUAT), (len(target), 1)),
-        friction=np.tile(physics.box_friction, (len(target), 1)),
+        **boxes,
+        **_of_all(sim),
         carrier=carrier if surfaces is None else replace(carrier, surface=surfaces.of_boards),
-        floor_friction=physics.floor_friction,
-        floor_z=floor_z_m(sim),
         mass_center=None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm),
         surface=None if surfaces is None else surfaces.of_boxes,
         pair_friction=None if surfaces is None else surfaces.friction,
-        placing=sim.placing if sim.may_carry or not sim.placing.appears else EXACT,
         approach=_directions(plan),
         stiffness=stiffness,
         soft=np.isfinite(stiffness) & ~plan.sheets if sim.soft and stiffness is not None else None,
-        wrap=sim.wrap,
-        pieces=pieces_of(plan.sheets, target, half_size, carrier) if plan.kinds else (),
+        pieces=pieces_of(plan.sheets, boxes["target"], boxes["half_size"], carrier) if plan.kinds else (),
     )
 
 
@@ -236,31 +227,39 @@ def _is_plain(plan: Plan) -> bool:
 
 
 def _together(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
-    physics = sim.physics
     ends = np.cumsum([plan.n_boxes for plan in plans])
-    size, corner = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("size_mm", "corner_mm"))
-    half_size, target = half_size_and_target(size, corner, sim)
-    mass, start = np.concatenate([plan.mass_kg for plan in plans]), target.copy()
-    quat = np.tile(np.array(IDENTITY_QUAT), (len(target), 1))
-    friction = np.tile(physics.box_friction, (len(target), 1))
-    carriers = _slabs(corner, size, np.array([0, *ends[:-1]]), sim)
-    placing = sim.placing if sim.may_carry or not sim.placing.appears else EXACT
-    begin, floor_z = 0, floor_z_m(sim)
+    names = "size_mm", "corner_mm", "mass_kg"
+    size, corner, mass = (np.concatenate([getattr(plan, name) for plan in plans]) for name in names)
+    boxes, of_all = _of_boxes(size, corner, mass, sim), _of_all(sim)
+    carriers, begin = _slabs(corner, size, np.array([0, *ends[:-1]]), sim), 0
     for end, carrier in zip(ends.tolist(), carriers, strict=True):
         own, begin = slice(begin, end), end
-        yield Scene(
-            half_size=half_size[own],
-            mass=mass[own],
-            target=target[own],
-            start_pos=start[own],
-            start_quat=quat[own],
-            friction=friction[own],
-            carrier=carrier,
-            floor_friction=physics.floor_friction,
-            floor_z=floor_z,
-            placing=placing,
-            wrap=sim.wrap,
-        )
+        yield Scene(**{name: values[own] for name, values in boxes.items()}, **of_all, carrier=carrier)
+
+
+def _of_boxes(
+    size_mm: NDArray[np.float64], corner_mm: NDArray[np.float64], mass_kg: NDArray[np.float64], sim: Simulation
+) -> dict[str, Any]:
+    """Fields of scenes with a row for each box, of one plan or of several."""
+    half_size, target = half_size_and_target(size_mm, corner_mm, sim)
+    return {
+        "half_size": half_size,
+        "mass": mass_kg,
+        "target": target,
+        "start_pos": target.copy(),
+        "start_quat": np.tile(np.array(IDENTITY_QUAT), (len(target), 1)),
+        "friction": np.tile(sim.physics.box_friction, (len(target), 1)),
+    }
+
+
+def _of_all(sim: Simulation) -> dict[str, Any]:
+    """Fields that are the same for every plan."""
+    return {
+        "floor_friction": sim.physics.floor_friction,
+        "floor_z": floor_z_m(sim),
+        "placing": sim.placing if sim.may_carry or not sim.placing.appears else EXACT,
+        "wrap": sim.wrap,
+    }
 
 
 def _slabs(

@@ -41,10 +41,9 @@ def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, s
     boards = max(boards, *(_n_shapes(scene) - scene.n_boxes for scene in scenes))
     n = len(scenes)
     rows = _empty(n + spare, width, boards)
-    rows |= {
-        name: np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
-        for name, values in _one_each(scenes).items()
-    }
+    for name, values in _one_each(scenes).items():
+        rows[name] = np.empty((n + spare, *values.shape[1:]), values.dtype)
+        rows[name][:n] = values
 
     def put(group: tuple[list[int], bool]) -> None:
         numbers, plain = group
