@@ -189,9 +189,9 @@ DROPPED_EXCESS: Final = 2.0
 but a drop is always beyond."""
 
 
-LOST_EXCESS: Final = DROPPED_EXCESS
-"""A box with a larger excess is *lost*: it does not come back. Just over a threshold of shift some do: one in 200
-worlds with errors had a box 20.4 mm away in a sample, and less than 18 mm at the end."""
+LOST_TILTS: Final = 2.0
+"""A box that tilts by more than so many thresholds is *lost*: since the largest tilt counts, its world cannot be stable
+any more. A large shift says nothing: a board that tips under one load is level again under the next one."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)

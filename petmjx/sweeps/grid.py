@@ -19,7 +19,6 @@ from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
 from petmjx.world.apply import apply_all
 from petmjx.world.job import Drive, Job
-from petmjx.world.placing import begins_near
 from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
@@ -167,8 +166,7 @@ class SweepPlan(Design):
     def job(self, group: PlacementGroup, scene: Scene) -> Job:
         """What is simulated of a group's placement. One with random errors is asked whether it stands: it ends when a
         box is lost."""
-        asked = group.placement.placement.random and begins_near(scene, self.sweep.simulation)
-        return Job(scene, ends_when_lost=asked)
+        return Job(scene, ends_when_lost=group.placement.placement.random)
 
     # Drives.
 

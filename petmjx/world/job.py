@@ -89,7 +89,7 @@ class Job:
     drive. An engine gets a state of its own; before that it is a ``KeptState``. ``keep_state`` asks for such a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
     window. ``record`` asks for the world's history; it changes nothing else. ``ends_when_lost``: with early stop the
-    world ends when a box is *lost* (``petmjx.verdict.LOST_EXCESS``), and not only when one has dropped. Its verdict is
+    world ends when a box is *lost* (``petmjx.verdict.LOST_TILTS``), and not only when one has dropped. Its verdict is
     known then, and what follows is the dearest part of a simulation.
     """
 

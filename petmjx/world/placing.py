@@ -70,18 +70,6 @@ _BESIDE_M: Final = 0.005
 errors."""
 
 
-NEAR_SHARE: Final = 0.5
-"""Of the threshold of shift: a box that begins nearer to its place is over it only if it moves away."""
-
-
-def begins_near(scene: Scene, sim: Simulation) -> bool:
-    """Whether all boxes begin so near to their places that none counts as shifted, or as lost, on its way there."""
-    placing = scene.placing
-    falls_mm = {Way.DROP: placing.height_mm, Way.TINES: placing.tines_mm}.get(placing.name, 0.0)
-    far_m = np.abs(scene.start_pos - scene.target).max() + falls_mm / MM_PER_M
-    return bool(far_m <= NEAR_SHARE * sim.thresholds.shift_m)
-
-
 class Course(NamedTuple):
     """How the n boxes of a scene come to their places; of many scenes that are alike, with an axis of these before the
     others. Places are those of their middles, m.

@@ -21,12 +21,13 @@ from petmjx.engines.clock import Clock
 from petmjx.engines.cpu import live as mujoco_live
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
+from petmjx.history import Record
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
 from petmjx.options.carrier import Carrier
 from petmjx.options.config import Schedule, Simulation, Thresholds
 from petmjx.options.physics import PHYSICS, Cone
-from petmjx.verdict import LOST_EXCESS, Flag, Outcome, Reason, Verdict, judge, margin_of
+from petmjx.verdict import LOST_TILTS, Flag, Outcome, Reason, Verdict, judge, margin_of
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mjcf import to_mjcf
 from petmjx.world.model import build_spec
@@ -215,10 +216,27 @@ def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> No
     assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
     assert asked.first_sign_s <= asked.sim_time_s < whole.sim_time_s
     assert asked.flags & Flag.EARLY_STOP
-    assert margin_of(asked.verdict, asked.boxes, asked.n_placed, Simulation().thresholds) < 1 - LOST_EXCESS
+    assert margin_of(asked.verdict, asked.boxes, asked.n_placed, Simulation().thresholds) < 1 - LOST_TILTS
     assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
     on = run_one(Job(falling(), ends_when_lost=True), Simulation(early_stop=False))
     assert on.sim_time_s > whole.sim_time_s
+
+
+def test_a_box_that_comes_back_is_not_lost() -> None:
+    """A board tips under a box, by more than twice the threshold of shift, until there is one on its other end."""
+    sim = Simulation(carrier=Carrier.EURO_PALLET, placing="hand")
+    boxes = [
+        ((200, 800, 60), (500, 0, 0), 10.0),
+        ((1200, 800, 20), (0, 0, 60), 2.0),
+        ((200, 800, 100), (0, 0, 80), 5.0),
+        ((200, 800, 100), (1000, 0, 80), 5.0),
+    ]
+    scene = make_scene(boxes, sim)
+    outcome = run_one(Job(scene, record=Record(0.1), ends_when_lost=True), sim)
+    assert outcome.verdict is Verdict.STABLE
+    assert outcome.history is not None
+    sunk = scene.target[2, 2] - np.nanmin(outcome.history.pos[:, 2, 2])
+    assert sunk > 2 * sim.thresholds.shift_m
 
 
 # ---------------------------------------------------------------------- forking

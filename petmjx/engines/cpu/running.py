@@ -14,7 +14,7 @@ from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Thresholds
-from petmjx.verdict import LOST_EXCESS
+from petmjx.verdict import LOST_TILTS
 from petmjx.world.give import sinks_m
 from petmjx.world.scene import Scene
 
@@ -35,7 +35,6 @@ class OracleMetrics:
         self.max_sway_m = np.full(n, np.nan)
         self.culprit = -1
         self.first_sign_s = float("nan")
-        self.lost = False
         self._rest_sum_n = np.zeros(n)
         self._rest_steps = 0
         self._sway_origin: FloatArray | None = None
@@ -60,6 +59,11 @@ class OracleMetrics:
     @property
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
+
+    @property
+    def any_lost(self) -> bool:
+        """Whether a box is tilted so far that its world need not go on, if it is only asked whether it stands."""
+        return bool((self.max_tilt_deg > LOST_TILTS * self._thresholds.tilt_deg).any())
 
     def add_sample(
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
@@ -94,11 +98,11 @@ class OracleMetrics:
         if self._sway_origin is not None:
             sway = np.hypot(*(pos - self._sway_origin)[:, :2].T)
             self.max_sway_m[:k] = np.fmax(self.max_sway_m[:k], sway)
-        over, crossed = self._excess(pos, tilt, dropped)
-        self.lost = self.lost or bool((over > LOST_EXCESS).any())
-        if self.culprit < 0 and crossed.any():
-            self.culprit = int(np.argmax(np.where(crossed, over, -np.inf)))
-            self.first_sign_s = time_s
+        if self.culprit < 0:
+            over, crossed = self._excess(pos, tilt, dropped)
+            if crossed.any():
+                self.culprit = int(np.argmax(np.where(crossed, over, -np.inf)))
+                self.first_sign_s = time_s
         return tilt
 
     def add_rest(self, top_force_n: FloatArray) -> None:

@@ -15,7 +15,7 @@ from petmjx.engines.warp.kernel.hand import lets_go, take_up
 from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation
 from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, speed_of, tilt_of
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
-from petmjx.verdict import LOST_EXCESS, Flag
+from petmjx.verdict import Flag
 from petmjx.world import release
 
 NEVER = wp.constant(int(batch_state.NEVER))
@@ -26,7 +26,6 @@ FINISHED = wp.constant(batch_state.Status.FINISHED)
 NONFINITE = wp.constant(int(Flag.NONFINITE))
 EXPLOSION = wp.constant(int(Flag.EXPLOSION))
 EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
-LOST = wp.constant(LOST_EXCESS)
 MOVING = wp.constant(int(Flag.MOVING))
 CARRIER = wp.constant(history.CARRIER)
 NOTHING = wp.constant(release.NOTHING)
@@ -240,12 +239,12 @@ def after_step(
     resting = counted and step > state.rest_from[world]
 
     violent = bool(False)
-    drops = bool(False)
+    lost = bool(False)
     if sample or last or resting:
         for box in range(at.thread, at.placed - at.carried, at.threads):
             if sample or last:
                 if measure(model, worlds, at, box, step, sample, driven, state, work):
-                    drops = True
+                    lost = True
             if sample:
                 linear = length_of(state.qacc, world, box, 0)
                 if (
@@ -255,16 +254,13 @@ def after_step(
                     violent = True
             if resting:
                 state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
-    lost = bool(False)
     signs = bool(False)
     exploded = bool(False)
     if sample or last:
         violent = any_of_all(violent)
-        drops = any_of_all(drops)
+        lost = any_of_all(lost)
         worst = work.worst[at.block]
-        excess = wp.cast(wp.int32(worst >> HALF), float)
-        lost = excess > LOST
-        signs = culprit < 0 and excess > 1.0
+        signs = culprit < 0 and wp.cast(wp.int32(worst >> HALF), float) > 1.0
         if signs:
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
         # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
@@ -275,8 +271,7 @@ def after_step(
                 since = wp.min(violent_since, step)
             violent_since = since
             exploded = since != NEVER and step - since >= model.min_steps and not driven
-    stops = drops or (lost and worlds.ends_when_lost[world])
-    stopped = stops and model.early_stop != 0 and not last
+    stopped = lost and model.early_stop != 0 and not last
     finished = stopped or exploded or nonfinite
     if signs:
         sign_step = step

@@ -9,9 +9,12 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.motion import box_half, middle_of, rotation
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
+from petmjx.verdict import LOST_TILTS
 
 JUST_OVER = wp.constant(1.0000001192092896)
 """The next float32 after 1: the least excess of a box that has dropped."""
+
+LOST = wp.constant(LOST_TILTS)
 
 LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
 HALF = wp.constant(wp.int64(32))
@@ -61,7 +64,7 @@ def measure(
     state: State,
     work: Workspace,
 ) -> bool:
-    """Place of a box in a sample, or at the end; returns whether it has dropped."""
+    """Place of a box in a sample, or at the end; returns whether it is lost: with early stop its world ends."""
     world = at.world
     place = wp.vec3(0.0, 0.0, 0.0)
     q = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -88,7 +91,7 @@ def measure(
         x = place[0] - state.sway_anchor[world, box, 0]
         y = place[1] - state.sway_anchor[world, box, 1]
         state.max_sway[world, box] = wp.max(state.max_sway[world, box], wp.sqrt(x * x + y * y))
-    return dropped
+    return dropped or (worlds.ends_when_lost[world] and tilt > LOST * model.tilt)
 
 
 @wp.func
