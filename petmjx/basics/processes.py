@@ -14,8 +14,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
     If this process is killed, they end, too. Those of the standard library would wait for tasks for ever.
 
     Args:
-        gpu: whether they see GPUs. Where they use libraries on the CPU only, each would take some of its memory.
-        nice: how much later they come than this process, where the system knows that.
+        gpu: whether they see GPUs. Each process that does takes some of their memory, even if it does not use them.
+        nice: by how much their niceness is higher, so that this process goes first; nothing where systems have none.
     """
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 

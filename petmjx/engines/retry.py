@@ -58,8 +58,8 @@ LARGE: Final = 1000
 
 MOST_TOGETHER: Final = 64
 MOST_DELAY_S: Final = 0.1
-"""Answers that come within so many seconds are looked at together, up to so many, unless more worlds may follow from
-them; those of an engine that says how many are at hand, as long as there are more."""
+"""At most so many answers are looked at together. If an engine says how many are at hand, it is these; else those that
+come within so many seconds, or, if more worlds may follow from them, each alone."""
 
 _Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts: with the outcome of the last one, and the records of all before."""

@@ -126,7 +126,7 @@ class Episodes:
         last = self.pallets.n_boxes[rows]
         queues: list[NDArray[Any]] = []
 
-        def go_on() -> None:  # all that follows from where boxes were put
+        def go_on() -> None:  # what follows from where boxes were put needs no physics
             self._actions.strength_n[rows, last] = self._queues.take(rows, box)
             self._maps.add(rows, last, size, corner)
             queues.extend(self._queues.kept(rows))
@@ -136,7 +136,7 @@ class Episodes:
         told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows, meanwhile=go_on)
         if self._actions.asks_physics:
             self._look(rows[told.stable])
-        fallen = ~told.stable  # no box is left out where none comes any more
+        fallen = ~told.stable  # an episode that ends leaves no further box out
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)

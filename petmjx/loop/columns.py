@@ -1,4 +1,4 @@
-"""Tables with a row for each pallet, whose columns are boxes or points: they get wider as pallets grow."""
+"""Tables with a row for each pallet, and columns for its boxes or points: they get wider as pallets grow."""
 
 from __future__ import annotations
 

@@ -92,7 +92,11 @@ class Pallets(Closable):
 
     @contextmanager
     def _using(self, *, worlds: bool = True) -> Iterator[None]:
-        """One thread at a time, until they are closed. ``worlds``: the engine is asked, or boxes change."""
+        """One thread at a time, until they are closed.
+
+        Args:
+            worlds: whether the engine is asked, or boxes change: not while pallets come to rest.
+        """
         with self._lock:
             self._check_open()
             if worlds:
@@ -139,8 +143,8 @@ class Pallets(Closable):
         """Put one box each onto some pallets, and wait until these rest.
 
         Args:
-            meanwhile: is called while they come to rest. Then ``places``, ``boxes`` and ``height_map`` know the new
-                boxes already, where they were put; nothing else can be asked.
+            meanwhile: is called while they come to rest. It may ask for ``places``, ``boxes`` and ``height_map``, which
+                have the new boxes where they were put, and for nothing else.
 
         Raises:
             InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.

@@ -21,10 +21,11 @@ class Orders(NamedTuple):
     """How many orders are simulated at a time.
 
     Attributes:
-        few: with fewer an engine is idle, if they are all that it has: with these it begins.
-        most: with more it is not faster.
-        worlds: with fewer an engine has room for more.
-        rows: of the tables of ``mjx-warp``, at least. When they are full, all worlds end before it goes on.
+        few: an engine that is idle waits until so many are searched.
+        most: with more an engine is not faster.
+        worlds: an engine that has fewer has room for some that may not be needed.
+        rows: how many worlds the tables of ``mjx-warp`` have room for, at least. When they are full, all of these end
+            before others begin.
     """
 
     few: int
@@ -99,7 +100,7 @@ class Flow:
         self._searched, self._options, self._worlds = searched, options, worlds
         self._at_a_time = at_a_time
         self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
-        self._open = self._unanswered = self._given = 0
+        self._open = self._unanswered = self._given = 0  # orders on their way, their worlds, orders that are packed
         self._following: list[World] = []
         self._packed: dict[int, PackedOrder] = {}
 

@@ -15,8 +15,8 @@ from typing import Any
 from petmjx.basics.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.engines.resolve import engine_for
 from petmjx.options.run_options import AUTO
-from petmjx.packing.finalists import Finalist, finalists, learned_finalists
-from petmjx.packing.flow import CPU, GPU, Flow
+from petmjx.packing.finalists import finalists, learned_finalists
+from petmjx.packing.flow import CPU, GPU, Flow, Searched
 from petmjx.packing.options import PhysicalOptions
 from petmjx.packing.packed import PackedOrder
 from petmjx.packing.worlds import WorldsOfPlans
@@ -60,9 +60,7 @@ def fastest() -> str:
     return "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
 
 
-def _searched(
-    numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None
-) -> tuple[str, Order, list[Finalist]]:
+def _searched(numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None) -> Searched:
     order_id, order = numbered
     found = finalists(order, options) if look_ahead is None else learned_finalists(order, look_ahead)
     return order_id, order, found

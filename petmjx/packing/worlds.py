@@ -43,7 +43,7 @@ class WorldsOfPlans:
 
     @property
     def work(self) -> Work:
-        """What a plan costs, for what chooses an engine: here it has been chosen."""
+        """The work of a plan. An engine may be chosen by it, but here the caller has chosen one."""
         return Work(self.sim, [1])
 
     def of(self, plan: Plan, variants: Iterable[int]) -> Iterator[World]:

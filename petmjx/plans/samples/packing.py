@@ -225,7 +225,7 @@ class Packing:
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
         """Write everything into :mod:`petmjx.plans.samples.tables`."""
-        shapes = len(self._kind_of)
+        shapes = self.n_shapes
         tables["own_base"][:shapes] = self._base
         tables["weight"][:shapes] = self._weight
         tables["worth"][:shapes] = self._worth

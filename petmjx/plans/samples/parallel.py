@@ -18,7 +18,8 @@ _CHUNKS_AHEAD: Final = 4
 """Chunks for each process that are under way, which bounds the memory."""
 
 _NICE: Final = 5
-"""How much later processes come than the one that takes their results as they come: it keeps an engine at work."""
+"""By how much the niceness of processes is higher than that of the one that takes their results as they come: it goes
+first, since it keeps an engine at work."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
