@@ -15,7 +15,7 @@ from petmjx.basics.machine import cpu_threads
 from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
 from petmjx.loop.stock import Stock
-from petmjx.plans.samples.balance import TOUCH_MM
+from petmjx.plans.samples.balance import SHARE_SLACK, TOUCH_MM
 
 _AT_ONCE: Final = 100_000
 """Pairs of a point and a box that are compared at a time: their tables stay in a core's cache."""
@@ -26,8 +26,6 @@ _WORTH_A_THREAD: Final = 50_000
 _MOST_THREADS: Final = 2
 """More wait for Python's lock: on the host of an H200, places for 2,048 pallets took 155 ms with one thread, 118 ms
 with two, 141 ms with eight and 158 ms with sixteen."""
-
-_SUPPORT_EDGE: Final = 1e-9
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
@@ -142,7 +140,7 @@ def _lowered(
     end = np.column_stack([np.minimum(x_end[at], high_x), np.minimum(y_end[at], high_y)])
     carried = np.bincount(at, (end - start).prod(axis=1), len(box))
     support = np.where(z > 0, carried / (length_x * length_y), 1.0)
-    kept = np.flatnonzero(useful & (support >= least_support - _SUPPORT_EDGE))
+    kept = np.flatnonzero(useful & (support >= least_support - SHARE_SLACK))
     kept = kept[np.lexsort((y[kept], x[kept], z[kept], box[kept]))]
     corner = np.column_stack([x[kept], y[kept], z[kept]])
     if not hulls:

@@ -28,6 +28,9 @@ from petmjx.plans.samples.tables import Count
 TOUCH_MM: Final = 1e-6
 """Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
 
+SHARE_SLACK: Final = 1e-9
+"""A supported share may be smaller than the least one by so much: rounding errors, too."""
+
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
 """How far inside the hull a resultant must act: 20 mm, for small boxes this share of the shorter side. With 10 mm and a

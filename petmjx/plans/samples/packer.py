@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from petmjx.basics.units import FloatArray
-from petmjx.plans.samples.balance import TOUCH_MM
+from petmjx.plans.samples.balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.samples.orders import Item
 
 MAX_HEIGHT_MM = 2000.0
@@ -124,8 +124,8 @@ class _Pile:
         corners, bases, orientations = corners[inside], bases[inside], orientations[inside]
 
         z, share = self._rest(corners, bases)
-        legal = (z + item.height_mm <= self.rules.max_height_mm + TOUCH_MM) & (share >= self.rules.min_support - 1e-9)
-        y_first = self.rules.y_first
+        least_share, y_first = self.rules.min_support - SHARE_SLACK, self.rules.y_first
+        legal = (z + item.height_mm <= self.rules.max_height_mm + TOUCH_MM) & (share >= least_share)
         minor, major = (corners[:, 0], corners[:, 1]) if y_first else (corners[:, 1], corners[:, 0])
         for i in np.lexsort((orientations, minor, major, z)):
             if legal[i] and (not self.rules.centre_supported or self._centre_supported(corners[i], bases[i], z[i])):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-from petmjx.plans.samples.balance import TOUCH_MM, Balance, Rest
+from petmjx.plans.samples.balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.samples.candidates import Candidates
 from petmjx.plans.samples.orders import Item
 from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
@@ -141,7 +141,7 @@ class Packing:
         support = table.carried / table.area
         cost = table.z - self._worth + self._taste.per_overhang * (1 - support)
         cost += self._taste.per_distance * table.points.sum(axis=1)[:, None]
-        fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - 1e-9)
+        fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - SHARE_SLACK)
         if kinds is not None:
             fits = fits & np.isin(self._kind_of, kinds)
         cost = np.where(table.open & fits, cost, np.inf)

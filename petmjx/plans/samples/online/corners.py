@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-from petmjx.plans.samples.balance import TOUCH_MM
+from petmjx.plans.samples.balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.samples.candidates import Candidates, corner_points, let_down, overlap
 from petmjx.plans.samples.online.stream import Places, Stream
 from petmjx.plans.samples.online.surface import Surface
@@ -137,7 +137,7 @@ class AllSides(Stream):
         table, kinds = self._table, set(self.seen)
         seen = np.array([column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp)
         shape, corner, z, support = table.found(seen)
-        fits = (z + table.height[shape] <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= least_support - 1e-9)
+        fits = (z + table.height[shape] <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= least_support - SHARE_SLACK)
         fits[list(self._refused)] = False
         rows = np.flatnonzero(fits)
         shape = shape[rows]
